@@ -1,0 +1,47 @@
+"""The design file: what a person asks for, read, checked and explained.
+
+`load` a file or `Design.from_dict` a dictionary; a `DesignError` tells every mistake with its place.
+Nothing heavy is imported until something is validated.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clacad.design.errors import CODES, DesignError, Mistake
+from clacad.design.model import (
+    Allowed,
+    BodySpec,
+    CheckSpec,
+    Design,
+    Frame,
+    LatticeSpec,
+    LawSpec,
+    Outline,
+    PairSpec,
+)
+from clacad.design.read import load
+
+__all__ = [
+    "CODES",
+    "Allowed",
+    "BodySpec",
+    "CheckSpec",
+    "Design",
+    "DesignError",
+    "Frame",
+    "LatticeSpec",
+    "LawSpec",
+    "Mistake",
+    "Outline",
+    "PairSpec",
+    "json_schema",
+    "load",
+]
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a design file, for editors that complete keys."""
+    from clacad.design.schema import json_schema as made
+
+    return made()

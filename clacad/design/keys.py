@@ -1,0 +1,260 @@
+"""Every key of a design file: its kind, its default and what it means. The one home of this list.
+
+The reader, the JSON Schema, the suggestions for misspelt keys and the canonical text all follow it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, Final
+
+from clacad.design import units
+from clacad.design.kinds import (
+    Flag,
+    JsonSchema,
+    Kind,
+    ListOf,
+    Quantity,
+    Refusal,
+    Several,
+    Table,
+    Text,
+    Whole,
+    Word,
+    WordOr,
+    kind_of,
+)
+from clacad.design.units import Unit
+
+FORMAT: Final = 1
+REQUIRED: Final = object()
+"""Stands for "no default"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of the file.
+
+    Parameters
+    ----------
+    kind : Kind
+        Reads the value.
+    about : str
+        What it means, one line.
+    default : object
+        Converted value where the key is not written; `REQUIRED` if it must be.
+    """
+
+    kind: Kind
+    about: str
+    default: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class UnitWord:
+    """The value of `unit`."""
+
+    def read(self, value: object, unit: Unit) -> str:
+        """Return the text; its length in metres is `units.design_unit`."""
+        if not isinstance(value, str):
+            raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
+        if units.design_unit(value) is None:
+            close = get_close_matches(value.lower(), ["nm", "um", "mm", "cm", "m", "in"], n=1, cutoff=0.5)
+            hint = f'did you mean "{close[0]}"?' if close else ""
+            raise Refusal("CL105", "is not a length", value, self.allowed(unit), hint)
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the words of the message."""
+        return '"m" | "cm" | "mm" | "um" | "nm" | "in", or a length such as "100 mm"'
+
+    def schema(self) -> JsonSchema:
+        """Return a string."""
+        return {"type": "string", "examples": ["mm", "um", "m", "100 mm"]}
+
+
+@dataclass(frozen=True, slots=True)
+class FormatVersion:
+    """The value of `format`: the version of the file format, so that old files are read for ever."""
+
+    def read(self, value: object, unit: Unit) -> int:
+        """Return the version."""
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
+        if value != FORMAT:
+            raise Refusal("CL109", "is not a format this version reads", value, self.allowed(unit))
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the versions known."""
+        return str(FORMAT)
+
+    def schema(self) -> JsonSchema:
+        """Return a constant."""
+        return {"const": FORMAT}
+
+
+_ABOVE_0, _FROM_0 = Quantity("length", "a length > 0", above=0.0), Quantity("length", "a length >= 0", least=0.0)
+_ETA = Quantity("ratio", "a number, not 0, from -1e6 to 1e6", least=-1e6, most=1e6)
+_DELTA = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
+_EULER = Quantity("angle", "an angle from -36000 to 36000 deg", least=-36000.0, most=36000.0, degrees=True)
+_CONIC = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
+_SLOPE = Quantity("ratio", "a slope from -100 to 100", least=-100.0, most=100.0)
+_INDEX = Quantity("ratio", "a number > 1, at most 10", above=1.0, most=10.0)
+_WAVELENGTH = Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)
+_SMALL_ANGLE = Quantity("angle", "an angle >= 0 and below 90 deg", least=0.0, most=math.pi / 2)
+_LIMIT_ANGLE = Quantity("angle", "an angle > 0, at most 90 deg", above=0.0, most=math.pi / 2, bare=False)
+_LIMIT_LENGTH = Quantity("length", "a length >= 0", least=0.0, bare=False)
+_PART = Quantity("ratio", "a number > 0, at most 1", above=0.0, most=1.0)
+_FACTOR = Quantity("ratio", "a number > 0, at most 1000", above=0.0, most=1000.0)
+_XY = ("x", "y")
+_LENSES = ("lens 1", "lens 2")
+
+ROOT: Final[dict[str, Key]] = {
+    "format": Key(FormatVersion(), "version of this file's format", REQUIRED),
+    "name": Key(
+        Text("a text of 1 to 80 letters, digits, spaces and - _ . , + ( ) =", 80, plain=True),
+        "name of the design, used for files and reports",
+        REQUIRED,
+    ),
+    "unit": Key(UnitWord(), "unit of every bare length", REQUIRED),
+    "notes": Key(ListOf(Text("a text of 1 to 500 characters", 500), "texts"), "remarks the report prints", ()),
+}
+LAW: Final[dict[str, Key]] = {
+    "eta": Key(Several(_ETA, _XY), "eta_i = -f2_i/f1_i in the lens frame", REQUIRED),
+    "delta": Key(Several(_DELTA, _XY), "delta_i = d_i/f1_i, offset of lens 2", (0.0, 0.0)),
+    "euler": Key(Several(_EULER, ("phi", "theta", "psi")), "turns about z, x, z", (0.0, 0.0, 0.0)),
+    "euler_axes": Key(Word(("fixed", "moving")), "whether the turns are about fixed or moving axes", "fixed"),
+}
+PAIR: Final[dict[str, Key]] = {
+    "form": Key(Word(("biconvex", "plano", "slab")), "how a lenslet pair is built", REQUIRED),
+    "separation": Key(_ABOVE_0, "biconvex: centre to centre; plano: f1 + f2 in air; slab: thickness / index"),
+    "thickness": Key(WordOr(("auto",), Several(_ABOVE_0, _LENSES, single=True)), "centre thickness", "auto"),
+    "web": Key(_FROM_0, "biconvex: thickness of the plate that joins the lenslets of an array"),
+    "confocal": Key(Word(("exact", "thin", "best")), "recipe for the radii", "exact"),
+    "surface": Key(Word(("ellipsoid", "biconic")), "shape of the lens faces", "ellipsoid"),
+    "conic": Key(Several(_CONIC, _XY), "biconic: conic constants"),
+    "depth": Key(Several(_ABOVE_0, _LENSES, single=True), "ellipsoid: semi-axis along the optical axis"),
+    "curved": Key(Word(("outside", "inside")), "plano: which faces are curved", "outside"),
+    "index": Key(_INDEX, "refractive index"),
+    "material": Key(Text("the name of a material", 60), "material instead of an index"),
+    "wavelength": Key(_WAVELENGTH, "design wavelength", 550e-9),
+}
+LATTICE: Final[dict[str, Key]] = {
+    "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),
+    "pitch": Key(Several(_ABOVE_0, _XY, single=True), "size of a cell", REQUIRED),
+    "count": Key(Several(Whole("a whole number >= 1"), ("n1", "n2"), single=True), "number of cells", REQUIRED),
+    "seam": Key(_FROM_0, "width of the land along cell borders", 0.0),
+    "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),
+    "outline": Key(
+        Table((("circle", _ABOVE_0), ("rectangle", Several(_ABOVE_0, ("width", "height")))), exactly_one=True),
+        "outer shape; cells wholly inside are kept",
+    ),
+    "aperture": Key(
+        WordOr(("centred", "aligned"), Several(_SLOPE, _XY)), "where cell 2 of a telescopelet stands", "centred"
+    ),
+    "land": Key(Word(("clear", "opaque")), "whether land lets light through", "clear"),
+}
+BODY: Final[dict[str, Key]] = {
+    "border": Key(_FROM_0, "width of the land round the sheet", 0.0),
+    "neck": Key(_ABOVE_0, "least thickness left at a border between cells"),
+    "baffle": Key(Flag(), "opaque honeycomb between the arrays", False),
+    "baffle_wall": Key(_ABOVE_0, "wall thickness of the baffle"),
+    "frame": Key(
+        Table((("width", _ABOVE_0), ("height", _ABOVE_0)), required=("width",)), "opaque frame round the sheet"
+    ),
+    "roughness": Key(_FROM_0, "rms roughness of the optical faces", 0.0),
+    "slope_rms": Key(_SMALL_ANGLE, "rms slope error of the optical faces", 0.0),
+}
+CHECK: Final[dict[str, Key]] = {
+    "field": Key(_LIMIT_ANGLE, "half angle of the cone of test rays", math.radians(1.0)),
+    "field_centre": Key(Word(("axis", "normal")), "middle of that cone", "axis"),
+    "process": Key(
+        Word(("none", "diamond-turning", "two-photon", "greyscale", "moulding", "sla")), "process profile", "none"
+    ),
+    "law_rms": Key(_LIMIT_ANGLE, "limit of the rms law error", 0.003),
+    "law_bias": Key(_LIMIT_ANGLE, "limit of the mean law error at a field point", 0.0025),
+    "mesh_law_rms": Key(_LIMIT_ANGLE, "limit of the rms law error through facets"),
+    "eta": Key(_PART, "limit of the relative error of eta", 0.01),
+    "delta": Key(_PART, "limit of the error of delta", 0.005),
+    "confocality": Key(_PART, "limit of the afocal defect over the separation"),
+    "throughput": Key(_PART, "least share of the closed form that must pass", 0.9),
+    "cover": Key(_PART, "least share of each optical cell that is lens", 1.0 - 1e-9),
+    "clearance": Key(_LIMIT_LENGTH, "least gap between the bodies"),
+    "graph": Key(_PART, "least z component of a face's normal", 0.1),
+    "edge": Key(_LIMIT_LENGTH, "least edge thickness (instead of the profile's)"),
+    "neck": Key(_LIMIT_LENGTH, "least neck thickness (instead of the profile's)"),
+    "radius": Key(_LIMIT_LENGTH, "least radius of curvature (instead of the profile's)"),
+    "sag": Key(_LIMIT_LENGTH, "largest sag (instead of the profile's)"),
+    "pitch": Key(_LIMIT_LENGTH, "least pitch (instead of the profile's)"),
+    "volume": Key(_PART, "limit of the relative error of a file's volume", 1e-9),
+    "shape": Key(_FACTOR, "limit of a mesh's sag error over the stated one", 1.1),
+    "file_rms": Key(_FACTOR, "limit of a mesh's direction error over its forecast", 1.25),
+    "pose": Key(_PART, "limit of a returned file's pose residual over the pitch", 0.05),
+    "scale": Key(_PART, "limit of a returned file's shrink", 0.001),
+    "fresnel_number": Key(_FACTOR, "Fresnel number below which a warning is given", 10.0),
+    "allow": Key(
+        ListOf(
+            Table(
+                (
+                    ("code", Text("a code such as CL311", 5, pattern="CL[0-9]{3}")),
+                    ("reason", Text("a text of 1 to 500 characters", 500)),
+                ),
+                required=("code", "reason"),
+            ),
+            "tables",
+        ),
+        "warnings that are accepted, each with a reason",
+        (),
+    ),
+}
+SECTIONS: Final[dict[str, dict[str, Key]]] = {
+    "law": LAW,
+    "pair": PAIR,
+    "lattice": LATTICE,
+    "body": BODY,
+    "check": CHECK,
+}
+OPTIONAL: Final = ("body", "check")
+"""Sections that may be left out."""
+
+
+def homes(name: str) -> list[str]:
+    """Return the dotted keys whose last part is this name ("pitch" → lattice.pitch, check.pitch)."""
+    return [f"{section}.{name}" for section, keys in SECTIONS.items() if name in keys] + (
+        [name] if name in ROOT or name in SECTIONS else []
+    )
+
+
+def suggestion(section: str, name: str) -> str:
+    """Return the dotted key a person probably meant, "" if none is near.
+
+    Parameters
+    ----------
+    section : str
+        Section the unknown key stands in, "" for the top level (or for an unknown section).
+    name : str
+        The unknown key.
+    """
+    here = SECTIONS.get(section, {}) if section else {**ROOT, **SECTIONS}
+    dot = f"{section}." if section else ""
+    folded = name.lower().replace("-", "_")
+    if folded in here:
+        return dot + folded
+    elsewhere = homes(folded)
+    if elsewhere:
+        return elsewhere[0]
+    close = get_close_matches(folded, here, n=1, cutoff=0.6)
+    if close:
+        return dot + close[0]
+    every = [key for keys in SECTIONS.values() for key in keys] + list(ROOT)
+    close = get_close_matches(folded, every, n=1, cutoff=0.75)
+    return homes(close[0])[0] if close else ""
+
+
+def known_in(section: str) -> str:
+    """Return the keys of a section as messages list them."""
+    names = list(SECTIONS[section]) if section in SECTIONS else [*ROOT, *(f"[{name}]" for name in SECTIONS)]
+    return ", ".join(names)

@@ -1,0 +1,362 @@
+"""The design: what a person asked for, as frozen values in the design's unit.
+
+Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are
+kept in degrees too, as written, so that 90 degrees stays exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+if TYPE_CHECKING:
+    from clacad.law import Law
+
+Pair2 = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LawSpec:
+    """The asked law of refraction, paper eqs (4), (5) and section 3.
+
+    Parameters
+    ----------
+    eta, delta : (2,) tuple of float
+        η_i = −f2_i/f1_i and δ_i = d_i/f1_i for i = x, y in the lens frame.
+    euler_degrees : (3,) tuple of float, degrees
+        φ, θ, ψ as written.
+    euler_axes : {"fixed", "moving"}
+        R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones.
+    """
+
+    eta: Pair2
+    delta: Pair2
+    euler_degrees: tuple[float, float, float]
+    euler_axes: Literal["fixed", "moving"]
+
+    @property
+    def euler(self) -> tuple[float, float, float]:
+        """φ, θ, ψ in radians."""
+        phi, theta, psi = (math.radians(angle) for angle in self.euler_degrees)
+        return phi, theta, psi
+
+
+@dataclass(frozen=True, slots=True)
+class PairSpec:
+    """How a lenslet pair is built.
+
+    Parameters
+    ----------
+    form : {"biconvex", "plano", "slab"}
+        Two biconvex lenses, two plano-convex ones, or both faces of one slab.
+    separation : float or None, length
+        Biconvex: centre to centre; plano: f1 + f2 in air; slab: T/n (None: given by `thickness`).
+    thickness : "auto", float or (2,) tuple of float, length
+        Centre thickness of both lenses, or of lens 1 and lens 2; slab: of the slab.
+    web : float or None, length
+        Plate joining the lenslets (biconvex); None: 0, or the neck where there is a seam.
+    confocal : {"exact", "thin", "best"}
+        Recipe for the radii.
+    surface : {"ellipsoid", "biconic"}
+        Shape of the faces.
+    conic : (2,) tuple of float or None
+        Conic constants of a biconic; None: the form's default.
+    depth : (2,) tuple of float or None, length
+        1/κ of lens 1 and 2; None: sqrt(|R_x R_y|).
+    curved : {"outside", "inside"}
+        Plano: which faces are curved.
+    index : float or None
+        Refractive index; None: from `material`.
+    material : str or None
+        Name in the table of materials.
+    wavelength : float, metres
+        Design wavelength.
+    """
+
+    form: Literal["biconvex", "plano", "slab"]
+    separation: float | None
+    thickness: Literal["auto"] | float | Pair2
+    web: float | None
+    confocal: Literal["exact", "thin", "best"]
+    surface: Literal["ellipsoid", "biconic"]
+    conic: Pair2 | None
+    depth: Pair2 | None
+    curved: Literal["outside", "inside"]
+    index: float | None
+    material: str | None
+    wavelength: float
+
+    @property
+    def thicknesses(self) -> Pair2 | None:
+        """Centre thickness of lens 1 and lens 2, None for "auto"."""
+        if isinstance(self.thickness, str):
+            return None
+        return self.thickness if isinstance(self.thickness, tuple) else (self.thickness, self.thickness)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """Outer shape of the sheet: a circle of diameter size[0] or a rectangle size[0] by size[1]."""
+
+    shape: Literal["circle", "rectangle"]
+    size: Pair2
+
+
+@dataclass(frozen=True, slots=True)
+class LatticeSpec:
+    """How many pairs there are and where.
+
+    Parameters
+    ----------
+    kind : {"square", "rectangular", "hexagonal"}
+        Pattern of the cells.
+    pitch : (2,) tuple of float, length
+        Cell size in x and y; hexagonal: centre to centre, twice.
+    count : (2,) tuple of int
+        Cells along the two lattice vectors (hexagonal: cells a row, rows).
+    seam : float, length
+        Width of the land along cell borders.
+    seam_depth : float or None, length
+        Plano, slab: land below the deepest optical point; None: pitch/50.
+    outline : Outline or None
+        Cells wholly inside are kept; None: the lattice's own outline.
+    aperture : "centred", "aligned" or (2,) tuple of float
+        Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope.
+    land : {"clear", "opaque"}
+        Whether land lets light through.
+    """
+
+    kind: Literal["square", "rectangular", "hexagonal"]
+    pitch: Pair2
+    count: tuple[int, int]
+    seam: float
+    seam_depth: float | None
+    outline: Outline | None
+    aperture: Literal["centred", "aligned"] | Pair2
+    land: Literal["clear", "opaque"]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Opaque frame round the sheet: width beyond the border, height along z (None: as high as the sheet)."""
+
+    width: float
+    height: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class BodySpec:
+    """What is built besides the lenses.
+
+    Parameters
+    ----------
+    border : float, length
+        Width of the land round the sheet.
+    neck : float or None, length
+        Least thickness at an inner border; None: max(process minimum, pitch/50).
+    baffle : bool
+        Opaque honeycomb between the arrays.
+    baffle_wall : float or None, length
+        Its wall thickness; given if `baffle`.
+    frame : Frame or None
+        Opaque frame.
+    roughness : float, length
+        Rms height of the optical faces' roughness.
+    slope_rms : float, radians
+        Rms slope error of the optical faces.
+    """
+
+    border: float
+    neck: float | None
+    baffle: bool
+    baffle_wall: float | None
+    frame: Frame | None
+    roughness: float
+    slope_rms: float
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """A warning that the designer accepts, and why."""
+
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckSpec:
+    """Limits the built design and its files are judged by. Angles in radians, lengths in design units.
+
+    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag pitch`),
+    or nothing is asked (`mesh_law_rms`).
+
+    Parameters
+    ----------
+    field : float, radians
+        Half angle of the cone of test rays.
+    field_centre : {"axis", "normal"}
+        Middle of that cone: the axis of the field (aperture slope), or the sheet's normal.
+    process : str
+        Name of the process profile.
+    confocality : float
+        Afocal defect over the separation; default .002 for exact recipes, .02 for thin and best.
+    allow : tuple of Allowed
+        Accepted warnings.
+    """
+
+    field: float
+    field_centre: Literal["axis", "normal"]
+    process: str
+    law_rms: float
+    law_bias: float
+    mesh_law_rms: float | None
+    eta: float
+    delta: float
+    confocality: float
+    throughput: float
+    cover: float
+    clearance: float | None
+    graph: float
+    edge: float | None
+    neck: float | None
+    radius: float | None
+    sag: float | None
+    pitch: float | None
+    volume: float
+    shape: float
+    file_rms: float
+    pose: float
+    scale: float
+    fresnel_number: float
+    allow: tuple[Allowed, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """One design file, read and checked.
+
+    Two designs are equal when they ask for the same thing, however it was written.
+
+    Parameters
+    ----------
+    name : str
+        Name of the design.
+    unit : str
+        Unit of bare lengths, as written.
+    unit_m : float, metres
+        Length of one design unit.
+    law_spec, pair, lattice, body, check : dataclasses
+        The sections of the file; `law` is the law itself.
+    notes : tuple of str
+        Remarks the report prints.
+    given : mapping
+        The keys as written, defaults left out.
+    source : str or None
+        The file's text, None where there is none or it no longer tells the whole design.
+    path : str
+        The file's name as the user gave it, "" without a file.
+    """
+
+    name: str
+    unit: str
+    unit_m: float
+    law_spec: LawSpec
+    pair: PairSpec
+    lattice: LatticeSpec
+    body: BodySpec
+    check: CheckSpec
+    notes: tuple[str, ...] = ()
+    given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    source: str | None = field(default=None, repr=False, compare=False)
+    path: str = field(default="", compare=False)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], overrides: tuple[str, ...] = ()) -> Self:
+        """Read a design from nested dictionaries with the keys of a design file.
+
+        Parameters
+        ----------
+        data : mapping
+            As `tomllib` would return it.
+        overrides : tuple of str
+            "key.path=value" each, as with --set.
+
+        Raises
+        ------
+        DesignError
+            With every mistake.
+        """
+        from clacad.design.read import from_dict
+
+        return from_dict(cls, data, overrides)
+
+    @property
+    def law(self) -> Law:
+        """The asked law of refraction."""
+        from clacad.law import Law
+
+        phi, theta, psi = self.law_spec.euler
+        (eta_x, eta_y), (delta_x, delta_y) = self.law_spec.eta, self.law_spec.delta
+        return Law(eta_x, eta_y, delta_x, delta_y, phi, theta, psi, axes=self.law_spec.euler_axes)
+
+    @property
+    def toml(self) -> str:
+        """The file's text verbatim; the canonical text where there is no file or keys were overridden."""
+        return self.canonical_toml() if self.source is None else self.source
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the canonical text, in hexadecimal: the identity of what is asked."""
+        from hashlib import sha256
+
+        return sha256(self.canonical_toml().encode()).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return every key with its value, defaults included; `Design.from_dict` of it is an equal design."""
+        from clacad.design.canonical import to_dict
+
+        return to_dict(self)
+
+    def canonical_toml(self) -> str:
+        """Return the design as TOML in one fixed form: every key, fixed order, shortest numbers."""
+        from clacad.design.canonical import to_toml
+
+        return to_toml(self.to_dict())
+
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """Return the design with some keys changed, checked as a file would be.
+
+        Parameters
+        ----------
+        changes : mapping
+            Dotted key, with an index for one element of a list, to value: {"law.eta.0": -0.5}.
+
+        Raises
+        ------
+        DesignError
+            If the result is no design.
+        """
+        from clacad.design.read import replaced
+
+        return replaced(self, changes)
+
+    def with_cells(self, cells: tuple[int, int]) -> Self:
+        """Return the same design with another number of cells, centred on the origin, without an outline.
+
+        Parameters
+        ----------
+        cells : (2,) tuple of int
+            Cells along the two lattice vectors, each ≥ 1.
+        """
+        a, b = int(cells[0]), int(cells[1])
+        if a < 1 or b < 1:
+            raise ValueError(f"a sheet has at least 1 x 1 cells, not {a} x {b}")
+        section = {k: v for k, v in self.given.get("lattice", {}).items() if k != "outline"} | {"count": [a, b]}
+        return replace(
+            self,
+            lattice=replace(self.lattice, count=(a, b), outline=None),
+            given={**self.given, "lattice": section},
+            source=None,
+        )

@@ -1,0 +1,314 @@
+"""From a file, a dictionary or a changed design to a checked `Design`; every mistake at once."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+from clacad.design import override, units
+from clacad.design.errors import DesignError, Mistake, in_order
+from clacad.design.keys import OPTIONAL, REQUIRED, ROOT, SECTIONS, known_in, suggestion
+from clacad.design.kinds import Refusal, kind_of, shown
+from clacad.design.model import (
+    Allowed,
+    BodySpec,
+    CheckSpec,
+    Design,
+    Frame,
+    LatticeSpec,
+    LawSpec,
+    Outline,
+    PairSpec,
+)
+from clacad.design.places import KeyPath, located, split_key, syntax_place
+from clacad.design.rules import Asked, broken
+from clacad.design.units import Unit
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+LARGEST_FILE: Final = 16 * 2**20
+DEEPEST: Final = 64
+
+
+def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
+    """Read a design file.
+
+    Parameters
+    ----------
+    path : path
+        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
+    overrides : sequence of str
+        "key.path=value" each, as with --set; applied in order.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    DesignError
+        With every mistake, each with path, line and column.
+    """
+    name = os.fspath(path)
+    text = _text(name)
+    data = _data(text, name)
+    return _made(Design, data, tuple(overrides), text, name)
+
+
+def from_dict(cls: type[Any], data: Mapping[str, Any], overrides: Sequence[str]) -> Any:
+    """Read a design from nested dictionaries; see `Design.from_dict`."""
+    plain = _plain(data)
+    if not isinstance(plain, dict):
+        raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(plain)}")])
+    if _too_deep(plain):
+        raise DesignError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
+    return _made(cls, plain, tuple(overrides), None, "")
+
+
+def replaced(design: Design, changes: Mapping[str, Any]) -> Any:
+    """Return a design with some keys changed; see `Design.replace`."""
+    data: Any = design.given
+    mistakes = []
+    for key, value in changes.items():
+        try:
+            data = override.put(data, split_key(key), _plain(value))
+        except LookupError as problem:
+            mistakes.append(Mistake("CL118", str(problem.args[0]), key=key))
+    if mistakes:
+        raise DesignError(mistakes)
+    return _made(type(design), data, (), None, design.path)
+
+
+# --- reading ----------------------------------------------------------------------------------------------
+
+
+def _refuse(mistake: Mistake) -> NoReturn:
+    raise DesignError([mistake])
+
+
+def _text(name: str) -> str:
+    try:
+        with open(name, "rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+    except OSError as problem:
+        why = (problem.strerror or str(problem)).lower()
+        _refuse(Mistake("CL100", f"cannot read the design: {why}", path=name, hint=_nearest_file(name)))
+    except ValueError:
+        _refuse(Mistake("CL100", "cannot read the design: the name holds a zero byte", path=name.replace("\0", "?")))
+    if len(raw) > LARGEST_FILE:
+        _refuse(Mistake("CL100", "the file is too large for a design", path=name, allowed="16 MB"))
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        line = raw.count(b"\n", 0, problem.start) + 1
+        column = problem.start - raw.rfind(b"\n", 0, problem.start)
+        _refuse(Mistake("CL100", "the file is not UTF-8 text", path=name, line=line, column=column,
+                        found=f"byte 0x{raw[problem.start]:02x}", hint="save it as UTF-8"))  # fmt: skip
+
+
+def _nearest_file(name: str) -> str:
+    folder, base = os.path.split(name)
+    try:
+        listed = sorted(entry for entry in os.listdir(folder or ".") if entry.endswith((".toml", ".json")))
+    except (OSError, ValueError):
+        return ""
+    close = get_close_matches(base, listed, n=1, cutoff=0.6) or get_close_matches(base + ".toml", listed, n=1)
+    return f"did you mean {os.path.join(folder, close[0])}?" if close else ""
+
+
+def _data(text: str, name: str) -> dict[str, Any]:
+    is_json = name.lower().endswith(".json")
+    _refuse_deep_keys(text, name)
+    try:
+        data = json.loads(text, object_pairs_hook=_no_twins) if is_json else tomllib.loads(text)
+    except RecursionError:
+        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+    except ValueError as problem:
+        place = syntax_place(problem, text)
+        lines = re.split("\r\n|\n", text)
+        what = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", str(problem))
+        _refuse(Mistake("CL101", f"not {'JSON' if is_json else 'TOML'}: {what[:1].lower()}{what[1:200]}", path=name,
+                        line=place.line, column=place.column, source_line=lines[place.line - 1]))  # fmt: skip
+    if not isinstance(data, dict):
+        _refuse(Mistake("CL104", f"a design is a table, not {kind_of(data)}", path=name, line=1, column=1))
+    if _too_deep(data):
+        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+    return data
+
+
+def _refuse_deep_keys(text: str, name: str) -> None:
+    """Refuse dotted keys of more than 64 parts before parsing: the time to parse them grows as their square."""
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
+            _refuse(Mistake("CL100", f"a key nested more than {DEEPEST} deep", path=name, line=number, column=1,
+                            source_line=line))  # fmt: skip
+
+
+def _no_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) != len(pairs):
+        seen: set[str] = set()
+        twin = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {shown(twin)} is there twice")
+    return made
+
+
+def _too_deep(data: Any) -> bool:
+    level, depth = [data], 0
+    while level:
+        depth += 1
+        if depth > DEEPEST:
+            return True
+        level = [item for part in level if isinstance(part, dict | list)
+                 for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
+    return False
+
+
+def _plain(value: Any, depth: int = 0) -> Any:
+    """Turn tuples, mappings, paths and number-like scalars of other libraries into what TOML knows."""
+    if depth > DEEPEST:
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, depth + 1) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, depth + 1) for item in value]
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return _plain(value.tolist(), depth + 1)
+    return value
+
+
+# --- checking ---------------------------------------------------------------------------------------------
+
+
+def _made(cls: type[Any], data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> Any:
+    changed, places, mistakes = override.apply(data, texts)
+    values, found = _checked(changed)
+    mistakes += found
+    if mistakes:
+        raise DesignError(in_order(located(mistakes, source, path, places)))
+    return _built(cls, values, changed, None if texts else source, path)
+
+
+def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
+    """Return converted values by dotted key, and every mistake."""
+    from pydantic import ValidationError
+
+    from clacad.design.schema import Document
+
+    word = data.get("unit")
+    unit = units.design_unit(word) if isinstance(word, str) else None
+    context = unit or Unit("1", units.LENGTHS["m"])
+    mistakes: list[Mistake] = []
+    try:
+        document = Document.model_validate(data, context=context)
+    except ValidationError as problem:
+        mistakes = _structural(problem, data)
+        values = _readable(data, context)
+    else:
+        values = {name: getattr(document, name) for name in ROOT}
+        for section, keys in SECTIONS.items():
+            part = getattr(document, section)
+            values |= {f"{section}.{name}": getattr(part, name) for name in keys}
+    written = {f"{section}.{name}": value for section in SECTIONS if isinstance(data.get(section), dict)
+               for name, value in data[section].items()}  # fmt: skip
+    whole = {section for section in SECTIONS if section in data and not isinstance(data[section], dict)}
+    asked = Asked(values, written, unit)
+    missing = {m.key for m in mistakes if m.code == "CL103"} | whole
+    mistakes += [m for m in broken(asked) if m.key.split(".")[0] not in missing]
+    return values, mistakes
+
+
+def _readable(data: dict[str, Any], unit: Unit) -> dict[str, Any]:
+    """Convert what can be converted of a faulty design, so that the rules can still speak about the rest."""
+    values: dict[str, Any] = {}
+    for section, keys in SECTIONS.items():
+        written = data.get(section, {})
+        for name, key in keys.items():
+            if not isinstance(written, dict):
+                continue
+            try:
+                value = key.kind.read(written[name], unit) if name in written else key.default
+            except Refusal:
+                continue
+            if value is not REQUIRED:
+                values[f"{section}.{name}"] = value
+    return values
+
+
+def _structural(problem: ValidationError, data: dict[str, Any]) -> list[Mistake]:
+    mistakes: list[Mistake] = []
+    for error in problem.errors(include_url=False, include_input=True):
+        where, kind = tuple(error["loc"]), error["type"]
+        key = ".".join(map(str, where))
+        if kind == "extra_forbidden":
+            mistakes.append(_unknown(where))
+        elif kind == "missing":
+            mistakes.append(_missing(key))
+        elif kind == "value_error":
+            refusal = error["ctx"]["error"]
+            mistakes += [_refused(key, one) for one in (refusal, *refusal.others)]
+        else:  # a section that is not a table
+            mistakes.append(Mistake("CL104", f"{key} is {kind_of(error['input'])}", key, found=shown(error["input"]),
+                                    allowed=f"a table [{key}] with the keys {known_in(key)}"))  # fmt: skip
+    return mistakes
+
+
+def _unknown(where: KeyPath) -> Mistake:
+    section = str(where[0]) if len(where) > 1 else ""
+    name = str(where[-1])
+    near = suggestion(section, name)
+    key = f"{section}.{name}" if section else name
+    message = f"unknown key {key}" + (f"; did you mean {near}?" if near else "")
+    return Mistake("CL102", message, key, allowed=f"{f'in [{section}]' if section else 'here'}: {known_in(section)}")
+
+
+def _missing(key: str) -> Mistake:
+    if key in SECTIONS:
+        needed = [name for name, one in SECTIONS[key].items() if one.default is REQUIRED]
+        return Mistake("CL103", f"missing section [{key}]", key, allowed=f"a table with at least {', '.join(needed)}")
+    section, _, name = key.rpartition(".")
+    kind = (SECTIONS[section] if section else ROOT)[name].kind
+    return Mistake("CL103", f"missing key {key}", key, allowed=kind.allowed(Unit("unit", units.LENGTHS["m"])))
+
+
+def _refused(key: str, refusal: Refusal) -> Mistake:
+    place = key if refusal.index is None else f"{key}.{refusal.index}"
+    name = key if refusal.index is None else f"{key}[{refusal.index}]"
+    return Mistake(refusal.code, f"{name} = {shown(refusal.value)} {refusal.complaint}", place,
+                   allowed=refusal.allowed, hint=refusal.hint)  # fmt: skip
+
+
+# --- building ---------------------------------------------------------------------------------------------
+
+
+def _built(cls: type[Any], values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> Any:
+    part = {section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()}
+    law, pair, lattice, body, check = (part[section] for section in SECTIONS)
+    if isinstance(pair["thickness"], tuple) and not isinstance(data["pair"]["thickness"], list):
+        pair["thickness"] = pair["thickness"][0]
+    if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
+        pair["web"] = 0.0
+    law["euler_degrees"] = law.pop("euler")
+    if lattice["outline"] is not None:
+        ((shape, size),) = lattice["outline"]
+        lattice["outline"] = Outline(shape, (size, size) if shape == "circle" else size)
+    if body["frame"] is not None:
+        frame = dict(body["frame"])
+        body["frame"] = Frame(frame["width"], frame.get("height"))
+    if check["confocality"] is None:
+        by_thin_lenses = pair["form"] != "slab" and pair["confocal"] != "exact"
+        check["confocality"] = 0.02 if by_thin_lenses else 0.002
+    check["allow"] = tuple(Allowed(**dict(item)) for item in check["allow"])
+    unit = units.design_unit(values["unit"])
+    assert unit is not None, values["unit"]  # UnitWord accepted it
+    return cls(
+        values["name"], values["unit"], float(unit.metres), LawSpec(**law), PairSpec(**pair), LatticeSpec(**lattice),
+        BodySpec(**body), CheckSpec(**check), values["notes"], data, source, path,
+    )  # fmt: skip

@@ -1,0 +1,229 @@
+"""Rules that need more than one key and no lens to be solved. Each returns its mistakes; all rules always run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from clacad.design.errors import Mistake
+from clacad.design.kinds import shown
+from clacad.design.units import Unit
+
+SMALLEST_PITCH_M: Final = 1e-7
+"""Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What was read so far.
+
+    Parameters
+    ----------
+    values : mapping of dotted key to converted value
+        Defaults included; keys whose value was refused are absent.
+    written : mapping of dotted key to value as written
+        To repeat it in messages.
+    unit : Unit or None
+        None if the unit itself was refused: rules about absolute sizes stay silent.
+    """
+
+    values: Mapping[str, Any]
+    written: Mapping[str, Any]
+    unit: Unit | None
+
+    def __call__(self, key: str) -> Any:
+        """Return a value, None where it is absent."""
+        return self.values.get(key)
+
+    def given(self, key: str) -> bool:
+        """Return whether the key was written (rightly or not)."""
+        return key in self.written
+
+    def says(self, key: str) -> str:
+        """Return "key = value" as written (or the default)."""
+        value = self.written.get(key, self.values.get(key))
+        return f"{key} = {shown(list(value) if isinstance(value, tuple) else value)}"
+
+
+Rule = Callable[[Asked], Iterator[Mistake]]
+
+
+def law_is_a_pair(a: Asked) -> Iterator[Mistake]:
+    """η = 0, both η = 1, and η_i = 1 with δ_i ≠ 0 (contract A2)."""
+    eta, delta = a("law.eta"), a("law.delta")
+    if eta is None:
+        return
+    for i, axis in enumerate("xy"):
+        if eta[i] == 0.0:
+            yield Mistake("CL110", f"eta_{axis} = 0: no pair of lenses has it", f"law.eta.{i}",
+                          allowed="any other number; |eta| < 1 shrinks what is seen, eta < 0 turns it over")  # fmt: skip
+        elif 0.0 < abs(eta[i]) < 1e-6:
+            yield Mistake("CL106", f"eta_{axis} = {eta[i]!r} is out of range", f"law.eta.{i}",
+                          allowed="1e-6 <= |eta| <= 1e6")  # fmt: skip
+    if eta[0] == 1.0 and eta[1] == 1.0:
+        yield Mistake("CL110", "eta = 1 in both x and y: the sheet would be a plain window", "law.eta",
+                      allowed="eta = 1 in at most one of x and y (a cylindrical sheet)")  # fmt: skip
+    elif delta is not None:
+        for i, axis in enumerate("xy"):
+            if eta[i] == 1.0 and delta[i] != 0.0:
+                yield Mistake("CL111", f"eta_{axis} = 1 with delta_{axis} = {delta[i]:g}: a lens without power has "
+                              "no axis to offset", f"law.delta.{i}", allowed=f"delta_{axis} = 0, or eta_{axis} other than 1")  # fmt: skip
+
+
+def lens_faces_forward(a: Asked) -> Iterator[Mistake]:
+    """The lens axis must point through the sheet: |θ| < 90°."""
+    euler = a("law.euler")
+    if euler is not None and abs(euler[1]) >= 90.0:
+        yield Mistake("CL106", f"theta = {euler[1]:g} deg turns the lens axis out of the forward half", "law.euler.1",
+                      allowed="-90 deg < theta < 90 deg")  # fmt: skip
+
+
+def separation_or_thickness(a: Asked) -> Iterator[Mistake]:
+    """A slab has exactly one of the two; the other forms need the separation."""
+    form, thickness = a("pair.form"), a("pair.thickness")
+    if form == "slab":
+        number = a.given("pair.thickness") and thickness != "auto"
+        if a.given("pair.separation") and number and thickness is not None:
+            yield Mistake("CL112", "a slab takes either separation or thickness, not both", "pair.thickness",
+                          found=f"{a.says('pair.separation')} and {a.says('pair.thickness')}",
+                          allowed="separation = T/n, or thickness = T")  # fmt: skip
+        if not a.given("pair.separation") and not number:
+            yield Mistake("CL103", "a slab needs its separation or its thickness", "pair.separation",
+                          allowed="separation = T/n, or thickness = T (exactly one)")  # fmt: skip
+        if isinstance(a.written.get("pair.thickness"), list) and thickness is not None:
+            yield Mistake("CL108", f"{a.says('pair.thickness')}: a slab is one body with one thickness",
+                          "pair.thickness", allowed="one length")  # fmt: skip
+    elif form in ("biconvex", "plano") and not a.given("pair.separation"):
+        what = "centre to centre" if form == "biconvex" else "f1 + f2 in air"
+        yield Mistake("CL103", f"missing key pair.separation: a {form} pair needs it", "pair.separation",
+                      allowed=f"a length > 0 ({what})")  # fmt: skip
+
+
+def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
+    """Keys that only some forms have: web, curved, seam_depth, the thin recipe, a baffle."""
+    form = a("pair.form")
+    if form is None:
+        return
+    for key, forms in (
+        ("pair.curved", ("plano",)),
+        ("lattice.seam_depth", ("plano", "slab")),
+    ):
+        if a.given(key) and form not in forms:
+            yield Mistake("CL114", f"{key} does not belong to a {form} pair", key,
+                          allowed=f"only with pair.form = {' | '.join(shown(f) for f in forms)}", hint="leave it out")  # fmt: skip
+    if form != "biconvex" and a("pair.web"):
+        yield Mistake("CL114", f"pair.web does not belong to a {form} pair: its body holds together by itself",
+                      "pair.web", allowed='only with pair.form = "biconvex"', hint="leave it out")  # fmt: skip
+    if form == "slab" and a("pair.confocal") in ("thin", "best"):
+        yield Mistake("CL114", f"{a.says('pair.confocal')} does not belong to a slab", "pair.confocal",
+                      allowed='"exact": a slab is afocal by construction')  # fmt: skip
+    if form == "slab" and a("body.baffle"):
+        yield Mistake("CL114", "a slab has no room for a baffle between its faces", "body.baffle",
+                      allowed='false, or pair.form = "biconvex" | "plano"')  # fmt: skip
+
+
+def index_or_material(a: Asked) -> Iterator[Mistake]:
+    """Exactly one of index and material."""
+    if a.given("pair.index") and a.given("pair.material"):
+        yield Mistake("CL112", "index and material exclude each other", "pair.material",
+                      found=f"{a.says('pair.index')} and {a.says('pair.material')}", allowed="exactly one of them")  # fmt: skip
+    elif not a.given("pair.index") and not a.given("pair.material"):
+        yield Mistake("CL103", "missing key pair.index (or pair.material)", "pair.index",
+                      allowed='index = a number > 1, or material = a name such as "PMMA"')  # fmt: skip
+
+
+def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
+    """conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic (contract A2)."""
+    surface = a("pair.surface")
+    if surface == "ellipsoid" and a.given("pair.conic"):
+        yield Mistake("CL113", "pair.conic needs surface = \"biconic\"", "pair.conic",
+                      allowed='surface = "biconic", or pair.depth to shape an ellipsoid')  # fmt: skip
+    if surface == "biconic" and a.given("pair.depth"):
+        yield Mistake("CL113", "pair.depth needs surface = \"ellipsoid\"", "pair.depth",
+                      allowed='surface = "ellipsoid", or pair.conic to shape a biconic')  # fmt: skip
+    if surface == "biconic" and a("pair.form") == "biconvex" and not a.given("pair.conic"):
+        yield Mistake("CL113", "a biconvex pair of biconics needs pair.conic: no conic is right by itself",
+                      "pair.surface", allowed="conic = [K_x, K_y]", hint="conic = [0.0, 0.0] gives circular profiles")  # fmt: skip
+
+
+def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
+    """Square and hexagonal cells have one pitch, rectangular ones two (contract A1)."""
+    kind, pitch, written = a("lattice.kind"), a("lattice.pitch"), a.written.get("lattice.pitch")
+    if kind is None or pitch is None:
+        return
+    if kind == "rectangular" and not isinstance(written, list | tuple):
+        yield Mistake("CL116", "a rectangular lattice needs two pitches", "lattice.pitch",
+                      found=a.says("lattice.pitch"), allowed="[x, y]",
+                      hint=f'write [{shown(written)}, {shown(written)}], or kind = "square"')  # fmt: skip
+    if kind != "rectangular" and pitch[0] != pitch[1]:
+        yield Mistake("CL116", f"a {kind} lattice has one pitch", "lattice.pitch", found=a.says("lattice.pitch"),
+                      allowed="one length", hint='kind = "rectangular" takes two')  # fmt: skip
+    if a.unit is not None and min(pitch) * float(a.unit.metres) < SMALLEST_PITCH_M:
+        metres = min(pitch) * float(a.unit.metres)
+        yield Mistake("CL115", f"{a.says('lattice.pitch')} is {metres * 1e6:.3g} um: below the wavelength of light",
+                      "lattice.pitch", allowed="0.1 um and above",
+                      hint=f'check unit = "{a.unit.name}"')  # fmt: skip
+
+
+def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
+    """The seam is narrower than the cell, and something joins the lenslets (contract A1)."""
+    seam, pitch = a("lattice.seam"), a("lattice.pitch")
+    if seam and pitch is not None and seam >= min(pitch):
+        yield Mistake("CL117", f"{a.says('lattice.seam')} leaves no lens in a cell of {a.says('lattice.pitch')}",
+                      "lattice.seam", allowed=f"below the pitch, {min(pitch):g}")  # fmt: skip
+    if seam and a("pair.form") == "biconvex" and a.given("pair.web") and a("pair.web") == 0.0:
+        yield Mistake("CL117", "web = 0 with a seam: nothing would join the lenslets", "pair.web",
+                      allowed="a length > 0, or leave pair.web out for the neck thickness",
+                      found=f"{a.says('pair.web')} and {a.says('lattice.seam')}")  # fmt: skip
+
+
+def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
+    """An outline smaller than one cell keeps nothing."""
+    outline, pitch, kind = a("lattice.outline"), a("lattice.pitch"), a("lattice.kind")
+    if outline is None or pitch is None or kind is None:
+        return
+    shape, size = outline[0]
+    need = (pitch[0], pitch[1] * (2 / math.sqrt(3) if kind == "hexagonal" else 1.0))
+    if shape == "rectangle":
+        fits, least = size[0] >= need[0] and size[1] >= need[1], f"[{need[0]:g}, {need[1]:g}]"
+    else:
+        across = need[1] if kind == "hexagonal" else math.hypot(*need)
+        fits, least = size >= across, f"{across:g}"
+    if not fits:
+        yield Mistake("CL117", f"{a.says('lattice.outline')} holds no cell", "lattice.outline",
+                      allowed=f"{shape} of at least {least}, one cell")  # fmt: skip
+
+
+def baffle_has_walls(a: Asked) -> Iterator[Mistake]:
+    """A baffle needs its wall thickness, thinner than a cell; a wall needs a baffle."""
+    wall, pitch = a("body.baffle_wall"), a("lattice.pitch")
+    if a("body.baffle") and not a.given("body.baffle_wall"):
+        yield Mistake("CL113", "body.baffle = true needs body.baffle_wall", "body.baffle",
+                      allowed="baffle_wall = a length > 0, below the pitch")  # fmt: skip
+    if a.given("body.baffle_wall") and a("body.baffle") is False:
+        yield Mistake("CL113", "body.baffle_wall needs body.baffle = true", "body.baffle_wall",
+                      allowed="baffle = true, or leave baffle_wall out")  # fmt: skip
+    if wall is not None and pitch is not None and wall >= min(pitch):
+        yield Mistake("CL117", f"{a.says('body.baffle_wall')} closes the channels", "body.baffle_wall",
+                      allowed=f"below the pitch, {min(pitch):g}")  # fmt: skip
+
+
+RULES: Final[tuple[Rule, ...]] = (
+    law_is_a_pair,
+    lens_faces_forward,
+    separation_or_thickness,
+    keys_of_other_forms,
+    index_or_material,
+    surface_and_its_keys,
+    pitch_fits_lattice,
+    seam_leaves_a_lens,
+    outline_holds_a_cell,
+    baffle_has_walls,
+)
+
+
+def broken(asked: Asked) -> list[Mistake]:
+    """Return what every rule has to say."""
+    return [mistake for rule in RULES for mistake in rule(asked)]

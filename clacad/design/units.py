@@ -1,0 +1,136 @@
+"""The one conversion between what a person writes and what the program computes with.
+
+Design lengths become multiples of the design's unit, angles degrees or radians, wavelengths metres.
+A quantity with a unit is converted exactly (rational arithmetic) and rounded once, so "250 um" in a
+design in mm is the float 0.25 and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final, Literal
+
+Family = Literal["length", "angle", "wavelength", "ratio"]
+
+LENGTHS: Final[dict[str, Fraction]] = {
+    "nm": Fraction(1, 10**9),
+    "um": Fraction(1, 10**6),
+    "µm": Fraction(1, 10**6),
+    "μm": Fraction(1, 10**6),
+    "mm": Fraction(1, 1000),
+    "cm": Fraction(1, 100),
+    "m": Fraction(1),
+    "in": Fraction(254, 10000),
+}
+"""Length units in metres. The micro sign and the Greek mu are two characters that look alike."""
+
+DEGREES: Final[dict[str, Fraction]] = {
+    "deg": Fraction(1),
+    "°": Fraction(1),
+    "arcmin": Fraction(1, 60),
+    "arcsec": Fraction(1, 3600),
+}
+"""Angle units that are rational multiples of a degree."""
+
+RADIANS: Final[dict[str, Fraction]] = {
+    "rad": Fraction(1),
+    "mrad": Fraction(1, 1000),
+    "urad": Fraction(1, 10**6),
+    "µrad": Fraction(1, 10**6),
+    "μrad": Fraction(1, 10**6),
+}
+"""Angle units that are rational multiples of a radian."""
+
+PERCENT: Final[dict[str, Fraction]] = {"%": Fraction(1, 100)}
+
+SHOWN: Final[dict[Family, str]] = {
+    "length": "nm um mm cm m in",
+    "angle": "deg arcmin arcsec rad mrad urad",
+    "wavelength": "nm um mm m",
+    "ratio": "%",
+}
+"""Units of each family as messages list them (without the spellings that only look different)."""
+
+# Three digits of exponent: enough for every float, and a string cannot ask for a gigabyte of zeros.
+_QUANTITY = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*(\S*)\s*", re.ASCII)
+_LONGEST = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """The unit of bare lengths in a design.
+
+    Parameters
+    ----------
+    name : str
+        As written: "mm", or a length such as "100 mm".
+    metres : Fraction
+        Its exact length in metres.
+    """
+
+    name: str
+    metres: Fraction
+
+
+def family_of(unit: str) -> Family | None:
+    """Return the family a unit word belongs to, None for a word not in the closed list."""
+    if unit in LENGTHS:
+        return "length"
+    if unit in DEGREES or unit in RADIANS:
+        return "angle"
+    return "ratio" if unit in PERCENT else None
+
+
+def split(text: str) -> tuple[Fraction, str] | None:
+    """Split a quantity into its exact number and its unit word ("" if there is none).
+
+    Returns None where the text does not start with a number, is longer than any quantity, or its
+    number is beyond float64.
+    """
+    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
+    if match is None or not math.isfinite(float(match[1])):
+        return None
+    return Fraction(match[1]), match[2]
+
+
+def design_unit(text: str) -> Unit | None:
+    """Read the `unit` key: a unit word ("mm") or a length ("100 mm"); None if it is neither."""
+    if text in LENGTHS:
+        return Unit(text, LENGTHS[text])
+    parts = split(text)
+    if parts is None or parts[1] not in LENGTHS or not 10**-12 <= parts[0] * LENGTHS[parts[1]] <= 10**6:
+        return None
+    return Unit(text, parts[0] * LENGTHS[parts[1]])
+
+
+def in_design_units(number: Fraction, word: str, unit: Unit) -> float:
+    """Convert a length with a unit word to design units."""
+    return float(number * LENGTHS[word] / unit.metres)
+
+
+def in_metres(number: Fraction, word: str) -> float:
+    """Convert a length or wavelength with a unit word to metres."""
+    return float(number * LENGTHS[word])
+
+
+def in_degrees(number: Fraction, word: str) -> float:
+    """Convert an angle with a unit word to degrees; exact before the one rounding for deg and its parts."""
+    return float(number * DEGREES[word]) if word in DEGREES else math.degrees(float(number * RADIANS[word]))
+
+
+def in_radians(number: Fraction, word: str) -> float:
+    """Convert an angle with a unit word to radians; exact before the one rounding for rad and its parts."""
+    return float(number * RADIANS[word]) if word in RADIANS else math.radians(float(number * DEGREES[word]))
+
+
+def nanometres(metres: float) -> float:
+    """Return a wavelength in nm whose decimal digits are those of the value in metres."""
+    return float(Fraction(repr(metres)) * 10**9)
+
+
+def metres_from_nanometres(number: float) -> float:
+    """Return a wavelength in metres from bare nm, rounded once from the decimal digits written."""
+    return float(Fraction(repr(float(number))) / 10**9)
