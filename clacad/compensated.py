@@ -1,0 +1,75 @@
+"""Error-free sums and products of float64 arrays, and arithmetic on the pairs they give.
+
+A pair ``(high, low)`` stands for the unrounded number high + low with about 106 significant bits.
+This is the one module of the mathematics layer that its neighbours may import: arithmetic, no optics.
+After T. J. Dekker, Numer. Math. 18, 224 (1971) and D. E. Knuth, The Art of Computer Programming, vol. 2,
+4.2.2. A compiler that fuses multiply and add breaks these identities: keep such copies out of
+``fastmath={"contract"}``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+Pair = tuple[FloatArray, FloatArray]
+
+_SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
+
+
+def two_sum(a: ArrayLike, b: ArrayLike) -> Pair:
+    """Rounded sum of a and b, and exactly what rounding took away."""
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    total = np.asarray(a + b)
+    part_b = total - a
+    return total, np.asarray((a - (total - part_b)) + (b - part_b))
+
+
+def two_product(a: ArrayLike, b: ArrayLike) -> Pair:
+    """Rounded product of a and b, and exactly what rounding took away.
+
+    Exact while both are below 2**996 and the product is above 2**-969, where its tail would underflow.
+    """
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    product = np.asarray(a * b)
+    a_high, a_low = _halve(a)
+    b_high, b_low = _halve(b)
+    low = ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+    return product, np.asarray(low)
+
+
+def pair(a: ArrayLike) -> Pair:
+    """An exact float64 array as a pair."""
+    high = np.asarray(a, dtype=np.float64)
+    return high, np.zeros_like(high)
+
+
+def pair_sum(*terms: Pair) -> Pair:
+    """Sum of pairs, to 2**-104 of the sum of their magnitudes."""
+    high, low = terms[0]
+    for other_high, other_low in terms[1:]:
+        high, rest = two_sum(high, other_high)
+        high, low = two_sum(high, rest + (low + other_low))
+    return high, low
+
+
+def pair_product(*factors: Pair) -> Pair:
+    """Product of pairs, to about 2**-102 of itself."""
+    high, low = factors[0]
+    for other_high, other_low in factors[1:]:
+        product, rest = two_product(high, other_high)
+        high, low = two_sum(product, rest + (high * other_low + low * other_high))
+    return high, low
+
+
+def negated(a: Pair) -> Pair:
+    """The pair with its sign changed."""
+    return -a[0], -a[1]
+
+
+def _halve(a: FloatArray) -> Pair:
+    """Upper and lower half of the significand (Veltkamp)."""
+    shifted = _SPLITTER * a
+    high = np.asarray(shifted - (shifted - a))
+    return high, np.asarray(a - high)
