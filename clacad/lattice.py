@@ -239,7 +239,9 @@ class Lattice:
             moved = np.zeros(np.shape(i), dtype=bool)
             for (di, dj), (ux, uy) in zip(self.steps[:3], _HEX_NORMALS):
                 across = ux * local_x + uy * local_y
-                step = np.where(moved, 0, (across >= half).astype(np.int64) - (across < -half).astype(np.int64))
+                step = np.where(
+                    moved, 0, (across >= half).astype(np.int64) - (across < -half).astype(np.int64)
+                )
                 i, j = i + step * di, j + step * dj
                 moved |= step != 0
             if not moved.any():
@@ -274,7 +276,11 @@ def _minus_multiple(x: Floats, x_low: Floats | float, k: Floats, step: float, or
     s_low = step - s_high
     low = ((k_high * s_high - high) + k_high * s_low + k_low * s_high) + k_low * s_low
     # x and k·step are within a factor of two of each other or both small: the difference is exact (Sterbenz).
-    return np.asarray(((x - origin) - high) + (x_low - low)) if origin == 0.0 else _three(x, x_low, high, low, origin)
+    return (
+        np.asarray(((x - origin) - high) + (x_low - low))
+        if origin == 0.0
+        else _three(x, x_low, high, low, origin)
+    )
 
 
 def _three(x: Floats, x_low: Floats | float, high: Floats, low: Floats, origin: float) -> Floats:

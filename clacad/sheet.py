@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from clacad.lattice import Lattice, Outline
 from clacad.law import Law
 from clacad.material import Material
-from clacad.surface import Biconic, Quadric
+from clacad.surface import Biconic, Quadric, meeting
 
 Floats = NDArray[np.float64]
 Surface = Quadric | Biconic
@@ -269,8 +269,6 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
 
     NaN where `lens_height` is NaN.
     """
-    from clacad.surface import meet  # the vertical ray is a ray like any other
-
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     vx, vy, vz = face.vertex
     start = np.stack([x - vx, y - vy, np.zeros(x.shape)], axis=-1).reshape(-1, 3)
@@ -279,7 +277,7 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
         start = start @ face.rotation
         up = face.rotation[2].copy()
     direction = np.broadcast_to(up, start.shape)
-    met = meet(face.surface, start, direction)
+    met = meeting(face.surface, start, np.ascontiguousarray(direction))
     normal = met.gradient
     if not face.untilted:
         normal = normal @ face.rotation.T

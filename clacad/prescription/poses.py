@@ -1,0 +1,153 @@
+"""Where the two lenses of a telescopelet stand, and how far array 2's cells are displaced."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import asin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.law import Law, rotation
+from clacad.prescription.parabasal import parabasal
+from clacad.prescription.radii import NoSuchLens
+from clacad.sheet import Body
+from clacad.surface import refract
+
+Floats = NDArray[np.float64]
+Aperture = str | tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Reference point of lens 2 relative to that of lens 1, and the lens frame's rotation.
+
+    lens_2 : (3,) sheet frame, lengths
+    rotation : (3, 3) lens → sheet, of the built lenses
+    entry : (3,) sheet frame
+        A point of the axis ray before the window, relative to lens 1's reference point.
+    """
+
+    lens_2: Floats
+    rotation: Floats
+    entry: Floats
+
+
+def biconvex_placement(turn: Floats, offset: Floats, separation: float) -> Placement:
+    """Lens 2's centre at R (d_x, d_y, s)."""
+    return Placement(turn @ np.array([offset[0], offset[1], separation]), turn, np.zeros(3))
+
+
+def slab_placement(turn: Floats, offset: Floats, thickness: float) -> Placement:
+    """Lens 2's vertex at R (d_x, d_y, T): the common glass makes it exact for any tilt."""
+    return Placement(turn @ np.array([offset[0], offset[1], thickness]), turn, np.zeros(3))
+
+
+def plano_inside_placement(law: Law, offset: Floats, separation: float, index: float, t1: float) -> Placement:
+    """Curved faces towards each other: the plane faces refract the axis, so the lenses tilt by asin(sin θ/n)."""
+    turn = shallower(law, index)
+    in_glass = turn[:, 2]
+    entry = -in_glass * (t1 / in_glass[2])
+    return Placement(turn @ np.array([offset[0], offset[1], separation]), turn, entry)
+
+
+def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float], gap: float) -> Floats:
+    """From V1 to V2 along the axis ray: glass, the refracted ray in the air gap, glass, (3,) lengths.
+
+    `thickness` and `gap` are perpendicular to the sheet, as a caliper measures them.
+
+    Raises
+    ------
+    NoSuchLens
+        The axis ray is totally reflected at the plane face.
+    """
+    axis = turn[:, 2]
+    up = np.array([[0.0, 0.0, 1.0]])
+    air, _ = refract(axis[None], up, axis[None, 2], index, 1.0)
+    if not np.isfinite(air).all():
+        raise NoSuchLens(
+            f"a tilt of {np.degrees(np.arccos(axis[2])):.4g} deg sends the lens axis beyond total reflection at the "
+            "plane faces",
+            key="law.euler",
+            hint=f"theta < {np.degrees(asin(1.0 / index)):.4g} deg, or form = 'biconvex' or 'slab'",
+        )
+    glass = axis / axis[2]
+    return np.asarray(glass * (thickness[0] + thickness[1]) + air[0] / air[0, 2] * gap)
+
+
+def shallower(law: Law, index: float) -> Floats:
+    """R with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the glass."""
+    return rotation(law.phi, asin(np.sin(law.theta) / index), law.psi, law.axes)
+
+
+Built = tuple[tuple[Body, ...], tuple[tuple[float, float], tuple[float, float]]]
+
+
+def best_gap(build: Callable[[float], Built], turn: Floats, guess: float, size: float) -> float:
+    """Air gap that leaves the least power about the axis ray, by secant on the least-squares condition.
+
+    build : callable
+        Gap (length) → bodies and the displacements of their arrays.
+    """
+
+    def power(gap: float) -> Floats:
+        bodies, shifts = build(gap)
+        return parabasal(bodies, shifts, turn, np.zeros(3), size).power
+
+    # The power is linear in the gap to high order: one Gauss-Newton step from a chord, repeated.
+    gap, step = guess, 1e-3 * guess
+    for _ in range(6):
+        here = power(gap)
+        slope = (power(gap + step) - here) / step
+        change = -float((here * slope).sum() / (slope * slope).sum())
+        gap += change
+        if abs(change) <= 1e-14 * abs(gap):
+            break
+    return gap
+
+
+def displacement(bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, height: float, chief: bool
+                 ) -> tuple[float, float]:  # fmt: skip
+    """Displacement of the cells of array 2 (lengths).
+
+    Parameters
+    ----------
+    aperture : "centred", "aligned" or (ax, ay)
+    lateral : (2,)
+        Lens 2's own lateral displacement.
+    height : float
+        Height of centre 2 over centre 1.
+    chief : bool
+        Whether refraction between the reference points bends the chief ray (slab, plano): then (ax, ay),
+        the slope in air at the middle of the field of view, is carried by the ray through lens 1's
+        vertex; for a biconvex pair that ray goes straight and the displacement is height · (ax, ay).
+    """
+    if aperture == "centred":
+        return float(lateral[0]), float(lateral[1])
+    if aperture == "aligned":
+        return 0.0, 0.0
+    ax, ay = (float(a) for a in aperture)
+    if not chief:
+        return height * ax, height * ay
+    return _chief_landing(bodies, np.array([ax, ay, 1.0]), height)
+
+
+def _chief_landing(bodies: tuple[Body, ...], slope: Floats, height: float) -> tuple[float, float]:
+    """Where the ray through lens 1's vertex meets the height of lens 2's vertex."""
+    ray = slope[None] / np.linalg.norm(slope)
+    position, index = np.zeros(3), 1.0
+    faces = [(f, n) for body in bodies for f, n in ((body.front, body.index), (body.back, 1.0))]
+    for face, after in faces:
+        if face.array == 1:
+            break
+        if face.array == 0:
+            normal = face.rotation[:, 2]
+        else:
+            normal = np.array([0.0, 0.0, 1.0])
+            if position[2] != face.vertex[2] and face.vertex[2] > 0.0:
+                position = position + ray[0] / ray[0, 2] * (face.vertex[2] - position[2])
+        ray, _ = refract(ray, normal[None], ray @ normal, index, after)
+        index = after
+    position = position + ray[0] / ray[0, 2] * (height - position[2])
+    return float(position[0]), float(position[1])

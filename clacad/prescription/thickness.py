@@ -1,0 +1,62 @@
+""" "auto": the smallest centre thickness that covers every cell, joins neighbours and covers the land."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from clacad.prescription.extent import border_overlap, least_thickness, proud_of_land
+from clacad.prescription.radii import NoSuchLens, Pair2
+from clacad.sheet import Window
+
+
+def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, limit: float) -> Pair2:
+    """Solve for the thicknesses of a biconvex pair together with its radii.
+
+    Parameters
+    ----------
+    build : callable
+        Thicknesses → window (radii solved for them).
+    guess : (T1, T2), lengths
+    neck : float
+        Least common height of neighbouring columns (length).
+    limit : float
+        Thickness beyond which the search is given up (length).
+
+    Raises
+    ------
+    NoSuchLens
+        No thickness below `limit` joins the lenslets.
+
+    Notes
+    -----
+    Moving the two faces apart by dT raises every thickness by dT cos θ to first order, so the fixed
+    point T ← T + (needed − found) contracts fast; the radii follow T only weakly.
+    """
+    thickness = list(guess)
+    for _ in range(80):
+        window = build((thickness[0], thickness[1]))
+        missing = [_missing(window, k, neck) for k in (0, 1)]
+        if max(abs(m) for m in missing) <= 2e-14 * limit:
+            break
+        thickness = [t + m for t, m in zip(thickness, missing, strict=True)]
+        for number, t in enumerate(thickness, start=1):
+            if not 0.0 < t < limit:
+                raise NoSuchLens(
+                    f"no centre thickness below {limit:.6g} covers the cell of lens {number} and joins it to its "
+                    f"neighbours (tried {t:.6g})",
+                    hint="a larger separation, a smaller pitch, less tilt, or a seam with a web",
+                )
+    return thickness[0], thickness[1]
+
+
+def _missing(window: Window, number: int, neck: float) -> float:
+    """How much thicker the lens must be (negative: may be thinner), length."""
+    body = window.bodies[number]
+    spare = least_thickness(window, body) - neck
+    if window.land.seam == 0.0:
+        spare = min(spare, border_overlap(window, body) - neck)
+    proud = proud_of_land(window, body)  # both faces rise by half of what T grows
+    spare = min(spare, 2.0 * proud)
+    if spare == -float("inf"):
+        return window.lattice.circumradius  # a lens ends inside its cell: anything thicker reaches farther
+    return -spare / float(window.thin.rotation[2, 2])

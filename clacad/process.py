@@ -1,0 +1,84 @@
+"""What a fabrication process can make: limits in metres, each with where the number comes from.
+
+`none` means geometry only: a part must exist, nothing more. The numbers are typical of service shops
+and are limits to check a design by, not promises of any machine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Limits of one process, lengths in metres.
+
+    Parameters
+    ----------
+    name : str
+    edge, neck : float
+        Least thickness at the edge of the part, and between neighbouring lenslets.
+    radius : float
+        Least radius of curvature (tool nose, voxel or spot size allow no less).
+    sag : float
+        Greatest structure height.
+    pitch : float
+        Least lenslet pitch.
+    clearance : float
+        Least air gap between two bodies.
+    source : str
+        Where the numbers come from.
+    """
+
+    name: str
+    edge: float
+    neck: float
+    radius: float
+    sag: float
+    pitch: float
+    clearance: float
+    source: str
+
+
+_PROFILES = (
+    Profile("none", 0.0, 0.0, 0.0, inf, 0.0, 0.0, "geometry only"),
+    Profile(
+        "diamond-turning", 0.5e-3, 50e-6, 50e-6, 2e-3, 100e-6, 50e-6,
+        "single-crystal tool nose radii of 25 to 50 micrometres and servo strokes of a few millimetres "
+        "(slow tool servo: Micromachines 13, 1564 (2022))",
+    ),
+    Profile(
+        "two-photon", 2e-6, 1e-6, 2e-6, 0.5e-3, 5e-6, 5e-6,
+        "voxels of 0.2 to 0.5 micrometres laterally and about 1 micrometre along the axis; objective working "
+        "distances of a few hundred micrometres",
+    ),
+    Profile(
+        "greyscale", 100e-6, 1e-6, 5e-6, 100e-6, 5e-6, 10e-6,
+        "laser spots of about 1 micrometre and resist films of up to about 100 micrometres",
+    ),
+    Profile(
+        "moulding", 0.8e-3, 0.1e-3, 20e-6, 5e-3, 50e-6, 0.1e-3,
+        "least wall of about 0.8 mm for filling acrylic; the insert is diamond machined",
+    ),
+    Profile(
+        "sla", 0.5e-3, 0.2e-3, 0.1e-3, 50e-3, 0.3e-3, 0.1e-3,
+        "pixels and layers of 25 to 50 micrometres; the thinnest self-supporting wall of about 0.2 mm",
+    ),
+)  # fmt: skip
+
+
+def profiles() -> tuple[Profile, ...]:
+    """All process profiles, "none" first."""
+    return _PROFILES
+
+
+def profile(name: str) -> Profile:
+    """Profile of that name.
+
+    Raises
+    ------
+    KeyError
+        Unknown name; the design file's reader refuses those with a suggestion.
+    """
+    return {p.name: p for p in _PROFILES}[name]
