@@ -1,0 +1,53 @@
+"""What can stop an export, each with the exit status the command line returns for it."""
+
+from __future__ import annotations
+
+
+class ExportError(Exception):
+    """An export that did not happen; `exit_status` is the command line's answer."""
+
+    exit_status = 70
+
+
+class CannotWrite(ExportError):
+    """A file could not be written (disk full, read-only folder, a folder where a file should be)."""
+
+    exit_status = 4
+
+
+class ExportRefused(CannotWrite):
+    """Writing would overwrite something that an earlier export does not own."""
+
+
+class LimitRefused(ExportError):
+    """The work would pass a limit; the message holds the number and two ways to get under it."""
+
+    exit_status = 3
+
+
+class WorkerDied(ExportError):
+    """The process that did the native work ended without an answer.
+
+    Parameters
+    ----------
+    sentence : str
+        What happened, in one sentence.
+    details : str
+        Last lines the process wrote to its error stream; for a log, not for the user.
+    """
+
+    def __init__(self, sentence: str, details: str = "") -> None:
+        super().__init__(sentence)
+        self.details = details
+
+
+class UnreadableFile(ExportError, ValueError):
+    """A file is not what its name says, is cut short, or is built to harm its reader."""
+
+    exit_status = 1
+
+
+class FileDisagrees(ExportError):
+    """A file that was written reads back as something other than the design."""
+
+    exit_status = 1

@@ -1,0 +1,86 @@
+"""Functions a worker is told to run in tests: each misbehaves as native code can."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from clacad.export.errors import LimitRefused
+from clacad.export.worker import report_stage
+
+
+def add(a: float, b: float) -> float:
+    report_stage("adding", 0.5)
+    return a + b
+
+
+def total(array: np.ndarray) -> float:
+    return float(array.sum())
+
+
+def chatter() -> str:
+    os.write(1, b'{"kind": "result", "value": "forged"}\n')
+    sys.stdout.write("noise\n")
+    sys.stdout.flush()
+    return "true"
+
+
+def segfault() -> None:
+    report_stage("kernel")
+    ctypes.string_at(0)
+
+
+def abort() -> None:
+    os.abort()
+
+
+def leave() -> None:
+    os._exit(0)
+
+
+def garbage() -> None:
+    from clacad.export import worker
+
+    worker._answer_stream.write(b"\x00\xffnonsense\n")
+    time.sleep(60)
+
+
+def hang() -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    while True:
+        time.sleep(1)
+
+
+def hang_with_child() -> None:
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(120)"])
+    report_stage(f"child {child.pid}")
+    hang()
+
+
+def eat() -> None:
+    kept = []
+    while True:
+        kept.append(np.ones(1 << 22))
+
+
+def spin() -> None:
+    while True:
+        pass
+
+
+def refuse() -> None:
+    raise LimitRefused("too many")
+
+
+def fail() -> None:
+    raise KeyError("x")
+
+
+def cannot() -> None:
+    raise OSError(28, "No space left on device", "x.step")
