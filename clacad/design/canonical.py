@@ -7,8 +7,8 @@ from fractions import Fraction
 from typing import Any
 
 from clacad.design import units
-from clacad.design.kinds import Quantity
 from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.kinds import Quantity
 from clacad.design.model import Allowed, Design, Frame, Outline
 
 

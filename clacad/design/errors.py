@@ -62,7 +62,8 @@ class Mistake:
     width : int
         Number of characters the caret line marks.
     found, allowed, hint : str
-        What stood there, what may stand there, the nearest way out; "" if there is nothing to say.
+        What stood there, what may stand there, the nearest way out (for an unknown key: the key probably
+        meant); "" if there is nothing to say.
     source_line : str
         The line of the file (or the override) the mistake is in.
     """
@@ -83,7 +84,7 @@ class Mistake:
         """Return the finding as a compiler would print it, with a caret line where a place is known."""
         lines = [f"{self._where()}error {self.code}: {self.message}", *self._excerpt()]
         for word, text in (("found", self.found), ("allowed", self.allowed), ("hint", self.hint)):
-            if text:
+            if text and not (word != "allowed" and text in self.message):  # said once
                 lines.append(f"  {word}: {text}")
         return "\n".join(lines)
 
@@ -166,4 +167,3 @@ def in_order(mistakes: Iterable[Mistake]) -> list[Mistake]:
     """Return the mistakes sorted by place, then key; those without a place last; no duplicates."""
     unique = dict.fromkeys(mistakes)
     return sorted(unique, key=lambda m: (m.path == "--set", m.line or 10**9, m.column or 0, m.key, m.code))
-

@@ -96,7 +96,10 @@ class FormatVersion:
         return {"const": FORMAT}
 
 
-_ABOVE_0, _FROM_0 = Quantity("length", "a length > 0", above=0.0), Quantity("length", "a length >= 0", least=0.0)
+_ABOVE_0, _FROM_0 = (
+    Quantity("length", "a length > 0", above=0.0),
+    Quantity("length", "a length >= 0", least=0.0),
+)
 _ETA = Quantity("ratio", "a number, not 0, from -1e6 to 1e6", least=-1e6, most=1e6)
 _DELTA = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
 _EULER = Quantity("angle", "an angle from -36000 to 36000 deg", least=-36000.0, most=36000.0, degrees=True)
@@ -120,7 +123,9 @@ ROOT: Final[dict[str, Key]] = {
         REQUIRED,
     ),
     "unit": Key(UnitWord(), "unit of every bare length", REQUIRED),
-    "notes": Key(ListOf(Text("a text of 1 to 500 characters", 500), "texts"), "remarks the report prints", ()),
+    "notes": Key(
+        ListOf(Text("a text of 1 to 500 characters", 500), "texts"), "remarks the report prints", ()
+    ),
 }
 LAW: Final[dict[str, Key]] = {
     "eta": Key(Several(_ETA, _XY), "eta_i = -f2_i/f1_i in the lens frame", REQUIRED),
@@ -145,15 +150,21 @@ PAIR: Final[dict[str, Key]] = {
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),
     "pitch": Key(Several(_ABOVE_0, _XY, single=True), "size of a cell", REQUIRED),
-    "count": Key(Several(Whole("a whole number >= 1"), ("n1", "n2"), single=True), "number of cells", REQUIRED),
+    "count": Key(
+        Several(Whole("a whole number >= 1"), ("n1", "n2"), single=True), "number of cells", REQUIRED
+    ),
     "seam": Key(_FROM_0, "width of the land along cell borders", 0.0),
     "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),
     "outline": Key(
-        Table((("circle", _ABOVE_0), ("rectangle", Several(_ABOVE_0, ("width", "height")))), exactly_one=True),
+        Table(
+            (("circle", _ABOVE_0), ("rectangle", Several(_ABOVE_0, ("width", "height")))), exactly_one=True
+        ),
         "outer shape; cells wholly inside are kept",
     ),
     "aperture": Key(
-        WordOr(("centred", "aligned"), Several(_SLOPE, _XY)), "where cell 2 of a telescopelet stands", "centred"
+        WordOr(("centred", "aligned"), Several(_SLOPE, _XY)),
+        "where cell 2 of a telescopelet stands",
+        "centred",
     ),
     "land": Key(Word(("clear", "opaque")), "whether land lets light through", "clear"),
 }
@@ -163,7 +174,8 @@ BODY: Final[dict[str, Key]] = {
     "baffle": Key(Flag(), "opaque honeycomb between the arrays", False),
     "baffle_wall": Key(_ABOVE_0, "wall thickness of the baffle"),
     "frame": Key(
-        Table((("width", _ABOVE_0), ("height", _ABOVE_0)), required=("width",)), "opaque frame round the sheet"
+        Table((("width", _ABOVE_0), ("height", _ABOVE_0)), required=("width",)),
+        "opaque frame round the sheet",
     ),
     "roughness": Key(_FROM_0, "rms roughness of the optical faces", 0.0),
     "slope_rms": Key(_SMALL_ANGLE, "rms slope error of the optical faces", 0.0),
@@ -172,7 +184,9 @@ CHECK: Final[dict[str, Key]] = {
     "field": Key(_LIMIT_ANGLE, "half angle of the cone of test rays", math.radians(1.0)),
     "field_centre": Key(Word(("axis", "normal")), "middle of that cone", "axis"),
     "process": Key(
-        Word(("none", "diamond-turning", "two-photon", "greyscale", "moulding", "sla")), "process profile", "none"
+        Word(("none", "diamond-turning", "two-photon", "greyscale", "moulding", "sla")),
+        "process profile",
+        "none",
     ),
     "law_rms": Key(_LIMIT_ANGLE, "limit of the rms law error", 0.003),
     "law_bias": Key(_LIMIT_ANGLE, "limit of the mean law error at a field point", 0.0025),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Final, Literal, Protocol
@@ -32,22 +33,26 @@ class Refusal(ValueError):
         The value found (an element of a list where only that element is wrong).
     allowed, hint : str
         What may stand there; the nearest way out.
-    index : int or None
-        Element of the list that is wrong.
 
     Attributes
     ----------
+    where : tuple of int or str
+        Element of the list, or key of the table, that is wrong; filled in on the way out.
     others : tuple of Refusal
-        Further elements of the same list that are wrong too.
+        What else is wrong in the same list or table.
     """
 
-    def __init__(
-        self, code: str, complaint: str, value: object, allowed: str, hint: str = "", index: int | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, code: str, complaint: str, value: object, allowed: str, hint: str = "") -> None:
         super().__init__(complaint)
         self.code, self.complaint, self.value = code, complaint, value
-        self.allowed, self.hint, self.index = allowed, hint, index
+        self.allowed, self.hint = allowed, hint
+        self.where: tuple[int | str, ...] = ()
         self.others: tuple[Refusal, ...] = ()
+
+    def within(self, step: int | str) -> None:
+        """Note that this refusal happened in one element of a list or one key of a table."""
+        for refusal in (self, *self.others):
+            refusal.where = (step, *refusal.where)
 
 
 class Kind(Protocol):
@@ -137,13 +142,15 @@ class Quantity:
         if self.family == "ratio":
             return self.what
         start = f"bare = {bare}, or " if self.bare else ""
-        return f'{self.what} ({start}text with a unit: {units.SHOWN[self.family]})'
+        return f"{self.what} ({start}text with a unit: {units.SHOWN[self.family]})"
 
     def schema(self) -> JsonSchema:
         """Return number or text, without the range where it depends on the unit."""
         number: JsonSchema = {"type": "number"}
         if self.family == "ratio" or (self.family == "angle" and self.degrees):
-            number |= {"exclusiveMinimum": self.above} if math.isfinite(self.above) else {"minimum": self.least}
+            number |= (
+                {"exclusiveMinimum": self.above} if math.isfinite(self.above) else {"minimum": self.least}
+            )
             number |= {"maximum": self.most}
         elif self.above == 0.0:
             number |= {"exclusiveMinimum": 0}
@@ -156,7 +163,9 @@ class Quantity:
         except OverflowError:
             raise self._refused("CL106", "is out of range", value, unit) from None
         if not self.bare:
-            hint = f'write "{shown(value)} {units.SHOWN[self.family].split()[0]}" with the unit you mean'
+            number_text, words = shown(value), {"angle": ("mrad", "deg")}.get(self.family, (unit.name, "um"))
+            hint = " or ".join(f'"{number_text} {word}"' for word in words if not word[0].isdigit())
+            hint = f"write {hint}, whichever you mean"
             raise self._refused("CL105", "has no unit", value, unit, hint)
         if self.family == "angle" and not self.degrees:
             return math.radians(number)
@@ -174,7 +183,9 @@ class Quantity:
             hint = f"write {value.strip()} without quotes" if self.bare else ""
             raise self._refused("CL105", "has no unit", value, unit, hint)
         if family is None:
-            raise self._refused("CL105", f"has an unknown unit '{word}'", value, unit, _nearest_unit(word, self.family))
+            raise self._refused(
+                "CL105", f"has an unknown unit '{word}'", value, unit, _nearest_unit(word, self.family)
+            )
         if family != self.family and not (family == "length" and self.family == "wavelength"):
             article = "an" if family == "angle" else "a"
             raise self._refused("CL105", f"is {article} {family}", value, unit)
@@ -258,7 +269,9 @@ class Word:
         if not isinstance(value, str):
             raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
         if value not in self.words:
-            raise Refusal("CL107", "is not a word known here", value, self.allowed(unit), self._nearest(value))
+            raise Refusal(
+                "CL107", "is not a word known here", value, self.allowed(unit), self._nearest(value)
+            )
         return value
 
     def allowed(self, unit: Unit) -> str:
@@ -341,11 +354,17 @@ class Several:
             if self.single:
                 return (self.kind.read(value, unit),) * len(self.names)
             repeated = ", ".join([shown(value)] * len(self.names))
-            hint = f"write [{repeated}]" if isinstance(value, int | float) and not isinstance(value, bool) else ""
+            hint = (
+                f"write [{repeated}]"
+                if isinstance(value, int | float) and not isinstance(value, bool)
+                else ""
+            )
             raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit), hint)
         if len(value) != len(self.names):
-            raise Refusal("CL108", f"has {len(value)} value{'s' * (len(value) != 1)}", value, self.allowed(unit))
-        return each(self.kind, value, unit)
+            raise Refusal(
+                "CL108", f"has {len(value)} value{'s' * (len(value) != 1)}", value, self.allowed(unit)
+            )
+        return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def allowed(self, unit: Unit) -> str:
         """Return the names in brackets and the kind of each."""
@@ -362,19 +381,27 @@ class Several:
         return "[" + ", ".join(self.names) + "]"
 
 
-def each(kind: Kind, values: list[object], unit: Unit) -> tuple[Any, ...]:
-    """Read every element of a list; the refusal raised carries all wrong elements, not only the first."""
-    found, refused = [], []
-    for i, item in enumerate(values):
+def each(readers: Iterable[tuple[int | str, Kind, object]], unit: Unit) -> list[Any]:
+    """Read the elements of a list or table; the refusal raised carries all that is wrong, not only the first.
+
+    Parameters
+    ----------
+    readers : iterable of (index or key, kind, written value)
+    unit : Unit
+    """
+    found: list[Any] = []
+    refused: list[Refusal] = []
+    for step, kind, item in readers:
         try:
             found.append(kind.read(item, unit))
         except Refusal as refusal:
-            refusal.index = i
-            refused.append(refusal)
+            refusal.within(step)
+            refused += [refusal, *refusal.others]
+            refusal.others = ()
     if refused:
         refused[0].others = tuple(refused[1:])
         raise refused[0]
-    return tuple(found)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,7 +433,7 @@ class WordOr:
         try:
             return self.other.read(value, unit)
         except Refusal as refusal:
-            if refusal.index is None:
+            if not refusal.where:
                 refusal.allowed = self.allowed(unit)
             raise
 
@@ -424,17 +451,26 @@ class Table:
         if not isinstance(value, dict):
             raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
         known = dict(self.kinds)
-        for key in value:
-            if key not in known:
-                close = get_close_matches(key, known, n=1, cutoff=0.5)
-                hint = f"did you mean {close[0]}?" if close else ""
-                raise Refusal("CL102", f"has an unknown key {shown(key)}", value, self.allowed(unit), hint)
+        refused = [self._unknown(key, value, unit) for key in value if key not in known]
         missing = [key for key in self.required if key not in value]
-        if missing:
-            raise Refusal("CL103", f"lacks the key {missing[0]}", value, self.allowed(unit))
+        refused += [Refusal("CL103", f"lacks the key {key}", value, self.allowed(unit)) for key in missing]
         if self.exactly_one and len(value) != 1:
-            raise Refusal("CL112", "needs exactly one key", value, self.allowed(unit))
-        return tuple((key, kind.read(value[key], unit)) for key, kind in self.kinds if key in value)
+            refused.append(Refusal("CL112", "needs exactly one key", value, self.allowed(unit)))
+        try:
+            found = each(((key, kind, value[key]) for key, kind in self.kinds if key in value), unit)
+        except Refusal as refusal:
+            refused += [refusal, *refusal.others]
+        if refused:
+            refused[0].others = tuple(refused[1:])
+            raise refused[0]
+        return tuple(zip((key for key, _ in self.kinds if key in value), found, strict=True))
+
+    def _unknown(self, key: str, value: object, unit: Unit) -> Refusal:
+        close = get_close_matches(key, dict(self.kinds), n=1, cutoff=0.5)
+        hint = f"did you mean {close[0]}?" if close else ""
+        refusal = Refusal("CL102", f"has an unknown key {shown(key)}", value, self.allowed(unit), hint)
+        refusal.where = (key,)
+        return refusal
 
     def allowed(self, unit: Unit) -> str:
         """Return the table's keys with their kinds."""
@@ -466,7 +502,7 @@ class ListOf:
             raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
         if len(value) > 1000:
             raise Refusal("CL108", f"has {len(value)} values", value, f"at most 1000 {self.what}")
-        return each(self.kind, value, unit)
+        return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def allowed(self, unit: Unit) -> str:
         """Return what the list holds."""

@@ -7,9 +7,9 @@ kept in degrees too, as written, so that 90 degrees stays exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from clacad.law import Law
@@ -272,15 +272,15 @@ class Design:
     source: str | None = field(default=None, repr=False, compare=False)
     path: str = field(default="", compare=False)
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], overrides: tuple[str, ...] = ()) -> Self:
+    @staticmethod
+    def from_dict(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Design:
         """Read a design from nested dictionaries with the keys of a design file.
 
         Parameters
         ----------
         data : mapping
             As `tomllib` would return it.
-        overrides : tuple of str
+        overrides : sequence of str
             "key.path=value" each, as with --set.
 
         Raises
@@ -290,7 +290,7 @@ class Design:
         """
         from clacad.design.read import from_dict
 
-        return from_dict(cls, data, overrides)
+        return from_dict(data, overrides)
 
     @property
     def law(self) -> Law:
@@ -325,7 +325,7 @@ class Design:
 
         return to_toml(self.to_dict())
 
-    def replace(self, changes: Mapping[str, Any]) -> Self:
+    def replace(self, changes: Mapping[str, Any]) -> Design:
         """Return the design with some keys changed, checked as a file would be.
 
         Parameters
@@ -342,7 +342,7 @@ class Design:
 
         return replaced(self, changes)
 
-    def with_cells(self, cells: tuple[int, int]) -> Self:
+    def with_cells(self, cells: tuple[int, int]) -> Design:
         """Return the same design with another number of cells, centred on the origin, without an outline.
 
         Parameters
@@ -353,7 +353,9 @@ class Design:
         a, b = int(cells[0]), int(cells[1])
         if a < 1 or b < 1:
             raise ValueError(f"a sheet has at least 1 x 1 cells, not {a} x {b}")
-        section = {k: v for k, v in self.given.get("lattice", {}).items() if k != "outline"} | {"count": [a, b]}
+        section = {k: v for k, v in self.given.get("lattice", {}).items() if k != "outline"} | {
+            "count": [a, b]
+        }
         return replace(
             self,
             lattice=replace(self.lattice, count=(a, b), outline=None),

@@ -33,7 +33,9 @@ def parse(text: str) -> tuple[str, Any] | Mistake:
         return key, value
 
 
-def apply(data: Mapping[str, Any], texts: Sequence[str]) -> tuple[dict[str, Any], list[tuple[KeyPath, str]], list[Mistake]]:
+def apply(
+    data: Mapping[str, Any], texts: Sequence[str]
+) -> tuple[dict[str, Any], list[tuple[KeyPath, str]], list[Mistake]]:
     """Apply overrides to the data of a file.
 
     Returns
@@ -59,7 +61,9 @@ def apply(data: Mapping[str, Any], texts: Sequence[str]) -> tuple[dict[str, Any]
         except LookupError as problem:
             complaint = str(problem.args[0])
         if complaint:
-            mistakes.append(Mistake("CL118", complaint, key=key, path="--set", source_line=text, column=1, width=len(key)))
+            mistakes.append(
+                Mistake("CL118", complaint, key=key, path="--set", source_line=text, column=1, width=len(key))
+            )
         places.append((path, text))
     return made, places, mistakes
 

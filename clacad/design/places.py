@@ -46,7 +46,11 @@ class Places:
 
 def split_key(key: str) -> KeyPath:
     """Split a dotted key; whole numbers become list indices."""
-    return tuple(int(part) if part.isascii() and part.isdigit() else part for part in key.split(".")) if key else ()
+    return (
+        tuple(int(part) if part.isascii() and part.isdigit() else part for part in key.split("."))
+        if key
+        else ()
+    )
 
 
 def located(
@@ -84,9 +88,13 @@ def _one(
             return replace(mistake, path="--set", source_line=text, line=None, column=column, width=width)
     if places is None:
         return replace(mistake, path=path)
-    place = (places.of_key(key) if mistake.code in ("CL102", "CL103") else places.of_value(key)) or Place(1, 1, 1)
+    place = (places.of_key(key) if mistake.code in ("CL102", "CL103") else places.of_value(key)) or Place(
+        1, 1, 1
+    )
     line = lines[place.line - 1] if place.line <= len(lines) else ""
-    return replace(mistake, path=path, line=place.line, column=place.column, width=place.width, source_line=line)
+    return replace(
+        mistake, path=path, line=place.line, column=place.column, width=place.width, source_line=line
+    )
 
 
 def find(text: str, path: str) -> Places:

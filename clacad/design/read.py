@@ -8,12 +8,11 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from clacad.design import override, units
 from clacad.design.errors import DesignError, Mistake, in_order
-from clacad.design.keys import OPTIONAL, REQUIRED, ROOT, SECTIONS, known_in, suggestion
+from clacad.design.keys import REQUIRED, ROOT, SECTIONS, known_in, suggestion
 from clacad.design.kinds import Refusal, kind_of, shown
 from clacad.design.model import (
     Allowed,
@@ -59,20 +58,20 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
     name = os.fspath(path)
     text = _text(name)
     data = _data(text, name)
-    return _made(Design, data, tuple(overrides), text, name)
+    return _made(data, tuple(overrides), text, name)
 
 
-def from_dict(cls: type[Any], data: Mapping[str, Any], overrides: Sequence[str]) -> Any:
+def from_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> Design:
     """Read a design from nested dictionaries; see `Design.from_dict`."""
     plain = _plain(data)
     if not isinstance(plain, dict):
         raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(plain)}")])
     if _too_deep(plain):
         raise DesignError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
-    return _made(cls, plain, tuple(overrides), None, "")
+    return _made(plain, tuple(overrides), None, "")
 
 
-def replaced(design: Design, changes: Mapping[str, Any]) -> Any:
+def replaced(design: Design, changes: Mapping[str, Any]) -> Design:
     """Return a design with some keys changed; see `Design.replace`."""
     data: Any = design.given
     mistakes = []
@@ -83,7 +82,7 @@ def replaced(design: Design, changes: Mapping[str, Any]) -> Any:
             mistakes.append(Mistake("CL118", str(problem.args[0]), key=key))
     if mistakes:
         raise DesignError(mistakes)
-    return _made(type(design), data, (), None, design.path)
+    return _made(data, (), None, design.path)
 
 
 # --- reading ----------------------------------------------------------------------------------------------
@@ -101,7 +100,11 @@ def _text(name: str) -> str:
         why = (problem.strerror or str(problem)).lower()
         _refuse(Mistake("CL100", f"cannot read the design: {why}", path=name, hint=_nearest_file(name)))
     except ValueError:
-        _refuse(Mistake("CL100", "cannot read the design: the name holds a zero byte", path=name.replace("\0", "?")))
+        _refuse(
+            Mistake(
+                "CL100", "cannot read the design: the name holds a zero byte", path=name.replace("\0", "?")
+            )
+        )
     if len(raw) > LARGEST_FILE:
         _refuse(Mistake("CL100", "the file is too large for a design", path=name, allowed="16 MB"))
     try:
@@ -152,11 +155,11 @@ def _refuse_deep_keys(text: str, name: str) -> None:
 
 
 def _no_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) != len(pairs):
-        seen: set[str] = set()
-        twin = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {shown(twin)} is there twice")
+    made: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in made:
+            raise ValueError(f"the key {shown(key)} is there twice")
+        made[key] = value
     return made
 
 
@@ -187,13 +190,13 @@ def _plain(value: Any, depth: int = 0) -> Any:
 # --- checking ---------------------------------------------------------------------------------------------
 
 
-def _made(cls: type[Any], data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> Any:
+def _made(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> Design:
     changed, places, mistakes = override.apply(data, texts)
     values, found = _checked(changed)
     mistakes += found
     if mistakes:
         raise DesignError(in_order(located(mistakes, source, path, places)))
-    return _built(cls, values, changed, None if texts else source, path)
+    return _built(values, changed, None if texts else source, path)
 
 
 def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
@@ -209,7 +212,7 @@ def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     try:
         document = Document.model_validate(data, context=context)
     except ValidationError as problem:
-        mistakes = _structural(problem, data)
+        mistakes = _structural(problem)
         values = _readable(data, context)
     else:
         values = {name: getattr(document, name) for name in ROOT}
@@ -242,22 +245,25 @@ def _readable(data: dict[str, Any], unit: Unit) -> dict[str, Any]:
     return values
 
 
-def _structural(problem: ValidationError, data: dict[str, Any]) -> list[Mistake]:
+def _structural(problem: ValidationError) -> list[Mistake]:
     mistakes: list[Mistake] = []
+    missing: list[Mistake] = []
     for error in problem.errors(include_url=False, include_input=True):
         where, kind = tuple(error["loc"]), error["type"]
         key = ".".join(map(str, where))
         if kind == "extra_forbidden":
             mistakes.append(_unknown(where))
         elif kind == "missing":
-            mistakes.append(_missing(key))
+            missing.append(_missing(key))
         elif kind == "value_error":
             refusal = error["ctx"]["error"]
             mistakes += [_refused(key, one) for one in (refusal, *refusal.others)]
         else:  # a section that is not a table
             mistakes.append(Mistake("CL104", f"{key} is {kind_of(error['input'])}", key, found=shown(error["input"]),
                                     allowed=f"a table [{key}] with the keys {known_in(key)}"))  # fmt: skip
-    return mistakes
+    # a misspelt key is one mistake, not two: what it was meant to be is not missing as well
+    meant = {mistake.hint for mistake in mistakes if mistake.code == "CL102"}
+    return mistakes + [mistake for mistake in missing if mistake.key not in meant]
 
 
 def _unknown(where: KeyPath) -> Mistake:
@@ -266,30 +272,39 @@ def _unknown(where: KeyPath) -> Mistake:
     near = suggestion(section, name)
     key = f"{section}.{name}" if section else name
     message = f"unknown key {key}" + (f"; did you mean {near}?" if near else "")
-    return Mistake("CL102", message, key, allowed=f"{f'in [{section}]' if section else 'here'}: {known_in(section)}")
+    place = f"in [{section}]" if section else "here"
+    return Mistake("CL102", message, key, found=name, allowed=f"{place}: {known_in(section)}", hint=near)
 
 
 def _missing(key: str) -> Mistake:
     if key in SECTIONS:
         needed = [name for name, one in SECTIONS[key].items() if one.default is REQUIRED]
-        return Mistake("CL103", f"missing section [{key}]", key, allowed=f"a table with at least {', '.join(needed)}")
+        return Mistake(
+            "CL103", f"missing section [{key}]", key, allowed=f"a table with at least {', '.join(needed)}"
+        )
     section, _, name = key.rpartition(".")
     kind = (SECTIONS[section] if section else ROOT)[name].kind
     return Mistake("CL103", f"missing key {key}", key, allowed=kind.allowed(Unit("unit", units.LENGTHS["m"])))
 
 
 def _refused(key: str, refusal: Refusal) -> Mistake:
-    place = key if refusal.index is None else f"{key}.{refusal.index}"
-    name = key if refusal.index is None else f"{key}[{refusal.index}]"
-    return Mistake(refusal.code, f"{name} = {shown(refusal.value)} {refusal.complaint}", place,
-                   allowed=refusal.allowed, hint=refusal.hint)  # fmt: skip
+    is_key = refusal.code in ("CL102", "CL103")  # the table is shown, the place is that of the key in it
+    steps = refusal.where[:-1] if refusal.code == "CL102" else refusal.where
+    name = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    place = ".".join([key, *map(str, refusal.where)])
+    value = kind_of(refusal.value) if is_key else shown(refusal.value)
+    message = f"{name} {refusal.complaint}" if is_key else f"{name} = {value} {refusal.complaint}"
+    return Mistake(refusal.code, message, place, found=shown(refusal.value), allowed=refusal.allowed,
+                   hint=refusal.hint)  # fmt: skip
 
 
 # --- building ---------------------------------------------------------------------------------------------
 
 
-def _built(cls: type[Any], values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> Any:
-    part = {section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()}
+def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> Design:
+    part = {
+        section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()
+    }
     law, pair, lattice, body, check = (part[section] for section in SECTIONS)
     if isinstance(pair["thickness"], tuple) and not isinstance(data["pair"]["thickness"], list):
         pair["thickness"] = pair["thickness"][0]
@@ -308,7 +323,7 @@ def _built(cls: type[Any], values: dict[str, Any], data: dict[str, Any], source:
     check["allow"] = tuple(Allowed(**dict(item)) for item in check["allow"])
     unit = units.design_unit(values["unit"])
     assert unit is not None, values["unit"]  # UnitWord accepted it
-    return cls(
+    return Design(
         values["name"], values["unit"], float(unit.metres), LawSpec(**law), PairSpec(**pair), LatticeSpec(**lattice),
         BodySpec(**body), CheckSpec(**check), values["notes"], data, source, path,
     )  # fmt: skip

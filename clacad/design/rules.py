@@ -51,7 +51,7 @@ Rule = Callable[[Asked], Iterator[Mistake]]
 
 
 def law_is_a_pair(a: Asked) -> Iterator[Mistake]:
-    """η = 0, both η = 1, and η_i = 1 with δ_i ≠ 0 (contract A2)."""
+    """η = 0, both η = 1, and η_i = 1 with δ_i ≠ 0."""
     eta, delta = a("law.eta"), a("law.delta")
     if eta is None:
         return
@@ -135,7 +135,7 @@ def index_or_material(a: Asked) -> Iterator[Mistake]:
 
 
 def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
-    """conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic (contract A2)."""
+    """Conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic."""
     surface = a("pair.surface")
     if surface == "ellipsoid" and a.given("pair.conic"):
         yield Mistake("CL113", "pair.conic needs surface = \"biconic\"", "pair.conic",
@@ -149,7 +149,7 @@ def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
 
 
 def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
-    """Square and hexagonal cells have one pitch, rectangular ones two (contract A1)."""
+    """Square and hexagonal cells have one pitch, rectangular ones two."""
     kind, pitch, written = a("lattice.kind"), a("lattice.pitch"), a.written.get("lattice.pitch")
     if kind is None or pitch is None:
         return
@@ -168,7 +168,7 @@ def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
 
 
 def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
-    """The seam is narrower than the cell, and something joins the lenslets (contract A1)."""
+    """The seam is narrower than the cell, and something joins the lenslets."""
     seam, pitch = a("lattice.seam"), a("lattice.pitch")
     if seam and pitch is not None and seam >= min(pitch):
         yield Mistake("CL117", f"{a.says('lattice.seam')} leaves no lens in a cell of {a.says('lattice.pitch')}",
