@@ -69,9 +69,8 @@ class Rays:
 
     def valid(self) -> NDArray[np.bool_]:
         """(n,) mask of the rows that can be traced: finite, direction not zero, wavelength positive."""
-        good: NDArray[np.bool_] = np.isfinite(self.position).all(axis=1) & np.isfinite(self.direction).all(
-            axis=1
-        )
+        rows = np.concatenate([self.position, self.direction], axis=1)
+        good = np.asarray(np.isfinite(rows).all(axis=1), dtype=np.bool_)
         good &= (self.direction != 0).any(axis=1)
         if self.wavelength is not None:
             good &= np.isfinite(self.wavelength) & (self.wavelength > 0)

@@ -84,10 +84,10 @@ def euler_matrix(phi, theta, psi):
 
 def sag(face, x, y):
     """Height of a face over its own plane, or None beyond its equator."""
-    cx, cy, k, l, side = (mpf(v) for v in face.shape)
+    cx, cy, k, m, side = (mpf(v) for v in face.shape)
     x, y = mpf(x), mpf(y)
     q = cx * x * x + cy * y * y
-    p = k * q if face.kind == "quadric" else (1 + k) * cx**2 * x * x + (1 + l) * cy**2 * y * y
+    p = k * q if face.kind == "quadric" else (1 + k) * cx**2 * x * x + (1 + m) * cy**2 * y * y
     if p > 1:
         return None
     return side * q / (1 + mp.sqrt(1 - p))
@@ -143,20 +143,20 @@ def _matrix(face):
 
 def _level(face, x, y, z):
     """κ-like number at a point: 1 − side·level·z is the z component of the normal."""
-    cx, cy, k, l, _ = (mpf(v) for v in face.shape)
+    cx, cy, k, m, _ = (mpf(v) for v in face.shape)
     if face.kind == "quadric":
         return k
     q = cx * x * x + cy * y * y
-    return ((1 + k) * cx**2 * x * x + (1 + l) * cy**2 * y * y) / q if q else mpf(0)
+    return ((1 + k) * cx**2 * x * x + (1 + m) * cy**2 * y * y) / q if q else mpf(0)
 
 
 def _normal(face, hit):
     """Normal towards +z from the implicit equation's gradient."""
-    cx, cy, k, l, side = (mpf(v) for v in face.shape)
+    cx, cy, k, m, side = (mpf(v) for v in face.shape)
     x, y, z = hit
     if face.kind == "quadric":
         return unit([-side * cx * x, -side * cy * y, 1 - side * k * z])
-    a, b = (1 + k) * cx**2, (1 + l) * cy**2
+    a, b = (1 + k) * cx**2, (1 + m) * cy**2
     w = mp.sqrt(1 - a * x * x - b * y * y)
     q = cx * x * x + cy * y * y
     slope_x = side * (2 * cx * x / (1 + w) + q * a * x / (w * (1 + w) ** 2))
@@ -186,14 +186,14 @@ def _on_apex_half(face, hit):
 
 
 def _real_roots(face, p, d):
-    cx, cy, k, l, side = (mpf(v) for v in face.shape)
+    cx, cy, k, m, side = (mpf(v) for v in face.shape)
     (x, y, z), (L, M, N) = p, d
     q = [cx * L * L + cy * M * M, 2 * (cx * x * L + cy * y * M), cx * x * x + cy * y * y]
     height = [N, z]
     if face.kind == "quadric":
         squared = _times(height, height)
         return _quadratic([a + k * b - c for a, b, c in zip(q, squared, [0, 2 * side * N, 2 * side * z])])
-    a, b = (1 + k) * cx**2, (1 + l) * cy**2
+    a, b = (1 + k) * cx**2, (1 + m) * cy**2
     p2 = [a * L * L + b * M * M, 2 * (a * x * L + b * y * M), a * x * x + b * y * y]
     quartic = _times(_times(height, height), p2)
     for i, value in enumerate(_times(q, q)):
