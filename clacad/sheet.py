@@ -16,15 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.lattice import Lattice, Outline
-from clacad.law import Law
-from clacad.material import Material
-from clacad.surface import Biconic, Quadric, meeting
+from clacad.surface import Biconic, Quadric, meet
+
+if TYPE_CHECKING:
+    from clacad.law import Law
+    from clacad.material import Material
 
 Floats = NDArray[np.float64]
 Surface = Quadric | Biconic
@@ -277,7 +279,7 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
         start = start @ face.rotation
         up = face.rotation[2].copy()
     direction = np.broadcast_to(up, start.shape)
-    met = meeting(face.surface, start, np.ascontiguousarray(direction))
+    met = meet(face.surface, start, np.ascontiguousarray(direction))
     normal = met.gradient
     if not face.untilted:
         normal = normal @ face.rotation.T

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from clacad.lattice import Circle, Lattice, Rectangle
 from clacad.law import Law
-from clacad.material import Material
 from clacad.prescription import poses
 from clacad.prescription.extent import face_range, window_range
 from clacad.prescription.parabasal import residual
-from clacad.process import profile
 from clacad.prescription.radii import (
     Lenses,
     NoSuchLens,
@@ -28,10 +26,12 @@ from clacad.prescription.radii import (
 )
 from clacad.prescription.shape import Pose, Shape, biconvex_body, plano_body, slab_body
 from clacad.prescription.thickness import auto_thickness
+from clacad.process import profile
 from clacad.sheet import Baffle, Body, Land, ThinPair, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.material import Material
 
 Floats = NDArray[np.float64]
 
@@ -68,10 +68,8 @@ def build_window(design: Design) -> Window:
 
 
 def _intent(design: Design) -> Intent:
-    from clacad.material import find
-
     pair = design.pair
-    material = None if pair.material is None else find(pair.material)
+    material = None if pair.material is None else _find(pair.material)
     index = float(pair.index) if material is None else float(material.index(pair.wavelength))  # type: ignore[arg-type]
     law = design.law
     neck = design.body.neck
@@ -81,6 +79,12 @@ def _intent(design: Design) -> Intent:
         design, law, law.rotation, design.law_spec.eta, design.law_spec.delta, index, material,
         _lattice(design), Shape(_conic(design, index), pair.depth), neck,
     )  # fmt: skip
+
+
+def _find(name: str) -> Material:
+    from clacad.material import find
+
+    return find(name)
 
 
 def _conic(design: Design, index: float) -> Pair2 | None:
@@ -136,17 +140,11 @@ def _refuse_short_radius(intent: Intent) -> None:
 
 
 def _biconvex(intent: Intent) -> Window:
-    pair = intent.design.pair
-    separation = _separation(intent)
-    if pair.confocal == "best":
+    if intent.design.pair.confocal == "best":
         from clacad.prescription.best import best_pair
 
-        return best_pair(
-            intent, lambda t, scale, shift: _biconvex_given(intent, t, scale, shift), _solved(intent)
-        )
-    thickness = pair.thicknesses or _solved(intent)
-    del separation
-    return _biconvex_given(intent, thickness)
+        return best_pair(intent, lambda t, scale: _biconvex_given(intent, t, scale), _solved(intent))
+    return _biconvex_given(intent, _solved(intent))
 
 
 def _solved(intent: Intent) -> Pair2:
@@ -167,14 +165,14 @@ def _solved(intent: Intent) -> Pair2:
     return auto_thickness(lambda t: _biconvex_given(intent, t), guess, intent.neck, limit)
 
 
-def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0, shift: float = 0.0) -> Window:
+def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
     pair = intent.design.pair
     separation = _separation(intent)
     recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
     lenses = recipe(intent.eta, separation, thickness, intent.index)
     lenses = _scaled(lenses, scale)
     offset = intent.offset(lenses.focal_length[0])
-    place = poses.biconvex_placement(intent.turn, offset, separation + shift)
+    place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
         (), intent.design.lattice.aperture, place.lens_2[:2], float(place.lens_2[2]), False
     )
@@ -190,7 +188,7 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0, shift:
         )
         for k, point in enumerate((np.zeros(3), relative))
     )
-    return _finish(intent, bodies, moved, lenses, offset, separation + shift, moved)
+    return _finish(intent, bodies, moved, lenses, offset, separation, moved)
 
 
 def _scaled(lenses: Lenses, scale: float) -> Lenses:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.sheet import Body, Window
-from clacad.surface import meeting, refract
+from clacad.surface import meet_at, refract
 
 Floats = NDArray[np.float64]
 Shifts = Sequence[tuple[float, float]]
@@ -42,9 +42,9 @@ def trace_pair(
             shift = (0.0, 0.0) if face.array is None else shifts[face.array]
             vertex = np.array([face.vertex[0] + shift[0], face.vertex[1] + shift[1], face.vertex[2]])
             local, ray = (position - vertex) @ face.rotation, direction @ face.rotation
-            met = meeting(face.surface, local, ray)
+            met, point = meet_at(face.surface, local, ray)
             ray, _ = refract(ray, met.gradient, met.root, n1, n2)
-            position = met.point @ face.rotation.T + vertex
+            position = point @ face.rotation.T + vertex
             direction = ray @ face.rotation.T
     return position, direction
 
@@ -86,12 +86,18 @@ def parabasal(
     return Parabasal(out[0], power)
 
 
-def residual(window: Window, rotation: Floats, asked: Floats) -> dict[str, float]:
+def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) -> dict[str, float]:
     """Parabasal law error (radians) and decollimation over half a cell (radians) of a built window.
 
-    asked : (3,) direction the law gives to the axis ray.
+    Parameters
+    ----------
+    rotation : (3, 3)
+        Lens → sheet of the asked law: its axis is the axis ray before the window.
+    origin : (3,)
+        A point of the axis ray, sheet frame, lengths.
+    asked : (3,) unit
+        Direction the law gives to the axis ray.
     """
-    origin = np.array([0.0, 0.0, 0.0])
     found = parabasal(window.bodies, window.shifts, rotation, origin, 1e-4 * window.lattice.circumradius)
     cross = np.cross(found.direction, asked)
     error = float(np.arctan2(np.linalg.norm(cross), found.direction @ asked))

@@ -1,4 +1,4 @@
-""" "auto": the smallest centre thickness that covers every cell, joins neighbours and covers the land."""
+"""Thickness "auto": the smallest that covers every cell, joins neighbours and covers the land."""
 
 from __future__ import annotations
 
