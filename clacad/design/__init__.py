@@ -21,6 +21,7 @@ from clacad.design.model import (
     PairSpec,
 )
 from clacad.design.read import load
+from clacad.design.starters import template, templates
 
 __all__ = [
     "CODES",
@@ -37,6 +38,8 @@ __all__ = [
     "PairSpec",
     "json_schema",
     "load",
+    "template",
+    "templates",
 ]
 
 
