@@ -134,6 +134,29 @@ def index_or_material(a: Asked) -> Iterator[Mistake]:
                       allowed='index = a number > 1, or material = a name such as "PMMA"')  # fmt: skip
 
 
+def material_is_known(a: Asked) -> Iterator[Mistake]:
+    """The material is in the table, and its index is known at the design wavelength."""
+    name, wavelength = a("pair.material"), a("pair.wavelength")
+    if name is None:
+        return
+    from clacad.material import find
+
+    try:
+        material = find(name)
+    except ValueError as problem:
+        sentence, _, hint = str(problem).partition("; ")
+        yield Mistake(
+            "CL119", sentence, "pair.material", allowed="a name of the table, or pair.index", hint=hint
+        )
+        return
+    if wavelength is not None:
+        try:
+            material.index(wavelength)
+        except ValueError as problem:
+            key = "pair.wavelength" if a.given("pair.wavelength") else "pair.material"
+            yield Mistake("CL119", str(problem), key, allowed="a wavelength in that range, or pair.index")
+
+
 def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
     """Conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic."""
     surface = a("pair.surface")
@@ -216,6 +239,7 @@ RULES: Final[tuple[Rule, ...]] = (
     separation_or_thickness,
     keys_of_other_forms,
     index_or_material,
+    material_is_known,
     surface_and_its_keys,
     pitch_fits_lattice,
     seam_leaves_a_lens,

@@ -5,6 +5,7 @@ Imported only to validate or to print the schema: pydantic costs 0.05 s.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 from pydantic import (
@@ -18,7 +19,8 @@ from pydantic import (
 )
 
 from clacad.design.keys import OPTIONAL, REQUIRED, ROOT, SECTIONS, Key
-from clacad.design.units import Unit
+from clacad.design.kinds import Kind, Quantity
+from clacad.design.units import Unit, nanometres
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
@@ -60,4 +62,25 @@ def json_schema() -> dict[str, Any]:
         With `$schema`, `title` and one property for each key; unknown keys are refused.
     """
     made = Document.model_json_schema()
+    for section, keys in SECTIONS.items():
+        for name, key in keys.items():
+            _restate_default(made["$defs"][section.capitalize()]["properties"][name], key)
+    for name, key in ROOT.items():
+        _restate_default(made["properties"][name], key)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made, "title": "clacad design"}
+
+
+def _restate_default(entry: dict[str, Any], key: Key) -> None:
+    """Show a default as a person would write it, not as it is stored."""
+    entry.pop("default", None)
+    if key.default is not REQUIRED and key.default is not None and key.default != ():
+        entry["default"] = _as_written(key.default, key.kind)
+
+
+def _as_written(value: Any, kind: Kind) -> Any:
+    if isinstance(kind, Quantity) and kind.family == "wavelength":
+        return nanometres(value)
+    if isinstance(kind, Quantity) and kind.family == "angle":
+        degrees = f"{math.degrees(value):g}"
+        return f"{degrees} deg" if math.radians(float(degrees)) == value else f"{value * 1000:g} mrad"
+    return list(value) if isinstance(value, tuple) else value

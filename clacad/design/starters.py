@@ -39,7 +39,10 @@ def template(name: str, kind: str = "slab") -> str:
         For a name that a design cannot have, or an unknown kind.
     """
     nothing = Unit("m", LENGTHS["m"])
-    for key, reader, value in (("name", ROOT["name"].kind, name), ("template", Word(tuple(templates())), kind)):
+    for key, reader, value in (
+        ("name", ROOT["name"].kind, name),
+        ("template", Word(tuple(templates())), kind),
+    ):
         try:
             reader.read(value, nothing)
         except Refusal as refusal:
