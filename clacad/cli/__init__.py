@@ -1,0 +1,7 @@
+"""The command line: one file a command, errors turned into exit statuses in one place."""
+
+from __future__ import annotations
+
+from clacad.cli.run import main
+
+__all__ = ["main"]

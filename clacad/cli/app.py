@@ -1,0 +1,202 @@
+"""The commands and their options. Bodies live in the module of the command, imported when it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+HELP = "Design, make and verify generalized confocal lenslet arrays."
+EPILOG = """Same design, same bytes.
+
+Exit status: 0 all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
+4 cannot write; 70 internal; 130 interrupted.
+
+Example: clacad export designs/paper-a-covered.toml -o exports/paper --format step,3mf,stl --cells 10x10"""
+
+GROUPS = {
+    "make": ("new", "check", "export", "schema"),
+    "look": ("trace", "render", "atlas", "effects"),
+    "judge": ("verify", "accuracy", "sweep", "tolerance"),
+    "help": ("explain", "doctor"),
+}
+
+
+class Grouped(TyperGroup):
+    """Lists commands by purpose."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write one section a purpose."""
+        width = max((len(name) for name in self.commands), default=0)
+        for title, names in GROUPS.items():
+            rows = [
+                (name.ljust(width), self.commands[name].get_short_help_str(90))
+                for name in names
+                if name in self.commands
+            ]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the epilog line by line, not refilled."""
+        formatter.write("\n" + EPILOG + "\n")
+
+
+app = typer.Typer(
+    cls=Grouped,
+    help=HELP,
+    epilog=EPILOG,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+def _version(value: bool) -> None:
+    if value:
+        from clacad import __version__
+
+        typer.echo(f"clacad {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")]
+    = False,
+) -> None:  # fmt: skip
+    pass
+
+
+Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON).", show_default=False)]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help='Override one value, e.g. --set "law.eta=[-1.4,-1]". Repeatable.'),
+]
+Json = Annotated[bool, typer.Option("--json", help="Result on stdout as JSON, everything else on stderr.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Errors only.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Log what is done, and tracebacks.")]
+Out = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.", show_default=False)]
+Cells = Annotated[
+    str | None, typer.Option("--cells", metavar="AxB", help="A x B cells of the design, centred; default all.")
+]
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the design; writes NAME.toml.")],
+    template: Annotated[str, typer.Option("--template", metavar="T", help="paper, galilean, slab, plano, hexagonal, "
+                                                                          "window.")] = "paper",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Write a commented design file."""
+    from clacad.cli.design_commands import new_design
+
+    return new_design(name, template, overwrite=overwrite, json=json, quiet=quiet)
+
+
+@app.command()
+def schema(quiet: Quiet = False, json: Json = False) -> int:
+    """Print the JSON Schema of design files, so that editors complete keys."""
+    from clacad.cli.design_commands import print_schema
+
+    return print_schema()
+
+
+@app.command()
+def check(
+    design: Design,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:
+    """Read the design, derive what would be made, judge it by the design rules; writes nothing."""
+    from clacad.cli.design_commands import check_design
+
+    return check_design(design, set or [], json=json, quiet=quiet)
+
+
+@app.command()
+def export(
+    design: Design,
+    out: Out,
+    format: Annotated[str, typer.Option("--format", metavar="F,G", help="step, stl, 3mf, glb, ply, sag, tiff, png, "
+                                        "xyz, table, mask, pov, ...")] = "step,stl",
+    slope_error: Annotated[str | None, typer.Option("--slope-error", metavar="E", help="rms facet slope error, e.g. "
+                           "'5 mrad', or 'auto' (default): the finest that the limits allow.")] = None,
+    quads: Annotated[int | None, typer.Option("--quads", metavar="N", help="Facet grid: N quads per cell side.")] = None,
+    step: Annotated[str, typer.Option("--step", help="auto, fused or instanced.")] = "auto",
+    cells: Cells = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Pass the limits on facets, bytes and memory.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Write the part: files and manifest.json; prints the fabrication table."""
+    from clacad.cli.export_command import ExportRequest, export_design
+
+    request = ExportRequest(
+        out, tuple(f.strip() for f in format.split(",") if f.strip()), slope_error, quads, step, cells,
+        overwrite=overwrite, force=force, dry_run=dry_run,
+    )  # fmt: skip
+    return export_design(design, set or [], request, json=json, quiet=quiet)
+
+
+@app.command()
+def verify(
+    design: Design,
+    files: Annotated[Path | None, typer.Option("--files", metavar="DIR|FILE", help="What was written, or a file that "
+                                               "came back.")] = None,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Write report.html, report.json here.")]
+    = None,
+    cells: Cells = None,
+    rays: Annotated[int, typer.Option("--rays", min=64, help="Rays of the main bundle.")] = 65536,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Trace what was written, write the report, print the verdict."""
+    from clacad.cli.verify_command import verify_design
+
+    return verify_design(
+        design, set or [], files, out, cells, rays, overwrite=overwrite, json=json, quiet=quiet
+    )
+
+
+@app.command()
+def trace(
+    design: Design,
+    rays: Annotated[Path, typer.Argument(metavar="RAYS.npz", help="Arrays position (n, 3), direction (n, 3) and "
+                                         "optionally wavelength (n,), metres.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT.npz", help="File for the results.")],
+    rung: Annotated[str, typer.Option("--rung", help="law, thin, surfaces or mesh.")] = "surfaces",
+    effects: Annotated[str, typer.Option("--effects", metavar="A,B", help="Effects to add; default none.")] = "",
+    mesh: Annotated[Path | None, typer.Option("--mesh", metavar="FILE", help="Rung mesh: triangles as written.")] = None,
+    quads: Annotated[int, typer.Option("--quads", help="Rung mesh without a file: quads per cell side.")] = 16,
+    normals: Annotated[str, typer.Option("--normals", help="Rung mesh: facet or vertex.")] = "facet",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Trace a bundle of rays from a file, for other programs."""
+    from clacad.cli.trace_command import TraceRequest, trace_file
+
+    request = TraceRequest(
+        rays, out, rung, tuple(e for e in effects.split(",") if e), mesh, quads, normals, overwrite=overwrite
+    )
+    return trace_file(design, set or [], request, json=json, quiet=quiet)

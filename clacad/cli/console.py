@@ -1,0 +1,115 @@
+"""What the commands say: data on stdout, talk on stderr, progress only when it takes longer than a second."""
+
+from __future__ import annotations
+
+import json as json_module
+import math
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+
+def show_json(value: Any) -> None:
+    """Print one JSON document on stdout: sorted keys, no NaN (null instead)."""
+    sys.stdout.write(json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n")
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON can hold it: numpy scalars and arrays as lists, non-finite numbers as null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return str(value)
+
+
+def show_text(text: str, *, quiet: bool = False) -> None:
+    """Print result text on stdout."""
+    if not quiet:
+        sys.stdout.write(text.rstrip("\n") + "\n")
+
+
+def say(text: str, *, quiet: bool = False) -> None:
+    """Print talk on stderr."""
+    if not quiet:
+        sys.stderr.write(text.rstrip("\n") + "\n")
+
+
+def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
+    """Align the columns of some rows of text; the last column is not padded."""
+    rows = [[str(cell) for cell in row] for row in rows]
+    if not rows:
+        return ""
+    widths = [max((len(row[k]) for row in rows if k < len(row)), default=0) for k in range(max(map(len, rows)))]
+    return "\n".join(
+        indent + "  ".join(cell if k == len(row) - 1 else cell.ljust(widths[k]) for k, cell in enumerate(row)).rstrip()
+        for row in rows
+    )
+
+
+def size(count: float) -> str:
+    """Bytes as a person reads them."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000.0:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.3g} {unit}"
+        count /= 1000.0
+    return f"{count:.3g} TB"
+
+
+class Progress:
+    """One line on stderr that says which stage is at work and how far it is.
+
+    Silent for the first second, and when quiet. On a terminal the line is rewritten; elsewhere every stage
+    gets one line. Call it as a function: progress(stage, fraction), fraction None or NaN where unknown.
+    """
+
+    def __init__(self, *, quiet: bool = False, after: float = 1.0) -> None:
+        self._start = time.monotonic()
+        self._after = after
+        self._quiet = quiet
+        self._stage = ""
+        self._stage_start = self._start
+        self._shown = 0.0
+        self._open = False
+        self._terminal = sys.stderr.isatty()
+
+    def __call__(self, stage: str, fraction: float | None = None) -> None:
+        """Tell how far a stage is, 0 to 1."""
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._stage_start, fresh = stage, now, True
+        else:
+            fresh = False
+        if self._quiet or now - self._start < self._after:
+            return
+        if not self._terminal:
+            if fresh or not self._shown:
+                sys.stderr.write(f"{stage} ...\n")
+                self._shown = now
+            return
+        if now - self._shown < 0.1 and not fresh:
+            return
+        sys.stderr.write("\r\x1b[2K" + self._line(stage, fraction, now))
+        sys.stderr.flush()
+        self._shown, self._open = now, True
+
+    def _line(self, stage: str, fraction: float | None, now: float) -> str:
+        elapsed = now - self._stage_start
+        if fraction is None or not math.isfinite(fraction) or fraction <= 0.0:
+            return f"{stage}  {elapsed:.0f} s"
+        left = elapsed * (1.0 - fraction) / fraction
+        return f"{stage}  {100.0 * fraction:.0f} %  {elapsed:.0f} s, {left:.0f} s left"
+
+    def done(self) -> None:
+        """Clear the line."""
+        if self._open:
+            sys.stderr.write("\r\x1b[2K")
+            sys.stderr.flush()
+            self._open = False

@@ -1,0 +1,83 @@
+"""`clacad new`, `clacad schema`, `clacad check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.cli.console import show_json, show_text
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+def new_design(name: str, template: str, *, overwrite: bool, json: bool, quiet: bool) -> int:
+    """Write NAME.toml from a template and say what to do next."""
+    from clacad.design import template as text_of
+    from clacad.export.atomic import write_file
+
+    stem = name.removesuffix(".toml")
+    text = text_of(Path(stem).name, template)
+    target = Path(f"{stem}.toml")
+    write_file(target, lambda path: _put(path, text), overwrite=overwrite)
+    if json:
+        show_json({"path": str(target), "template": template})
+    else:
+        show_text(f"wrote {target}\nnext: clacad check {target}", quiet=quiet)
+    return 0
+
+
+def _put(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def print_schema() -> int:
+    """Print the JSON Schema of design files."""
+    from clacad.design import json_schema
+
+    show_json(json_schema())
+    return 0
+
+
+def load_design(path: Path, overrides: list[str]) -> Design:
+    """Read a design with --set overrides applied."""
+    from clacad.design import load
+
+    return load(path, tuple(overrides))
+
+
+def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
+    """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails."""
+    from clacad.feasibility import describe, feasibility
+    from clacad.prescription import prescribe
+    from clacad.verify import design_checks
+
+    design = load_design(path, overrides)
+    window = prescribe(design)
+    facts = feasibility(window)
+    checks = design_checks(design, window, facts)
+    forecast = _forecast(window)
+    failed = [check for check in checks if check.state == "fail"]
+    if json:
+        show_json(
+            {
+                "design": design.name,
+                "derived": [list(row) for row in describe(window, facts)],
+                "recipe": dict(window.recipe),
+                "residual": dict(window.residual),
+                "checks": [check.to_dict() for check in checks],
+                "forecast": forecast,
+                "passed": not failed,
+            }
+        )
+    else:
+        from clacad.cli.tables import check_text
+
+        show_text(check_text(design, window, describe(window, facts), checks, forecast), quiet=quiet)
+    return 1 if failed else 0
+
+
+def _forecast(window: Any) -> list[dict[str, Any]]:
+    from clacad.export.forecast import outlook
+
+    return outlook(window)

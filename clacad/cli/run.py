@@ -1,0 +1,95 @@
+"""Entry point: parse, call the command, turn what went wrong into one sentence and an exit status.
+
+0 done, all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
+4 cannot write; 70 internal; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status; never raises, never prints a traceback unasked.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; default sys.argv[1:].
+    """
+    from clacad.cli.app import app
+
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = app(given, prog_name="clacad", standalone_mode=False)
+        sys.stdout.flush()
+        return int(status or 0)
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader of our output went away; what it did not read is not ours to report
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        return OK
+    except Exception as error:
+        return _explained(error, given)
+
+
+def _explained(error: Exception, given: list[str]) -> int:
+    """Say what went wrong and give its exit status."""
+    status = status_of(error)
+    if status is None:
+        if "-v" in given or "--verbose" in given:
+            import traceback
+
+            traceback.print_exc()
+        _say(f"internal error: {type(error).__name__}: {error}\n  run again with -v for the details")
+        return INTERNAL
+    if type(error).__module__.startswith(("click", "typer")):
+        return _usage(error)
+    _say(str(error))
+    return status
+
+
+def status_of(error: Exception) -> int | None:
+    """Exit status of an error clacad knows, None for one it does not."""
+    module = type(error).__module__
+    known = getattr(error, "exit_status", None)
+    if isinstance(known, int):
+        return known
+    if module.startswith(("click", "typer")):
+        return BAD_INPUT
+    if type(error).__name__ == "DesignError":
+        return BAD_INPUT
+    if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError, UnicodeError)):
+        return BAD_INPUT
+    if isinstance(error, (PermissionError, OSError)):
+        return CANNOT_WRITE
+    return None
+
+
+def _usage(error: Exception) -> int:
+    """Click's own errors: exits, aborts and misuse."""
+    name = type(error).__name__
+    if name == "Exit":
+        return int(getattr(error, "exit_code", 0))
+    if name == "Abort":
+        return INTERRUPTED
+    if name == "NoArgsIsHelpError":
+        show = getattr(error, "show", None)
+        if callable(show):
+            show()
+        return BAD_INPUT
+    message = getattr(error, "format_message", None)
+    context = getattr(error, "ctx", None)
+    hint = f"\n  try: {context.command_path} --help" if context is not None else ""
+    _say(f"{message() if callable(message) else error}{hint}")
+    return BAD_INPUT
+
+
+def _say(text: str) -> None:
+    print(f"clacad: {text}" if "\n" not in text else text, file=sys.stderr)  # noqa: T201
