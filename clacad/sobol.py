@@ -47,7 +47,7 @@ def sobol(count: int, dimension: int, skip: int = 1) -> NDArray[np.float64]:
         for bit, direction in enumerate(_directions(d, bits)):
             chosen = (gray >> np.uint64(bit)) & np.uint64(1)
             points[:, d] ^= chosen * np.uint64(direction)
-    return points * 2.0**-_BITS
+    return np.asarray(points * 2.0**-_BITS, dtype=np.float64)
 
 
 def _directions(dimension: int, bits: int) -> list[int]:

@@ -62,7 +62,7 @@ class RayFile:
         for needed in ("position", "direction"):
             if needed not in names:
                 raise BadRays(f"{path} holds no array '{needed}'; it needs position (n, 3) and direction (n, 3)")
-        self._members = {key: names[key] for key in ("position", "direction", "wavelength") if key in names}
+        self._members: dict[str, str] = {key: names[key] for key in ("position", "direction", "wavelength") if key in names}
         lengths = {key: self._opened(key)[2] for key in self._members}
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{key} {count}" for key, count in lengths.items())
