@@ -94,8 +94,8 @@ def sag(face, x, y):
 
 
 def slope(face, x, y):
-    """Partial derivatives of `sag`, by differences at 60 digits."""
-    h = mpf(10) ** -20 * (1 / max(abs(mpf(c)) for c in face.shape[:2]) if any(face.shape[:2]) else 1)
+    """Partial derivatives of `sag`, by differences; call it at 60 digits or more, the step is 1e-25 of a radius."""
+    h = mpf(10) ** -25 * (1 / max(abs(mpf(c)) for c in face.shape[:2]) if any(face.shape[:2]) else 1)
     in_x = (sag(face, mpf(x) + h, y) - sag(face, mpf(x) - h, y)) / (2 * h)
     in_y = (sag(face, x, mpf(y) + h) - sag(face, x, mpf(y) - h)) / (2 * h)
     return in_x, in_y
@@ -253,6 +253,18 @@ def condition(faces, start, direction, digits=DIGITS):
 
     Inputs: start (relative to the first vertex), direction, curvatures and indices, one at a time.
     """
+    return _amplification(faces, start, direction, digits, lambda path: path.directions[-1])
+
+
+def sag_condition(faces, start, direction, digits=DIGITS):
+    """Relative change of the height of the last hit over the vertex's level, likewise."""
+    level = mpf(faces[-1].vertex[2])
+    return _amplification(
+        faces, start, direction, digits, lambda path: [mp.log(abs(path.hits[-1][2] - level))]
+    )
+
+
+def _amplification(faces, start, direction, digits, answer):
     with mp.workdps(digits):
         base = trace(faces, start, direction, digits)
         if base.status != "ok":
@@ -262,7 +274,7 @@ def condition(faces, start, direction, digits=DIGITS):
             there = trace(*nudged, digits)
             if there.status != base.status:
                 return mp.inf
-            change = [u - v for u, v in zip(there.directions[-1], base.directions[-1])]
+            change = [u - v for u, v in zip(answer(there), answer(base))]
             total += mp.sqrt(dot(change, change)) / STEP
         return total
 
