@@ -8,8 +8,8 @@ from typing import Any
 
 from clacad.design import units
 from clacad.design.keys import FORMAT, SECTIONS, Key
-from clacad.design.kinds import Quantity
 from clacad.design.model import Allowed, Design, Frame, Outline
+from clacad.design.quantity import Quantity
 
 
 def to_dict(design: Design) -> dict[str, Any]:

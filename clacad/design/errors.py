@@ -86,11 +86,11 @@ class Mistake:
         for word, text in (("found", self.found), ("allowed", self.allowed), ("hint", self.hint)):
             if text and not (word != "allowed" and text in self.message):  # said once
                 lines.append(f"  {word}: {text}")
-        return "\n".join(lines)
+        return "\n".join(map(printable, lines))
 
     def _where(self) -> str:
         if self.path == "--set":
-            return f"--set {printable(self.source_line)}: "
+            return f"--set {self.source_line}: "
         place = [self.path] if self.path else []
         if self.path and self.line is not None:
             place += [str(self.line), str(self.column)]
@@ -100,7 +100,7 @@ class Mistake:
         if not self.source_line or self.column is None or (self.line is None and self.path != "--set"):
             return []
         start = max(0, self.column - 1 - WIDTH // 2) if len(self.source_line) > WIDTH else 0
-        shown = printable(self.source_line[start : start + WIDTH])
+        shown = self.source_line[start : start + WIDTH]
         caret = " " * (self.column - 1 - start) + "^" * max(1, min(self.width, WIDTH // 2))
         number = "" if self.line is None else str(self.line)
         return [f"  {number} | {shown}".rstrip(), f"  {' ' * len(number)} | {caret}"]

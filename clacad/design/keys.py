@@ -11,21 +11,9 @@ from difflib import get_close_matches
 from typing import Any, Final
 
 from clacad.design import units
-from clacad.design.kinds import (
-    Flag,
-    JsonSchema,
-    Kind,
-    ListOf,
-    Quantity,
-    Refusal,
-    Several,
-    Table,
-    Text,
-    Whole,
-    Word,
-    WordOr,
-    kind_of,
-)
+from clacad.design.compound import ListOf, Several, Table, WordOr
+from clacad.design.kinds import LARGEST_COUNT, Flag, JsonSchema, Kind, Refusal, Text, Whole, Word, not_this
+from clacad.design.quantity import Quantity
 from clacad.design.units import Unit
 
 FORMAT: Final = 1
@@ -59,7 +47,7 @@ class UnitWord:
     def read(self, value: object, unit: Unit) -> str:
         """Return the text; its length in metres is `units.design_unit`."""
         if not isinstance(value, str):
-            raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
+            raise Refusal("CL104", not_this(value, "a text"), value, self.allowed(unit))
         if units.design_unit(value) is None:
             close = get_close_matches(value.lower(), ["nm", "um", "mm", "cm", "m", "in"], n=1, cutoff=0.5)
             hint = f'did you mean "{close[0]}"?' if close else ""
@@ -82,7 +70,7 @@ class FormatVersion:
     def read(self, value: object, unit: Unit) -> int:
         """Return the version."""
         if isinstance(value, bool) or not isinstance(value, int):
-            raise Refusal("CL104", f"is {kind_of(value)}", value, self.allowed(unit))
+            raise Refusal("CL104", not_this(value, "a whole number"), value, self.allowed(unit))
         if value != FORMAT:
             raise Refusal("CL109", "is not a format this version reads", value, self.allowed(unit))
         return value
@@ -151,7 +139,9 @@ LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),
     "pitch": Key(Several(_ABOVE_0, _XY, single=True), "size of a cell", REQUIRED),
     "count": Key(
-        Several(Whole("a whole number >= 1"), ("n1", "n2"), single=True), "number of cells", REQUIRED
+        Several(Whole(f"a whole number from 1 to {LARGEST_COUNT}"), ("n1", "n2"), single=True),
+        "number of cells",
+        REQUIRED,
     ),
     "seam": Key(_FROM_0, "width of the land along cell borders", 0.0),
     "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),
@@ -235,6 +225,20 @@ OPTIONAL: Final = ("body", "check")
 """Sections that may be left out."""
 
 
+SYNONYMS: Final[dict[str, str]] = {
+    "phi": "law.euler", "theta": "law.euler", "psi": "law.euler", "tilt": "law.euler", "angles": "law.euler",
+    "eta_x": "law.eta", "eta_y": "law.eta", "delta_x": "law.delta", "delta_y": "law.delta", "offset": "law.delta",
+    "n": "pair.index", "refractive_index": "pair.index", "glass": "pair.material", "lambda": "pair.wavelength",
+    "gap": "pair.separation", "distance": "pair.separation", "recipe": "pair.confocal", "type": "pair.form",
+    "period": "lattice.pitch", "size": "lattice.count", "cells": "lattice.count", "shape": "lattice.outline",
+    "wall": "body.baffle_wall", "units": "unit", "version": "format", "title": "name",
+}  # fmt: skip
+"""What people call a key elsewhere."""
+
+SCENE_SECTIONS: Final = ("sheet", "camera", "light", "background", "object", "effects", "animation")
+"""Sections of a scene file, which is another file."""
+
+
 def homes(name: str) -> list[str]:
     """Return the dotted keys whose last part is this name ("pitch" → lattice.pitch, check.pitch)."""
     return [f"{section}.{name}" for section, keys in SECTIONS.items() if name in keys] + (
@@ -257,10 +261,12 @@ def suggestion(section: str, name: str) -> str:
     folded = name.lower().replace("-", "_")
     if folded in here:
         return dot + folded
+    if folded in SYNONYMS:
+        return SYNONYMS[folded]
     elsewhere = homes(folded)
     if elsewhere:
         return elsewhere[0]
-    close = get_close_matches(folded, here, n=1, cutoff=0.6)
+    close = get_close_matches(folded, here, n=1, cutoff=0.65)
     if close:
         return dot + close[0]
     every = [key for keys in SECTIONS.values() for key in keys] + list(ROOT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from clacad.design.errors import Mistake
@@ -27,10 +27,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Places of the keys and of the values of a file, by key path."""
+    """Places of the keys and of the values of a file, by key path; JSON: also of keys that stand twice."""
 
     keys: dict[KeyPath, Place]
     values: dict[KeyPath, Place]
+    twins: list[Place] = field(default_factory=list)
 
     def of_value(self, path: KeyPath) -> Place | None:
         """Return the place of a value, or of the nearest thing round it."""
@@ -222,6 +223,7 @@ def _json_value(text: str, at: int, path: KeyPath, found: Places, starts: list[i
             step: str | int = index
             if closing == "}":
                 name, end = decoder.raw_decode(text, at)
+                found.twins.extend([_spot(starts, at, end, text)] if (*path, name) in found.keys else [])
                 found.keys.setdefault((*path, name), _spot(starts, at, end, text))
                 step, at = name, _skip(text, _skip(text, end) + 1)
             at = _skip(text, _json_value(text, at, (*path, step), found, starts))

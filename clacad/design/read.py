@@ -7,13 +7,14 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from clacad.design import override, units
 from clacad.design.errors import DesignError, Mistake, in_order
-from clacad.design.keys import REQUIRED, ROOT, SECTIONS, known_in, suggestion
-from clacad.design.kinds import Refusal, kind_of, shown
+from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
+from clacad.design.kinds import Refusal, kind_of, not_this, shown
 from clacad.design.model import (
     Allowed,
     BodySpec,
@@ -25,7 +26,7 @@ from clacad.design.model import (
     Outline,
     PairSpec,
 )
-from clacad.design.places import KeyPath, located, split_key, syntax_place
+from clacad.design.places import KeyPath, Place, find, located, split_key, syntax_place
 from clacad.design.rules import Asked, broken
 from clacad.design.units import Unit
 
@@ -130,20 +131,43 @@ def _data(text: str, name: str) -> dict[str, Any]:
     is_json = name.lower().endswith(".json")
     _refuse_deep_keys(text, name)
     try:
-        data = json.loads(text, object_pairs_hook=_no_twins) if is_json else tomllib.loads(text)
+        data = json.loads(text) if is_json else tomllib.loads(text)
     except RecursionError:
         _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
     except ValueError as problem:
-        place = syntax_place(problem, text)
-        lines = re.split("\r\n|\n", text)
-        what = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", str(problem))
-        _refuse(Mistake("CL101", f"not {'JSON' if is_json else 'TOML'}: {what[:1].lower()}{what[1:200]}", path=name,
-                        line=place.line, column=place.column, source_line=lines[place.line - 1]))  # fmt: skip
+        what = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", str(problem))[:200]
+        what = re.sub(r"\('(.*)',\)", r"[\1]", what)
+        _refuse_syntax(f"not {'JSON' if is_json else 'TOML'}: {what[:1].lower()}{what[1:]}", name, text,
+                       syntax_place(problem, text))  # fmt: skip
     if not isinstance(data, dict):
         _refuse(Mistake("CL104", f"a design is a table, not {kind_of(data)}", path=name, line=1, column=1))
     if _too_deep(data):
         _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+    twins = find(text, name).twins if is_json else []
+    if twins:
+        _refuse_syntax("not a design: a key that is there twice", name, text, twins[0])
     return data
+
+
+def _refuse_syntax(message: str, name: str, text: str, place: Place) -> NoReturn:
+    line = re.split("\r\n|\n", text)[place.line - 1]
+    mistake = Mistake("CL101", message, path=name, line=place.line, column=place.column, width=place.width)
+    raise DesignError([replace(mistake, source_line=line, hint=_syntax_hint(line))])
+
+
+def _syntax_hint(line: str) -> str:
+    """Name the three slips people make in TOML: a unit or a word without quotes, a decimal comma."""
+    _, equals, value = line.partition("=")
+    value = value.split("#")[0].strip()
+    if not equals or not value:
+        return ""
+    if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", value):
+        return f"write {value.replace(',', '.')}: the decimal sign is a point"
+    if re.fullmatch(r"[+-]?[0-9.]+(e[+-]?[0-9]+)? ?[^\s\d\[\]\"',]+", value) or re.fullmatch(
+        r"[A-Za-z][\w -]*", value
+    ):
+        return f'write "{value}" in quotes'
+    return ""
 
 
 def _refuse_deep_keys(text: str, name: str) -> None:
@@ -152,15 +176,6 @@ def _refuse_deep_keys(text: str, name: str) -> None:
         if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
             _refuse(Mistake("CL100", f"a key nested more than {DEEPEST} deep", path=name, line=number, column=1,
                             source_line=line))  # fmt: skip
-
-
-def _no_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in made:
-            raise ValueError(f"the key {shown(key)} is there twice")
-        made[key] = value
-    return made
 
 
 def _too_deep(data: Any) -> bool:
@@ -259,7 +274,7 @@ def _structural(problem: ValidationError) -> list[Mistake]:
             refusal = error["ctx"]["error"]
             mistakes += [_refused(key, one) for one in (refusal, *refusal.others)]
         else:  # a section that is not a table
-            mistakes.append(Mistake("CL104", f"{key} is {kind_of(error['input'])}", key, found=shown(error["input"]),
+            mistakes.append(Mistake("CL104", f"{key} {not_this(error['input'], 'a table')}", key, found=shown(error["input"]),
                                     allowed=f"a table [{key}] with the keys {known_in(key)}"))  # fmt: skip
     # a misspelt key is one mistake, not two: what it was meant to be is not missing as well
     meant = {mistake.hint for mistake in mistakes if mistake.code == "CL102"}
@@ -269,6 +284,9 @@ def _structural(problem: ValidationError) -> list[Mistake]:
 def _unknown(where: KeyPath) -> Mistake:
     section = str(where[0]) if len(where) > 1 else ""
     name = str(where[-1])
+    if not section and name in SCENE_SECTIONS:
+        return Mistake("CL102", f"unknown key {name}: it belongs in a scene file", name, found=name,
+                       allowed=f"here: {known_in('')}")  # fmt: skip
     near = suggestion(section, name)
     key = f"{section}.{name}" if section else name
     message = f"unknown key {key}" + (f"; did you mean {near}?" if near else "")

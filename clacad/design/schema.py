@@ -19,7 +19,8 @@ from pydantic import (
 )
 
 from clacad.design.keys import OPTIONAL, REQUIRED, ROOT, SECTIONS, Key
-from clacad.design.kinds import Kind, Quantity
+from clacad.design.kinds import Kind
+from clacad.design.quantity import Quantity
 from clacad.design.units import Unit, nanometres
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
