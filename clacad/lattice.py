@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.compensated import two_product, two_sum
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Kind = Literal["square", "rectangular", "hexagonal"]
-
-_SPLITTER = 134217729.0  # 2**27 + 1, Veltkamp's constant for 53-bit doubles
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,29 +266,8 @@ def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> 
 
 
 def _minus_multiple(x: Floats, x_low: Floats | float, k: Floats, step: float, origin: float) -> Floats:
-    """Give (x + x_low) − k·step − origin with k·step formed exactly (TwoProduct), rounded once."""
-    high = k * step
-    k_big = _SPLITTER * k
-    k_high = k_big - (k_big - k)
-    k_low = k - k_high
-    s_big = _SPLITTER * step
-    s_high = s_big - (s_big - step)
-    s_low = step - s_high
-    low = ((k_high * s_high - high) + k_high * s_low + k_low * s_high) + k_low * s_low
-    # x and k·step are within a factor of two of each other or both small: the difference is exact (Sterbenz).
-    return (
-        np.asarray(((x - origin) - high) + (x_low - low))
-        if origin == 0.0
-        else _three(x, x_low, high, low, origin)
-    )
-
-
-def _three(x: Floats, x_low: Floats | float, high: Floats, low: Floats, origin: float) -> Floats:
-    """Sum x − high − origin with both rounding errors carried (TwoSum), then the low parts."""
-    a = x - high
-    bb = a - x
-    e1 = (x - (a - bb)) + (-high - bb)
-    b = a - origin
-    cc = b - a
-    e2 = (a - (b - cc)) + (-origin - cc)
-    return np.asarray(b + ((e1 + e2) + (x_low - low)))
+    """Give (x + x_low) − k·step − origin with k·step formed exactly, rounded once."""
+    high, low = two_product(k, step)
+    a, lost_a = two_sum(x, -high)
+    b, lost_b = two_sum(a, -origin)
+    return np.asarray(b + ((lost_a + lost_b) + (x_low - low)))
