@@ -1,0 +1,180 @@
+"""Least values, covered shares and half widths of a function over a convex cell.
+
+The functions met here are smooth and nearly convex on a lenslet, so a sampled start followed by zooming
+finds the least value to rounding; corners and borders are always among the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Heights = Callable[[Floats, Floats], Floats]
+"""A function of cell-frame x and y, (n,) lengths each; NaN where it has no value."""
+Inside = Callable[[Floats, Floats], Bools]
+"""Which points (n,) belong."""
+
+BORDER_SAMPLES = 257
+GRID = 25
+NODES = 24
+
+
+def border(polygon: Floats, number: int, samples: int = BORDER_SAMPLES) -> Floats:
+    """Points (samples, 2) along edge `number` of a polygon, both corners included exactly."""
+    start, end = polygon[number], polygon[(number + 1) % len(polygon)]
+    t = np.linspace(0.0, 1.0, samples)[:, None]
+    return np.asarray((1.0 - t) * start + t * end)
+
+
+def outline(polygon: Floats, samples: int = BORDER_SAMPLES) -> Floats:
+    """Points along all edges of a polygon, (m samples, 2)."""
+    return np.concatenate([border(polygon, k, samples) for k in range(len(polygon))])
+
+
+def within(polygon: Floats, x: Floats, y: Floats) -> Bools:
+    """Tell which points lie in a convex counter-clockwise polygon, rim included."""
+    inside = np.ones(np.shape(x), dtype=bool)
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        inside &= (end[0] - start[0]) * (y - start[1]) - (end[1] - start[1]) * (x - start[0]) >= 0.0
+    return inside
+
+
+def least(function: Heights, polygon: Floats) -> tuple[float, tuple[float, float]]:
+    """Least value of a function over a convex polygon, and where.
+
+    Returns −inf where the function has no value (NaN) at some sample: nothing smaller can be said.
+    """
+    rim = outline(polygon, 65)
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    x, y = (g.ravel() for g in np.meshgrid(*(np.linspace(low[k], high[k], GRID) for k in (0, 1))))
+    keep = within(polygon, x, y)
+    points = np.concatenate([rim, np.column_stack([x[keep], y[keep]])])
+    value = function(points[:, 0], points[:, 1])
+    if np.isnan(value).any():
+        at = points[np.isnan(value)][0]
+        return -np.inf, (float(at[0]), float(at[1]))
+    best = int(np.argmin(value))
+    found = (float(value[best]), points[best])
+    found = min(found, _zoom_inside(function, polygon, points[best], (high - low) / (GRID - 1)), key=_first)
+    if best < len(rim):
+        found = min(found, _zoom_along(function, polygon, best), key=_first)
+    return found[0], (float(found[1][0]), float(found[1][1]))
+
+
+def _first(pair: tuple[float, Floats]) -> float:
+    return pair[0]
+
+
+def _zoom_inside(function: Heights, polygon: Floats, at: Floats, size: Floats) -> tuple[float, Floats]:
+    """Search ever smaller boxes about the best point so far."""
+    found = (np.inf, at)
+    steps = np.linspace(-1.0, 1.0, 9)
+    for _ in range(8):  # to 1e-7 of the cell, where a smooth least value is exact
+        x, y = (g.ravel() for g in np.meshgrid(at[0] + size[0] * steps, at[1] + size[1] * steps))
+        value = np.where(within(polygon, x, y), function(x, y), np.inf)
+        best = int(np.nanargmin(value))
+        if value[best] < found[0]:
+            found = (float(value[best]), np.array([x[best], y[best]]))
+            at = found[1]
+        size = size / 4.0
+    return found
+
+
+def _zoom_along(function: Heights, polygon: Floats, sample: int) -> tuple[float, Floats]:
+    """Search ever smaller pieces of the edge that holds rim sample number `sample` (65 an edge)."""
+    edge, place = divmod(sample, 65)
+    start, end = polygon[edge], polygon[(edge + 1) % len(polygon)]
+    middle, size = place / 64.0, 1.0 / 64.0
+    found = (np.inf, start)
+    for _ in range(9):
+        t = np.clip(middle + size * np.linspace(-1.0, 1.0, 9), 0.0, 1.0)[:, None]
+        points = (1.0 - t) * start + t * end
+        value = function(points[:, 0], points[:, 1])
+        best = int(np.nanargmin(value))
+        if value[best] < found[0]:
+            found = (float(value[best]), points[best])
+            middle = float(t[best, 0])
+        size /= 4.0
+    return found
+
+
+def reach(inside: Inside, directions: Floats, limit: float) -> Floats:
+    """Distance from the origin to where a star-shaped region ends along unit directions (n, 2), (n,) lengths.
+
+    Infinite where it goes on beyond `limit`; 0 if the origin is outside.
+    """
+    ends = _end(inside, np.zeros((1, 2)), directions, np.full(len(directions), limit))
+    beyond = inside(directions[:, 0] * limit, directions[:, 1] * limit)
+    return np.where(beyond, np.inf, ends)
+
+
+def _end(inside: Inside, start: Floats, direction: Floats, outside: Floats) -> Floats:
+    """Last inner point along rays from inner points `start`, whose points at `outside` do not belong, (n,)."""
+    low, width = np.zeros_like(outside), outside
+    fraction = np.arange(1, 16) / 16.0
+    for _ in range(13):  # each round cuts the interval in sixteen: 52 bits
+        distance = low[:, None] + width[:, None] * fraction
+        points = start[:, None] + distance[..., None] * direction[:, None]
+        good = inside(points[..., 0].ravel(), points[..., 1].ravel()).reshape(distance.shape)
+        first_bad = np.where(good.all(axis=1), 15, good.argmin(axis=1))
+        width = width / 16.0
+        low = low + width * first_bad
+    return low + 0.5 * width
+
+
+def share_covered(inside: Inside, polygon: Floats, pole: Floats) -> float:
+    """Share of a convex polygon's area that belongs to a region star-shaped about `pole`.
+
+    Polar area integral, ½∫r² dφ, by Gauss–Legendre between the angles where its integrand has a kink:
+    the corners, and the points where the region's rim crosses an edge (found by bisection). 1 exactly
+    if no part of the polygon lies outside; 0 if the pole does.
+    """
+    if not inside(pole[:1], pole[1:])[0]:
+        return 0.0
+    kinks = _kinks(inside, polygon)
+    angles = np.arctan2(kinks[:, 1] - pole[1], kinks[:, 0] - pole[0])
+    angles = np.unique(np.concatenate([angles, [-np.pi, np.pi]]))
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    middle, half = 0.5 * (angles[1:] + angles[:-1]), 0.5 * np.diff(angles)
+    phi = (middle[:, None] + half[:, None] * nodes).ravel()
+    weight = (half[:, None] * weights).ravel()
+    direction = np.column_stack([np.cos(phi), np.sin(phi)])
+    to_edge = _distance_to_edge(polygon, pole, direction)
+    just_inside = pole + (to_edge * (1.0 - 1e-13))[:, None] * direction
+    reaches = inside(just_inside[:, 0], just_inside[:, 1])
+    if reaches.all():
+        return 1.0
+    radius = to_edge.copy()
+    starts = np.broadcast_to(pole, direction[~reaches].shape)
+    radius[~reaches] = _end(inside, starts, direction[~reaches], to_edge[~reaches])
+    return float((weight @ radius**2) / (weight @ to_edge**2))
+
+
+def _kinks(inside: Inside, polygon: Floats) -> Floats:
+    """Corners of the polygon and points of its edges where the region begins or ends, (k, 2)."""
+    points = np.stack([border(polygon, k) for k in range(len(polygon))])
+    good = inside(points[..., 0].ravel(), points[..., 1].ravel()).reshape(points.shape[:2])
+    edge, k = np.nonzero(good[:, 1:] != good[:, :-1])
+    if len(edge) == 0:
+        return polygon
+    into = good[edge, k]
+    first, last = points[edge, k + ~into], points[edge, k + into]
+    length = np.hypot(*(last - first).T)
+    along = (last - first) / length[:, None]
+    return np.concatenate([polygon, first + _end(inside, first, along, length)[:, None] * along])
+
+
+def _distance_to_edge(polygon: Floats, pole: Floats, direction: Floats) -> Floats:
+    """Distance from an inner point to the outline along unit directions (n, 2), (n,) lengths."""
+    reach = np.full(len(direction), np.inf)
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        normal = np.array([end[1] - start[1], start[0] - end[0]])  # outward
+        towards = direction @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = np.where(towards > 0.0, ((start - pole) @ normal) / towards, np.inf)
+        reach = np.fmin(reach, distance)
+    return reach
