@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.surface.meet import Meeting, fresnel, meet, meet_at, refract
+from clacad.surface.meeting import Meeting, fresnel, meet, meet_at, refract
 from clacad.surface.shape import (
     ULP,
     Biconic,
