@@ -128,12 +128,16 @@ def test_heavy_packages_are_imported_inside_functions():
             allowed = entry.get(str(path.relative_to(PACKAGE)), set())
             for node in ast.parse(path.read_text(encoding="utf-8")).body:
                 if isinstance(node, (ast.Import, ast.ImportFrom)):
-                    names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                    names = (
+                        [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                    )
                     found = heavy & {n.split(".")[0] for n in names} - allowed
                     assert not found, f"{path.relative_to(PACKAGE)} imports {found} at its head"
 
 
 def test_importing_the_package_loads_no_numpy():
-    code = "import clacad, sys; print(sorted(m for m in ('numpy','pydantic','OCP','numba') if m in sys.modules))"
+    code = (
+        "import clacad, sys; print(sorted(m for m in ('numpy','pydantic','OCP','numba') if m in sys.modules))"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "[]"

@@ -126,7 +126,9 @@ def test_lens_two_stands_where_offset_and_tilt_put_it():
 
     def about(axis, angle):
         c, s = np.cos(angle), np.sin(angle)
-        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]] if axis == "z" else [[1, 0, 0], [0, c, -s], [0, s, c]])
+        return np.array(
+            [[c, -s, 0], [s, c, 0], [0, 0, 1]] if axis == "z" else [[1, 0, 0], [0, c, -s], [0, s, c]]
+        )
 
     turn = about("z", psi) @ about("x", theta) @ about("z", phi)
     expected = turn @ [0.01 * f1x, -0.02 * f1y, 0.05]
@@ -219,7 +221,11 @@ def test_kappa_carries_the_sign_of_a_concave_face():
 
 @pytest.mark.parametrize(
     ("aperture", "expected"),
-    [("centred", (0.01 * 0.04, 0.0)), ("aligned", (0.0, 0.0)), ([0.004, -0.002], (0.05 * 0.004, -0.05 * 0.002))],
+    [
+        ("centred", (0.01 * 0.04, 0.0)),
+        ("aligned", (0.0, 0.0)),
+        ([0.004, -0.002], (0.05 * 0.004, -0.05 * 0.002)),
+    ],
 )
 def test_the_aperture_key_displaces_the_cells_of_array_two(aperture, expected):
     window = window_of(law__delta=[0.01, 0.0], pair__confocal="thin", lattice__aperture=aperture)
@@ -230,11 +236,15 @@ def test_a_slab_steers_its_field_by_the_slope_in_air():
     window = window_of(pair__form="slab", pair__thickness=None, lattice__aperture=[0.004, 0.0])
     # inside the glass the chief ray runs at asin(sin/n): about T/n times the slope in air
     assert window.shifts[1][0] == pytest.approx(0.05 * 0.004, rel=1e-4)
-    assert window.shifts[1][0] == pytest.approx(0.075 * np.tan(np.arcsin(np.sin(np.arctan(0.004)) / 1.5)), rel=1e-13)
+    assert window.shifts[1][0] == pytest.approx(
+        0.075 * np.tan(np.arcsin(np.sin(np.arctan(0.004)) / 1.5)), rel=1e-13
+    )
 
 
 def test_land_of_a_slab_lies_below_the_deepest_optical_point():
-    window = window_of(pair__form="slab", pair__thickness=None, lattice__seam=0.0004, law__euler=[45.0, 1.0, 0.0])
+    window = window_of(
+        pair__form="slab", pair__thickness=None, lattice__seam=0.0004, law__euler=[45.0, 1.0, 0.0]
+    )
     grid = np.linspace(-0.0023, 0.0023, 201)
     x, y = (a.ravel() for a in np.meshgrid(grid, grid))
     body = window.bodies[0]
@@ -248,7 +258,10 @@ def test_land_of_a_slab_lies_below_the_deepest_optical_point():
         ({"pair__thickness": 0.04}, ("pair.thickness", "n f = 0.015", "thickness < 0.015")),
         ({"pair__separation": 0.005}, ("half the diagonal", "separation > 0.0176777")),
         ({"pair__form": "plano", "pair__thickness": 0.04}, ("air gap", "curved = 'inside'")),
-        ({"pair__form": "plano", "pair__thickness": 0.001, "law__euler": [0.0, 45.0, 0.0]}, ("total reflection",)),
+        (
+            {"pair__form": "plano", "pair__thickness": 0.001, "law__euler": [0.0, 45.0, 0.0]},
+            ("total reflection",),
+        ),
     ],
     ids=["too thick", "radius too short", "no air gap", "tilted beyond total reflection"],
 )

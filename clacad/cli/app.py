@@ -72,17 +72,24 @@ def _main(
     pass
 
 
-Design = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON).", show_default=False)]
+Design = Annotated[
+    Path, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON).", show_default=False)
+]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help='Override one value, e.g. --set "law.eta=[-1.4,-1]". Repeatable.'),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help='Override one value, e.g. --set "law.eta=[-1.4,-1]". Repeatable.'
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Result on stdout as JSON, everything else on stderr.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Errors only.")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Log what is done, and tracebacks.")]
-Out = Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.", show_default=False)]
+Out = Annotated[
+    Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.", show_default=False)
+]
 Cells = Annotated[
-    str | None, typer.Option("--cells", metavar="AxB", help="A x B cells of the design, centred; default all.")
+    str | None,
+    typer.Option("--cells", metavar="AxB", help="A x B cells of the design, centred; default all."),
 ]
 
 

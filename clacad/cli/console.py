@@ -47,9 +47,14 @@ def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
     rows = [[str(cell) for cell in row] for row in rows]
     if not rows:
         return ""
-    widths = [max((len(row[k]) for row in rows if k < len(row)), default=0) for k in range(max(map(len, rows)))]
+    widths = [
+        max((len(row[k]) for row in rows if k < len(row)), default=0) for k in range(max(map(len, rows)))
+    ]
     return "\n".join(
-        indent + "  ".join(cell if k == len(row) - 1 else cell.ljust(widths[k]) for k, cell in enumerate(row)).rstrip()
+        indent
+        + "  ".join(
+            cell if k == len(row) - 1 else cell.ljust(widths[k]) for k, cell in enumerate(row)
+        ).rstrip()
         for row in rows
     )
 

@@ -57,12 +57,18 @@ class RayFile:
         try:
             self._archive = zipfile.ZipFile(path)
         except (zipfile.BadZipFile, OSError) as error:
-            raise BadRays(f"{path}: {error if isinstance(error, OSError) else 'not an .npz archive'}") from None
+            raise BadRays(
+                f"{path}: {error if isinstance(error, OSError) else 'not an .npz archive'}"
+            ) from None
         names = {name.removesuffix(".npy"): name for name in self._archive.namelist()}
         for needed in ("position", "direction"):
             if needed not in names:
-                raise BadRays(f"{path} holds no array '{needed}'; it needs position (n, 3) and direction (n, 3)")
-        self._members: dict[str, str] = {key: names[key] for key in ("position", "direction", "wavelength") if key in names}
+                raise BadRays(
+                    f"{path} holds no array '{needed}'; it needs position (n, 3) and direction (n, 3)"
+                )
+        self._members: dict[str, str] = {
+            key: names[key] for key in ("position", "direction", "wavelength") if key in names
+        }
         lengths = {key: self._opened(key)[2] for key in self._members}
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{key} {count}" for key, count in lengths.items())
@@ -76,7 +82,11 @@ class RayFile:
         stream = self._archive.open(self._members[key])
         try:
             version = np.lib.format.read_magic(stream)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
             shape, fortran, kind = read(stream)
         except ValueError as error:
             raise BadRays(f"{self._archive.filename}: array '{key}': {error}") from None
@@ -84,7 +94,9 @@ class RayFile:
         good = len(shape) == wanted and (wanted == 1 or shape[1] == 3) and not (fortran and wanted == 2)
         if not good or kind.kind not in "fiu":
             form = "(n,)" if wanted == 1 else "(n, 3), C order"
-            raise BadRays(f"{self._archive.filename}: '{key}' is {shape} of {kind}; it must be {form} of numbers")
+            raise BadRays(
+                f"{self._archive.filename}: '{key}' is {shape} of {kind}; it must be {form} of numbers"
+            )
         return stream, kind, shape[0]
 
     def chunks(self, rows: int) -> Iterator[dict[str, np.ndarray[Any, np.dtype[np.float64]]]]:
@@ -142,7 +154,12 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
 
 
 def _write(
-    private: Path, rays: RayFile, window: Any, options: dict[str, Any], counts: dict[str, int], progress: Progress
+    private: Path,
+    rays: RayFile,
+    window: Any,
+    options: dict[str, Any],
+    counts: dict[str, int],
+    progress: Progress,
 ) -> None:
     """Trace chunk by chunk into one raw file a column, then gather them into the archive."""
     from clacad.rays import Rays
@@ -153,7 +170,9 @@ def _write(
     try:
         done = 0
         for chunk in rays.chunks(CHUNK):
-            result = trace(window, Rays(chunk["position"], chunk["direction"], chunk.get("wavelength")), **options)
+            result = trace(
+                window, Rays(chunk["position"], chunk["direction"], chunk.get("wavelength")), **options
+            )
             for name, count in result.counts().items():
                 label = getattr(name, "name", str(name))
                 counts[label] = counts.get(label, 0) + int(count)
