@@ -1,7 +1,85 @@
-"""Tracing rays: explicit sequences of surfaces (`sequence`) and whole windows."""
+"""Tracing rays through windows, rung by rung, and through explicit sequences of surfaces.
+
+`trace` is one signature over four rungs: the law itself, ideal lenslets with cells, the exact surfaces, the
+facets of a mesh. `trace_sequence` is the primitive for surfaces given one by one.
+"""
 
 from __future__ import annotations
 
-from clacad.trace.sequence import Interface, trace_sequence
+from collections.abc import Iterator, Sequence
+from typing import Literal
 
-__all__ = ["Interface", "trace_sequence"]
+import numpy as np
+
+from clacad.rays import Rays, TraceResult
+from clacad.sheet import Window
+from clacad.trace.law import trace_law
+from clacad.trace.layout import Layout, lay_out
+from clacad.trace.ledger import Ledger, Rows
+from clacad.trace.sequence import Interface, trace_sequence
+from clacad.trace.surfaces import trace_surfaces
+from clacad.trace.thin import trace_thin
+
+__all__ = ["Interface", "trace", "trace_sequence"]
+
+Rung = Literal["law", "thin", "surfaces", "mesh"]
+
+
+def trace(
+    window: Window,
+    rays: Rays,
+    rung: Rung = "surfaces",
+    effects: Sequence[object] = (),
+    record: bool = False,
+    path: Literal["numpy", "numba"] | None = None,
+) -> TraceResult:
+    """Trace rays through a window.
+
+    Parameters
+    ----------
+    window : Window
+    rays : Rays
+        Sheet frame, window units, in front of the sheet.
+    rung : "law", "thin", "surfaces" or "mesh"
+        Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
+    record : bool
+        Keep `hits` and `directions` at every face.
+
+    Returns
+    -------
+    TraceResult
+        Every ray in exactly one fate; only INVALID rows may hold NaN.
+
+    Raises
+    ------
+    ValueError
+        An unknown rung, or a wavelength outside a material's data.
+    """
+    faces = {"law": 1, "thin": 2}.get(rung, 2 * len(window.bodies))
+    ledger = Ledger.opened(rays, faces if record else 0)
+    layout = lay_out(window)
+    rows = ledger.launchable()
+    if rung == "law":
+        trace_law(layout, ledger, rows)
+    elif rung == "thin":
+        trace_thin(layout, ledger, rows)
+    elif rung == "surfaces":
+        for same, indices in colours(layout, rays, rows):
+            trace_surfaces(layout, ledger, same, indices)
+    else:
+        raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
+    return ledger.closed()
+
+
+def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
+    """Rays of one wavelength at a time, with the refractive index of each body there."""
+    bodies = layout.window.bodies
+    if rays.wavelength is None:
+        yield rows, tuple(body.index for body in bodies)
+        return
+    waves, which = np.unique(rays.wavelength[rows], return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
+    for k, wave in enumerate(waves):
+        chosen = rows[order[bounds[k] : bounds[k + 1]]]
+        yield chosen, tuple(body.index_at(float(wave)) for body in bodies)
