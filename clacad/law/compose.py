@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from math import atan2, cos, pi, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.law.exact import angle_between
 from clacad.law.model import Law
 from clacad.law.rotation import euler_angles
 
 Floats = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
+_ACROSS = 1e-6  # cosine of an axis that lies across the light's way, with its rounding
 _EDGE = 1e-9  # radians; φ = 45° is common in designs, so the edge of the range of φ lies just beside it
 
 
@@ -68,7 +71,7 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
 
 
 def candidate_axes(matrix: Floats) -> list[Floats]:
-    """Real left eigenvectors of positive eigenvalue: the optical axes a Law's matrix can have.
+    """Optical axes that a Law's matrix, exact or noisy, can have.
 
     Parameters
     ----------
@@ -77,10 +80,18 @@ def candidate_axes(matrix: Floats) -> list[Floats]:
     Returns
     -------
     list of (3,) arrays
+
+    Notes
+    -----
+    The axis is a left eigenvector n with n · w = 0, w = (A₃₂ − A₂₃, A₁₃ − A₃₁, A₂₁ − A₁₂): A is then symmetric
+    across n. Where two eigenvalues agree (η = 1 along an axis) every mixture of their vectors is a left
+    eigenvector and n · w = 0 picks the one; rounding or noise may have split them into a complex pair.
     """
     values, vectors = np.linalg.eig(matrix.T)
-    real = (np.abs(values.imag) <= 1e-9 * np.abs(values)) & (values.real > 0)
-    return [vectors[:, i].real for i in range(3) if real[i] and vectors[:, i].real.any()]
+    span = [part for v in vectors.T[values.imag >= 0] for part in (v.real, v.imag) if part.any()]
+    w = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
+    mixed = [p * (q @ w) - q * (p @ w) for p, q in combinations(span, 2)]
+    return [n for n in (*span, *mixed) if n.any()]
 
 
 def compose(first: Law, second: Law) -> Law:
@@ -99,25 +110,28 @@ def compose(first: Law, second: Law) -> Law:
     a1, a2 = first.matrix(), second.matrix()
     matrix = a2 @ a1
     allowed = _ROUNDING * float(np.linalg.norm(a1) * np.linalg.norm(a2))
-    axes = [first.optical_axis, second.optical_axis, *candidate_axes(matrix)]
-    found = [d for n in axes if (d := decompose(matrix, n)) is not None]
-    with_axis = [d for d in found if d.axis_residual <= allowed]
-    laws = [d for d in with_axis if d.asymmetry <= allowed]
+    n1, n2 = first.optical_axis, second.optical_axis
+    found = [d for n in (n1, n2, *candidate_axes(matrix)) if (d := decompose(matrix, n)) is not None]
+    # An axis across the light's way can keep the product symmetric too, but would refuse half the light.
+    forward = [d for d in found if min(d.law.optical_axis @ n1, d.law.optical_axis @ n2) > _ACROSS]
+    laws = [d for d in forward if max(d.axis_residual, d.asymmetry) <= allowed]
     if laws:
-        middle = first.optical_axis + second.optical_axis
-        return max(laws, key=lambda d: float(d.law.optical_axis @ middle)).law
-    if with_axis:
-        worst = min(d.asymmetry for d in with_axis) / float(np.linalg.norm(matrix))
-        raise ValueError(
-            "the two sheets do not compose to one: their principal axes do not agree, so the product is not "
-            f"symmetric across the optical axis (antisymmetric part {worst:.3g} of its norm, a turn of the "
-            "light about the axis); use the same phi + psi, or one sheet with eta_x = eta_y"
+        return max(laws, key=lambda d: float(d.law.optical_axis @ (n1 + n2))).law
+    raise ValueError(_why_not(n1, n2, min((d.asymmetry for d in forward), default=np.inf), matrix))
+
+
+def _why_not(n1: Floats, n2: Floats, asymmetry: float, matrix: Floats) -> str:
+    """Which condition of a composition failed, in words."""
+    apart = float(np.degrees(angle_between(n1, n2)))
+    if apart > 1e-9:
+        return (
+            f"the two sheets do not compose to one: they have no common optical axis (theirs stand {apart:.3g} "
+            "degrees apart, and across no axis that the product keeps is it symmetric); use the same theta and psi"
         )
-    tilt = float(np.degrees(np.arccos(np.clip(first.optical_axis @ second.optical_axis, -1.0, 1.0))))
-    raise ValueError(
-        "the two sheets do not compose to one: they have no common optical axis (no real left eigenvector of "
-        f"the product with a positive eigenvalue keeps its direction; their axes stand {tilt:.3g} degrees "
-        "apart); use the same theta and psi"
+    return (
+        "the two sheets do not compose to one: their principal axes do not agree, so the product is not symmetric "
+        f"across the optical axis (antisymmetric part {asymmetry / float(np.linalg.norm(matrix)):.3g} of its norm, "
+        "a turn of the light about the axis); use the same phi + psi, or one sheet with eta_x = eta_y"
     )
 
 

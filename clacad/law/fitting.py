@@ -15,7 +15,9 @@ from clacad.law.rotation import Axes
 Floats = NDArray[np.float64]
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
+_STARTS = 6  # valleys looked into
 _START_RAYS = 1024  # enough rays to find the valley; all rays find its floor
+_LEAST_DAMPING = 1e-14  # of the largest singular value squared
 _KNOWN = 1e-10  # smallest relative singular value that counts as seen: below it 1e-16 of light is 1e-6 of a parameter
 
 
@@ -163,10 +165,11 @@ def _free_fit(a: Floats, b: Floats) -> Law:
 
 
 def _starts(a: Floats, b: Floats) -> list[Law]:
-    """Laws read from the homography that fits best, for every optical axis it allows, and for none."""
+    """Laws read from the homography that fits best: the most promising of several supposed optical axes."""
     matrix = _homography(a, b)
-    axes = [*candidate_axes(matrix), np.array([0.0, 0.0, 1.0])]
-    return [found.law for n in axes if (found := decompose(matrix, n)) is not None]
+    axes = [np.array([0.0, 0.0, 1.0]), *candidate_axes(matrix)]
+    laws = [found.law for n in axes if (found := decompose(matrix, n)) is not None]
+    return sorted(laws, key=lambda law: _cost(_state(law), a, b))[:_STARTS]
 
 
 def _homography(a: Floats, b: Floats) -> Floats:
@@ -208,23 +211,21 @@ def _state(law: Law) -> State:
 
 
 def _gauss_newton(
-    power: Floats, offset: Floats, r: Floats, a: Floats, b: Floats, turn: bool, steps: int = 60
+    power: Floats, offset: Floats, r: Floats, a: Floats, b: Floats, turn: bool, steps: int = 200
 ) -> State:
-    """Least squares of the exit directions; steps are halved until they help."""
-    state, cost = (power, offset, r), _cost((power, offset, r), a, b)
+    """Least squares of the exit directions: Gauss–Newton, damped (Levenberg–Marquardt) where it fails."""
+    state, damping = (power, offset, r), 0.0
+    cost = _cost(state, a, b)
     for _ in range(steps):
-        step = _step(state, a, b, turn)
-        for _ in range(12):
-            trial = _moved(state, step)
-            new = _cost(trial, a, b)
-            if new < cost:
-                break
-            step = step / 2
-        else:
-            return state
+        system = _linearised(state, a, b, turn)
+        while (new := _cost(trial := _moved(state, _step(*system, damping)), a, b)) >= cost:
+            damping = max(100.0 * damping, _LEAST_DAMPING)
+            if damping > 1.0:  # not even downhill helps: this is the floor
+                return state
         gain, state, cost = cost - new, trial, new
         if gain <= 1e-13 * cost:
             return state
+        damping = 0.0 if damping <= _LEAST_DAMPING else damping / 10.0
     return state
 
 
@@ -273,21 +274,24 @@ def _jacobian(state: State, a: Floats, turn: bool) -> tuple[Floats, Floats]:
     return columns / length[:, :, np.newaxis], unit
 
 
-def _step(state: State, a: Floats, b: Floats, turn: bool) -> Floats:
-    """Gauss–Newton step of length 7 (zeros for what is held); directions the rays do not see are left."""
+def _linearised(state: State, a: Floats, b: Floats, turn: bool) -> tuple[Floats, Floats, Floats, Floats]:
+    """The least-squares problem of one step, unit columns: residual and values per mode, modes, scale."""
     jacobian, unit = _jacobian(state, a, turn)
     count = jacobian.shape[2]
-    system = np.concatenate([jacobian, (b @ state[2] - unit)[:, :, np.newaxis]], axis=2).reshape(
-        -1, count + 1
-    )
-    triangle = _triangle(system)
+    system = np.concatenate([jacobian, (b @ state[2] - unit)[:, :, np.newaxis]], axis=2)
+    triangle = _triangle(system.reshape(-1, count + 1))
     scale = np.linalg.norm(triangle[:, :count], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     left, values, right = np.linalg.svd(triangle[:, :count] / scale, full_matrices=False)
+    return left.T @ triangle[:, count], values, right, scale
+
+
+def _step(residual: Floats, values: Floats, modes: Floats, scale: Floats, damping: float) -> Floats:
+    """Step of length 7 (zeros for what is held); modes the rays do not see are left alone."""
     seen = values > 1e-13 * values[0]
-    reduced = np.where(seen, left.T @ triangle[:, count] / np.where(seen, values, 1.0), 0.0)
+    weight = np.where(seen, values / np.where(seen, values**2 + damping * values[0] ** 2, 1.0), 0.0)
     step = np.zeros(7)
-    step[:count] = right.T @ reduced / scale
+    step[: len(scale)] = modes.T @ (weight * residual) / scale
     return step
 
 
