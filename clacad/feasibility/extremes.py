@@ -109,7 +109,7 @@ def reach(inside: Inside, directions: Floats, limit: float) -> Floats:
     """
     ends = _end(inside, np.zeros((1, 2)), directions, np.full(len(directions), limit))
     beyond = inside(directions[:, 0] * limit, directions[:, 1] * limit)
-    return np.where(beyond, np.inf, ends)
+    return np.asarray(np.where(beyond, np.inf, ends))
 
 
 def _end(inside: Inside, start: Floats, direction: Floats, outside: Floats) -> Floats:

@@ -1,0 +1,64 @@
+"""What a window is made of, in the numbers a maker and a user ask for: derived, never assumed.
+
+Everything is measured on the window's own faces, so it is true of the part that is written. Lengths in
+the window's unit unless a name ends in `_m` (metres); angles in radians; slopes are tangents.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.feasibility.bodies import body_facts, components, connectedness
+from clacad.feasibility.describe import Row, describe
+from clacad.feasibility.facts import (
+    DEFAULT_WAVELENGTH,
+    VIEWING_DISTANCE,
+    BodyFacts,
+    BorderFacts,
+    Feasibility,
+    LensFacts,
+    two,
+)
+from clacad.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin
+from clacad.sheet import Window
+from clacad.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, thin_cells
+
+__all__ = [
+    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_of", "components", "connectedness",
+    "describe", "feasibility", "least_thickness", "lens_margin",
+]  # fmt: skip
+
+
+def feasibility(window: Window) -> Feasibility:
+    """Derive all numbers of a window (one cell of each array is enough: all cells are alike)."""
+    cells = thin_cells(window)
+    wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
+    ratio = [abs(m) for m in focal_ratio(window.thin)]
+    width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
+    lit = [w * min(1.0, m) for w, m in zip(width, ratio, strict=True)]
+    offset = window.thin.offset
+    bodies = tuple(body_facts(window, body) for body in window.bodies)
+    second = window.thin.focal_length[1]
+    fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) for w, f in zip(lit, second, strict=True) if np.isfinite(f)]
+    shrink = min(1.0, *ratio)
+    return Feasibility(
+        lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width)),
+        bodies=bodies,
+        clearance=bodies[1].low - bodies[0].high if len(bodies) == 2 else np.inf,
+        separation=window.thin.separation,
+        aperture=aperture_slope(window),
+        undeviated=(offset[0] / offset[2], offset[1] / offset[2]),
+        half_field=half_field(cells),
+        ghost_onset=ghost_onset(cells),
+        offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
+        diffraction_blur=two(wave / w for w in lit),
+        fresnel_number=min(fresnel),
+        pixel=float(np.sqrt(wave * VIEWING_DISTANCE / window.unit / shrink)),
+        wavelength=wave * window.unit,
+    )
+
+
+def _offset(window: Window, axis: int) -> float:
+    """Range of the ray offset on the sheet over the width of the zone: |1 − m| min(1, 1/|m|)."""
+    m = focal_ratio(window.thin)[axis]
+    return abs(1.0 - m) * min(1.0, 1.0 / abs(m))
