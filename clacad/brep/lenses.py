@@ -1,0 +1,213 @@
+"""Lens faces of a body as exact B-Rep geometry in the cell frame, lengths in millimetres.
+
+A quadric is exact: rational patch, rational arcs. Any other surface (a biconic) is replaced by ONE polynomial
+patch z(x, y) over its cell, fitted at Chebyshev points; its error is measured and stated, its border curves
+lie exactly on the fitted patch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.brep.conics import (
+    Arc,
+    Patch,
+    PosedQuadric,
+    bernstein,
+    line,
+    parameter_curve,
+    posed,
+    quadric_patch,
+    section_arc,
+)
+from clacad.sheet import Face, lens_height
+from clacad.surface import Quadric
+
+Floats = NDArray[np.float64]
+
+HIGHEST_DEGREE = 15
+"""Degree of a fitted patch in each direction beyond which it is refused."""
+
+
+class Lens(Protocol):
+    """What the shell builder asks of a lens face."""
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """Heights over cell-frame points; NaN where there is none."""
+
+    def arc(self, start: Floats, end: Floats) -> Arc:
+        """Curve of the face over the straight segment from start to end, (2,) each."""
+
+    def parameters(self, arc: Arc) -> Arc:
+        """Curve of `arc` in the parameters of `patch`, same parameter."""
+
+    @property
+    def patch(self) -> Patch:
+        """The surface."""
+
+    @property
+    def error(self) -> float:
+        """Largest distance along z between the patch and the lens (mm); 0 where it is exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class QuadricLens:
+    """A lens face that is a quadric; `u`, `v` is the parameter rectangle its patch covers."""
+
+    quadric: PosedQuadric
+    u: tuple[float, float]
+    v: tuple[float, float]
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """Heights (mm) over cell-frame points; NaN where there is none."""
+        return self.quadric.height(x, y)
+
+    def arc(self, start: Floats, end: Floats) -> Arc:
+        """Exact section over the straight segment from start to end, (2,) each (mm)."""
+        z = self.height(np.array([start[0], end[0]]), np.array([start[1], end[1]]))
+        normal = np.array([start[1] - end[1], end[0] - start[0], 0.0])
+        normal = normal / np.linalg.norm(normal)
+        return section_arc(self.quadric, np.append(start, z[0]), np.append(end, z[1]), normal)
+
+    def section(self, start: Floats, end: Floats, normal: Floats) -> Arc:
+        """Exact section by any plane between two points (3,) of it."""
+        return section_arc(self.quadric, start, end, normal)
+
+    def parameters(self, arc: Arc) -> Arc:
+        """Exact curve of a section arc in the patch's parameters."""
+        return parameter_curve(self.quadric, arc, self.u, self.v)
+
+    @property
+    def patch(self) -> Patch:
+        """The exact 3×3 rational patch."""
+        return quadric_patch(self.quadric, self.u, self.v)
+
+    @property
+    def error(self) -> float:
+        """Zero: the patch is the quadric."""
+        return 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLens:
+    """A lens face replaced by a polynomial height z(x, y) over a rectangle; `poles` (m + 1, n + 1) in mm."""
+
+    poles: Floats
+    low: tuple[float, float]
+    high: tuple[float, float]
+    error: float
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """Heights (mm) of the fitted patch."""
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        u = (x.ravel() - self.low[0]) / (self.high[0] - self.low[0])
+        v = (y.ravel() - self.low[1]) / (self.high[1] - self.low[1])
+        m, n = self.poles.shape
+        z = np.einsum("ki,ij,kj->k", bernstein(m - 1, u), self.poles, bernstein(n - 1, v))
+        return np.asarray(z.reshape(x.shape))
+
+    def arc(self, start: Floats, end: Floats) -> Arc:
+        """Curve of the fitted patch over a straight segment: polynomial, exact on the patch."""
+        m, n = self.poles.shape
+        along_x, along_y = abs(end[1] - start[1]) < 1e-15, abs(end[0] - start[0]) < 1e-15
+        degree = m - 1 if along_x else n - 1 if along_y else m + n - 2
+        t = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+        xy = start + t[:, None] * (end - start)
+        z = np.linalg.solve(bernstein(degree, t), self.height(xy[:, 0], xy[:, 1]))
+        share = np.linspace(0.0, 1.0, degree + 1)[:, None]
+        return Arc(np.column_stack([start + share * (end - start), z]), np.ones(degree + 1))
+
+    def parameters(self, arc: Arc) -> Arc:
+        """Straight line in the parameters (x and y are linear in the arc's parameter)."""
+        low, span = np.array(self.low), np.array(self.high) - np.array(self.low)
+        return line((arc.poles[0, :2] - low) / span, (arc.poles[-1, :2] - low) / span)
+
+    @property
+    def patch(self) -> Patch:
+        """The fitted patch."""
+        m, n = self.poles.shape
+        x = np.linspace(self.low[0], self.high[0], m)
+        y = np.linspace(self.low[1], self.high[1], n)
+        grid = np.stack([*np.meshgrid(x, y, indexing="ij"), self.poles], axis=-1)
+        return Patch(grid, np.ones((m, n)))
+
+
+def scaled_face(face: Face, scale: float) -> Face:
+    """Give a face with its lengths multiplied by `scale` (design unit → mm)."""
+    surface = face.surface
+    if isinstance(surface, Quadric):
+        surface = Quadric(
+            surface.curvature_x / scale, surface.curvature_y / scale, surface.kappa / scale, surface.side
+        )
+    else:
+        surface = replace(
+            surface, curvature_x=surface.curvature_x / scale, curvature_y=surface.curvature_y / scale
+        )
+    vx, vy, vz = face.vertex
+    land = None if face.land is None else face.land * scale
+    return replace(face, surface=surface, vertex=(vx * scale, vy * scale, vz * scale), land=land)
+
+
+def posed_quadric(face: Face) -> PosedQuadric | None:
+    """Give the quadric of a (scaled) face in its pose, or None when the surface is of another kind."""
+    surface = face.surface
+    if not isinstance(surface, Quadric):
+        return None
+    coefficients = (surface.curvature_x, surface.curvature_y, surface.kappa)
+    return posed(coefficients, surface.side, face.rotation, np.asarray(face.vertex, dtype=np.float64))
+
+
+def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
+    """Give a quadric lens whose patch covers the poles of its boundary arcs (k, 3) with 1 % to spare."""
+    parameters, _ = quadric.parameters(boundary)
+    low, high = parameters.min(axis=0), parameters.max(axis=0)
+    spare = 0.01 * (high - low)
+    low, high = low - spare, high + spare
+    return QuadricLens(quadric, (float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+
+
+def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
+    """Fit a polynomial patch to any surface over the bounding rectangle of its zone.
+
+    Parameters
+    ----------
+    face : Face
+        Scaled to mm.
+    zone : (m, 2), mm
+        Corners of the optical zone.
+    tolerance : float, mm
+        The degree rises until the error measured on a 41 × 41 grid is below it.
+
+    Raises
+    ------
+    ValueError
+        The surface ends inside the rectangle, or degree 15 does not reach the tolerance.
+    """
+    low, high = zone.min(axis=0), zone.max(axis=0)
+    error = np.inf
+    for degree in range(4, HIGHEST_DEGREE + 1):
+        t = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
+        basis = bernstein(degree, t)
+        grid = _heights(face, low, high, t)
+        poles = np.linalg.solve(basis, np.linalg.solve(basis, grid).T).T
+        fine = np.linspace(0.0, 1.0, 41)
+        check = bernstein(degree, fine) @ poles @ bernstein(degree, fine).T
+        error = float(np.max(np.abs(check - _heights(face, low, high, fine))))
+        if error <= tolerance:
+            return FittedLens(poles, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])), error)
+    raise ValueError(
+        f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {error:.2g} mm "
+        f"(allowed {tolerance:.2g} mm); reduce its curvature or conic constant"
+    )
+
+
+def _heights(face: Face, low: Floats, high: Floats, t: Floats) -> Floats:
+    x, y = np.meshgrid(low[0] + t * (high[0] - low[0]), low[1] + t * (high[1] - low[1]), indexing="ij")
+    z = lens_height(face, x, y)
+    if not np.isfinite(z).all():
+        raise ValueError("the lens surface ends inside the rectangle round its optical zone")
+    return z
