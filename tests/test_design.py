@@ -99,10 +99,18 @@ def test_a_length_with_a_unit_is_the_nearest_float_to_its_exact_value(text, unit
 
 @pytest.mark.parametrize(
     ("text", "degrees"),
-    [("10 deg", 10.0), ("30 arcmin", 0.5), ("36arcsec", 0.01), ("1 rad", 180 / math.pi), ("1 mrad", 0.18 / math.pi)],
+    [
+        ("10 deg", 10.0),
+        ("30 arcmin", 0.5),
+        ("36arcsec", 0.01),
+        ("1 rad", 180 / math.pi),
+        ("1 mrad", 0.18 / math.pi),
+    ],
 )
 def test_an_angle_with_a_unit_becomes_degrees_for_the_euler_angles(text, degrees):
-    assert design(law={"euler": [0.0, text, 0.0]}).law_spec.euler_degrees[1] == pytest.approx(degrees, rel=1e-15)
+    assert design(law={"euler": [0.0, text, 0.0]}).law_spec.euler_degrees[1] == pytest.approx(
+        degrees, rel=1e-15
+    )
 
 
 @pytest.mark.parametrize(("value", "metres"), [(632.8, 632.8e-9), ("0.55 um", 550e-9), ("1550 nm", 1550e-9)])
@@ -296,7 +304,9 @@ def test_a_misspelt_key_is_one_mistake_not_a_missing_key_as_well():
 
 
 def test_rules_speak_about_the_rest_of_a_design_whose_other_keys_are_wrong():
-    found = codes(unit="parsec", law={"eta": [1.0, 1.0]}, pair={"form": "slab", "confocal": "thin", "index": "x"})
+    found = codes(
+        unit="parsec", law={"eta": [1.0, 1.0]}, pair={"form": "slab", "confocal": "thin", "index": "x"}
+    )
     assert ("CL110", "law.eta") in found
     assert ("CL114", "pair.confocal") in found
     assert ("CL105", "unit") in found
@@ -332,7 +342,9 @@ def test_an_outline_holds_at_least_one_cell(outline, fits):
 def test_a_material_is_known_and_its_index_reaches_the_wavelength():
     assert design(pair={"index": None, "material": "PMMA"}).pair.material == "PMMA"
     assert codes(pair={"index": None, "material": "unobtainium"}) == [("CL119", "pair.material")]
-    assert codes(pair={"index": None, "material": "PMMA", "wavelength": 100}) == [("CL119", "pair.wavelength")]
+    assert codes(pair={"index": None, "material": "PMMA", "wavelength": 100}) == [
+        ("CL119", "pair.wavelength")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -371,7 +383,9 @@ def test_a_reason_found_later_is_placed_at_the_key_it_belongs_to():
     (mistake,) = error.mistakes
     line = (DESIGNS / "paper-base.toml").read_text(encoding="utf-8").split("\n")[mistake.line - 1]
     assert line[mistake.column - 1 :].startswith("0.0005")
-    assert str(error).startswith(f"{DESIGNS / 'paper-base.toml'}:{mistake.line}:{mistake.column}: error CL120: too thin")
+    assert str(error).startswith(
+        f"{DESIGNS / 'paper-base.toml'}:{mistake.line}:{mistake.column}: error CL120: too thin"
+    )
 
 
 # --- schema and templates ----------------------------------------------------------------------------------

@@ -49,7 +49,9 @@ def test_every_code_of_a_design_mistake_has_an_example():
 
 def test_nothing_that_steers_a_terminal_is_printed(tmp_path):
     path = tmp_path / "evil.toml"
-    path.write_text('format = 1\nname = "\\u001b[2J\u202e"\n"\\u0007" = 1\nunit = "\u009bmm"\n', encoding="utf-8")
+    path.write_text(
+        'format = 1\nname = "\\u001b[2J\u202e"\n"\\u0007" = 1\nunit = "\u009bmm"\n', encoding="utf-8"
+    )
     with pytest.raises(DesignError) as caught:
         load(path)
     assert all(line.isprintable() for line in str(caught.value).split("\n"))

@@ -15,7 +15,11 @@ from clacad.design import CODES, Design, DesignError, load
 from clacad.design.canonical import to_toml
 
 DESIGNS = sorted((Path(__file__).parent.parent / "designs").glob("*.toml"))
-GOOD = [load(path).to_dict() for path in DESIGNS if path.stem in ("paper-base", "tilted-seam", "hexagonal", "plano")]
+GOOD = [
+    load(path).to_dict()
+    for path in DESIGNS
+    if path.stem in ("paper-base", "tilted-seam", "hexagonal", "plano")
+]
 QUIET = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 
 scalars = st.one_of(
@@ -25,11 +29,15 @@ scalars = st.one_of(
     st.sampled_from([0, -0.0, 1, 1.0, -1, 10**18, 10**30, 1e308, -1e308, 5e-324, float("nan"), float("inf")]),
     st.floats(),
     st.text(max_size=8),
-    st.sampled_from(["auto", "1 mm", "1 deg", "3 mrad", "550 nm", "slab", "thin", "1e999 mm", "1e-999 mm", "2 %"]),
+    st.sampled_from(
+        ["auto", "1 mm", "1 deg", "3 mrad", "550 nm", "slab", "thin", "1e999 mm", "1e-999 mm", "2 %"]
+    ),
 )
 values = st.recursive(
     scalars,
-    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=5), inner, max_size=3)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 names = st.one_of(st.text(max_size=6), st.sampled_from(["eta", "pitch", "index", "law", "outline", "allow"]))
@@ -120,7 +128,9 @@ def test_a_toml_file_with_bytes_changed_is_a_design_or_a_design_error(tmp_path_f
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(text)))
         end = min(len(text), at + data.draw(st.integers(0, 12)))
-        new = data.draw(st.one_of(st.text(max_size=6), st.sampled_from(["\n", '"', "[", "]", "=", ".", "e9", "[[", "#"])))
+        new = data.draw(
+            st.one_of(st.text(max_size=6), st.sampled_from(["\n", '"', "[", "]", "=", ".", "e9", "[[", "#"]))
+        )
         text = text[:at] + new + text[end:]
     path.write_text(text, encoding="utf-8", newline="", errors="replace")
     found = answer(lambda: load(path))
@@ -153,8 +163,16 @@ def test_a_deep_json_file_is_refused_not_followed(tmp_path, opening):
 
 
 @pytest.mark.timeout(20)
-@pytest.mark.parametrize("text", ["a." * 2_000_000 + "b = 1", "x = " + "[" * 2_000_000, "[" * 2_000_000,
-                                  "a.b.c = 1\n" * 50_000, 'x = """' + "a" * 4_000_000])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 2_000_000 + "b = 1",
+        "x = " + "[" * 2_000_000,
+        "[" * 2_000_000,
+        "a.b.c = 1\n" * 50_000,
+        'x = """' + "a" * 4_000_000,
+    ],
+)
 def test_hostile_texts_are_refused_in_seconds(tmp_path, text):
     path = tmp_path / "hostile.toml"
     path.write_text(text)
