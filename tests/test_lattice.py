@@ -6,9 +6,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from clacad.lattice import Circle, Lattice, Rectangle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from clacad.lattice import Circle, Lattice, Rectangle
 
 KINDS = {
     "square": Lattice("square", (0.5, 0.5), (7, 4)),

@@ -60,7 +60,7 @@ def modules() -> dict[str, list[Path]]:
 
 
 def imports(path: Path, everywhere: bool) -> set[str]:
-    """clacad modules imported by a file: at its head, or everywhere; typing-only imports left out."""
+    """Names of the modules imported by a file: at its head, or everywhere; typing-only imports left out."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     nodes: list[ast.AST] = list(ast.walk(tree)) if everywhere else list(tree.body)
     typing_only = {

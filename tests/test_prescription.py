@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
 from clacad import Design, DesignError, Interface, Rays, prescribe, trace_sequence
 from clacad.law import angle_between
 from clacad.sheet import column, lens_height

@@ -206,11 +206,10 @@ def _scaled(lenses: Lenses, scale: float) -> Lenses:
 def _web(intent: Intent, lenses: Lenses, number: int, centre: float) -> Pair2 | None:
     """Front and back z of the plate joining the lenslets of one array; None without one or for a concave lens."""
     spec = intent.design
+    bordered = spec.body.border > 0.0 or spec.lattice.outline is not None
     web = spec.pair.web
-    if web is None:
-        web = (
-            intent.neck if spec.lattice.seam > 0.0 or spec.body.border > 0.0 or spec.lattice.outline else 0.0
-        )
+    if web is None or (web == 0.0 and bordered):
+        web = intent.neck  # the border is a plate, and something must join it to the lenslets
     if web == 0.0 or any(r < 0.0 for r in lenses.radius[number]):
         return None
     return centre - 0.5 * web, centre + 0.5 * web
