@@ -78,8 +78,8 @@ def test_the_sample_traces_are_met_within_their_tolerance(case):
     for k, exact in enumerate(case["directions"]):
         assert error(result.directions[k, 0], exact) <= case["tolerance"]
     for k, exact in enumerate(case["hits"]):
-        offset = [float(mpf(v) - mpf(u)) for v, u in zip(exact, seq[k].vertex)]
-        near = case["tolerance"] * (np.linalg.norm(offset) + np.linalg.norm(seq[k].vertex) * 1e-3)
+        gone = [float(mpf(v) - mpf(u)) for v, u in zip(exact, case["start"])]
+        near = case["tolerance"] * np.linalg.norm(gone)  # of the path, not of far coordinates
         spacing = np.spacing(np.abs(np.array(exact, dtype=float)).max())
         assert error(result.hits[k, 0], exact) <= near + spacing
     path = case["optical_path"][-1]
@@ -144,6 +144,15 @@ HARD = [
     Hard("K = -1 - 1e-12", "A has the other sign", [oq(0.1, 0.1, -1e-13)], (0.3, 0.1, -5), (0, 0, 1)),
     Hard("hyperboloid", "the second sheet is met too", [oq(0.1, 0.1, -0.2)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
     Hard("saddle", "Q changes sign across the cell", [oq(1, -1.1, 0)], (0.3, 0.3, -1), (0.02, -0.03, 1)),
+    Hard("flank of a hyperboloid", "σr - B cancels: the other form of the root is due",
+         [oq(0.00646, 1.82, -15.0, -1)], (1.39, -20.1, 6.89), (0.99, -0.038, -0.13)),
+    Hard("flank of a saddle", "the same on a steep ray", [oq(22.4, -17.2, -0.009)], (45.3, -37.4, 22.9), (-0.5, 0.033, -0.86)),
+    Hard("biconic near its equator", "Newton settles nowhere, yet there is a hit",
+         [ob(-0.29, -0.88, 2.5, 1.5)], (-0.68, 0, -3), (-0.42, 0.11, 1)),
+    Hard("saddle biconic near its equator", "the same where κ of the azimuth is singular",
+         [ob(-0.56, 0.89, 3.0, -0.8, -1)], (-0.35, 1, -3), (0.47, 0.17, 1)),
+    Hard("biconic's other half", "Newton settles on the half that does not belong",
+         [ob(-0.2, -0.73, 0.2, 0.6)], (-0.56, -0.16, -3), (0.17, -0.44, 1)),
     Hard("saddle biconic", "κ of the azimuth is singular", [ob(1, -1, -2, 0.5)], (0.3, 0.3, -1), (0.02, 0.03, 1)),
     Hard("steep saddle biconic", "Newton from the quadric leaves the surface",
          [ob(0.9, -0.8, 2.0, 1.2, before=1.0, after=1.5)], (-0.55, 0.6, -0.6), (0.1, 0.1, 1)),
@@ -206,6 +215,22 @@ def test_a_hard_ray_keeps_the_accuracy_its_condition_allows(case):
     assert error(result.direction[0], exact.directions[-1]) <= 4 * ULP * max(1.0, condition), case.why
     assert error(result.optical_path, exact.optical_path[-1:]) <= 4 * ULP * max(1.0, condition) * float(
         abs(exact.optical_path[-1])
+    )
+
+
+@pytest.mark.parametrize("turn", [None, (0.3, 0.2, -0.7)], ids=["upright", "tilted"])
+@pytest.mark.parametrize("power", [10, 20, 30, 38])
+def test_the_distance_of_the_source_costs_nothing(power, turn):
+    # everything in binary fractions, so that both starts lie on the very same line
+    near, ray = np.array([0.25, 0.75, -1.0]), np.array([[0.25, -0.5, 1.0]])
+    seq = interfaces([oq(1.0, 0.5, 0.7, vertex=(0.25, 0.5, 0.0), euler=turn)])
+    one = trace_sequence(seq, Rays([near], ray))
+    far = trace_sequence(seq, Rays([near - 2.0**power * ray[0]], ray))
+    assert one.fate[0] == far.fate[0] == Fate.ALIVE
+    np.testing.assert_allclose(far.direction, one.direction, rtol=0, atol=2 * ULP)
+    np.testing.assert_allclose(far.position, one.position, rtol=0, atol=2 * ULP)
+    assert far.optical_path[0] == pytest.approx(
+        one.optical_path[0] + 2.0**power * np.linalg.norm(ray), rel=2 * ULP
     )
 
 

@@ -155,14 +155,16 @@ def test_only_the_half_with_the_apex_is_met():
     assert distance[2] == pytest.approx(2 - np.sqrt(0.75), abs=2 * ULP)
 
 
-def test_a_nearly_tangent_ray_is_told_from_a_miss_to_the_last_bit():
-    sphere, up = Quadric(1, 1, 1), np.array([0.0, 0.0, 1.0])
-    direction = np.array([0.6, 0.8, 0.25])
-    below = direction * 0.25 - up * (direction @ direction) + 0.5 * np.cross(direction, up)
-    touching = up + below / np.linalg.norm(below)  # on the sphere round (0, 0, 1), square to the ray
+@pytest.mark.parametrize("seed", range(6))
+def test_a_nearly_tangent_ray_is_told_from_a_miss_to_the_last_bit(seed):
+    rng, sphere, centre = np.random.default_rng(seed), Quadric(1, 1, 1), np.array([0.0, 0.0, 1.0])
+    direction = np.append(rng.uniform(-1, 1, 2), rng.uniform(0.2, 0.9))
+    below = direction * direction[2] - centre * (direction @ direction)
+    below += 0.5 * np.cross(direction, centre)
+    touching = centre + below / np.linalg.norm(below)  # on the sphere, square to the ray
     truth, got = [], []
     for step in range(-40, 41):
-        start = touching - 0.4 * direction + np.array([step * 2.0**-54, 0.0, 0.0])
+        start = touching - rng.uniform(0.5, 3) * direction + below * step * 2.0**-53
         with mp.workdps(60):
             d, p = [mpf(v) for v in direction], [mpf(v) for v in start]
             p[2] -= 1
@@ -203,13 +205,17 @@ def test_equal_indices_change_nothing_at_any_incidence():
         assert np.array_equal(out, ray)
 
 
-def test_an_index_step_of_1e_10_bends_by_its_own_size_to_every_digit():
-    n2, ray = 1 + 1e-10, np.array([[0.6, 0.0, 0.8]])
-    out, _ = refract(ray, np.array([[0.0, 0.0, 1.0]]), ray[:, 2], 1.0, n2)
-    with mp.workdps(40):
-        sine = mpf(0.6) / mpf(n2)
-        exact = float(mp.sqrt(1 - sine**2) - mp.sqrt(1 - mpf(0.6) ** 2))
-    assert out[0, 2] - 0.8 == pytest.approx(exact, abs=2 * ULP)
+@pytest.mark.parametrize("step", [1e-6, 1e-10, -1e-13])
+def test_a_small_index_step_bends_by_its_own_size_to_every_digit(step):
+    # axial ray on a slope of 1/2: its x component after the surface is the bending alone
+    n2, normal_there, ray = 1 + step, np.array([[-0.5, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])
+    out, _ = refract(ray, normal_there, np.array([1.0]), 1.0, n2)
+    with mp.workdps(60):
+        length2, mu = mpf(5) / 4, 1 / mpf(n2)
+        sine2 = 1 - 1 / length2
+        bend = mp.sqrt(1 - mu**2 * sine2) / mp.sqrt(length2) - mu / length2
+        exact = -bend / 2
+    assert relative_ulp(out[0, 0], exact) <= 4
 
 
 def test_indices_may_differ_from_ray_to_ray():
