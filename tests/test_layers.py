@@ -122,7 +122,8 @@ def test_intent_is_read_once():
 
 def test_heavy_packages_are_imported_inside_functions():
     heavy = {"OCP", "build123d", "numba", "matplotlib", "trimesh", "scipy", "manifold3d", "pydantic", "PIL"}
-    entry = {"trace/kernels.py": {"numba"}, "design/schema.py": {"pydantic"}}  # themselves imported lazily
+    # modules that are themselves imported inside functions only, as the next test shows
+    entry = {"trace/kernels.py": {"numba"}, "design/schema.py": {"pydantic"}, "brep/kernel.py": {"OCP"}}
     for paths in modules().values():
         for path in paths:
             allowed = entry.get(str(path.relative_to(PACKAGE)), set())
@@ -133,6 +134,33 @@ def test_heavy_packages_are_imported_inside_functions():
                     )
                     found = heavy & {n.split(".")[0] for n in names} - allowed
                     assert not found, f"{path.relative_to(PACKAGE)} imports {found} at its head"
+
+
+def test_importing_every_package_loads_nothing_heavy():
+    names = sorted(name for name in modules() if not name.startswith("__"))
+    code = f"""
+import importlib, sys
+for name in {names!r}:
+    importlib.import_module("clacad." + name)
+heavy = ("OCP", "build123d", "numba", "matplotlib", "trimesh", "scipy", "manifold3d", "pydantic", "PIL")
+print(sorted(m for m in heavy if m in sys.modules))
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "[]"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["export", "--help"]])
+def test_help_loads_neither_numpy_nor_pydantic_nor_a_kernel(arguments):
+    code = f"""
+import sys
+from clacad.cli import main
+status = main({arguments!r})
+heavy = ("numpy", "OCP", "build123d", "numba", "matplotlib", "trimesh", "scipy", "manifold3d", "pydantic", "rich.table")
+print(status, sorted(m for m in heavy if m in sys.modules), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "0 []"
+    assert done.stdout.strip()
 
 
 def test_importing_the_package_loads_no_numpy():
