@@ -69,12 +69,13 @@ class Rays:
 
     def valid(self) -> NDArray[np.bool_]:
         """(n,) mask of the rows that can be traced: finite, direction not zero, wavelength positive."""
-        rows = np.concatenate([self.position, self.direction], axis=1)
-        good = np.asarray(np.isfinite(rows).all(axis=1), dtype=np.bool_)
-        good &= (self.direction != 0).any(axis=1)
+        columns = [*self.position.T, *self.direction.T]
+        good = np.any([c != 0 for c in columns[3:]], axis=0)
+        for column in columns:
+            good &= np.isfinite(column)
         if self.wavelength is not None:
             good &= np.isfinite(self.wavelength) & (self.wavelength > 0)
-        return good
+        return np.asarray(good, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
