@@ -171,7 +171,9 @@ def _scan(
     changed = np.zeros(len(end), dtype=bool)
     for c in range(len(times) + 1):
         to = np.minimum(times[c], end) if c < len(times) else end
-        why = causes[turn[c]] if c < len(times) else np.full(len(end), WALL, dtype=np.int8)
+        why = np.full(len(end), WALL, dtype=np.int8)
+        if c < len(times):
+            why = np.where(times[c] < end, causes[turn[c]], why)
         wide = ~changed & (to - since > layout.tiny)
         pick = np.flatnonzero(wide)
         if len(pick):

@@ -168,9 +168,9 @@ def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
     """
     x, y = local[:, 0], local[:, 1]
     if not lattice.hexagonal:
-        i, local_x = _relocate_axis(x, lattice.pitch[0])
-        j, local_y = _relocate_axis(y, lattice.pitch[1])
-        return np.stack([i, j], axis=-1), np.stack([local_x, local_y], axis=-1)
+        column, local_x = _relocate_axis(x, lattice.pitch[0])
+        line, local_y = _relocate_axis(y, lattice.pitch[1])
+        return np.stack([column, line], axis=-1), np.stack([local_x, local_y], axis=-1)
     pitch, row = lattice.pitch[0], lattice.a2[1]
     j: Floats = np.rint(y / row)
     i: Floats = np.rint(x / pitch - 0.5 * j)
