@@ -256,7 +256,7 @@ def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, h
     joined = (
         columns[0] is not None
         and columns[1] is not None
-        and any(l and r for l, r in zip(*solid, strict=True))
+        and any(both == (True, True) for both in zip(*solid, strict=True))
     )
     return PieceShape(curves, walls, joined or _open_join(columns, middle, groups))
 
