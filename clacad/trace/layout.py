@@ -7,7 +7,7 @@ with the size of the sheet or its distance from the origin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, isfinite, nan
+from math import isfinite, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,11 @@ class BodyPlan:
         The front's highest point lies below the back's lowest.
     box : (x_min, x_max, y_min, y_max)
         Sheet-frame bounds of the footprint.
-    inner : (x_min, x_max, y_min, y_max)
-        A rectangle inside the footprint, possibly empty.
+    inner : (half_x, half_y, radius)
+        A convex region about `centre` that lies inside the footprint: a rectangle cut by a circle.
     outline : ("none" | "circle" | "rectangle", half_x, half_y)
     centre : (x, y)
-        Of the outline, sheet frame.
+        Of the outline and of `inner`, sheet frame.
     """
 
     front: FacePlan
@@ -93,7 +93,7 @@ class BodyPlan:
     covered: bool
     separate: bool
     box: tuple[float, float, float, float]
-    inner: tuple[float, float, float, float]
+    inner: tuple[float, float, float]
     outline: tuple[str, float, float]
     centre: tuple[float, float]
 
@@ -336,42 +336,41 @@ def _plan_face(
     )
 
 
-def _footprint(
-    window: Window, body: Body
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float], tuple[str, float, float],
-           tuple[float, float]]:  # fmt: skip
-    """Bounding box, a box inside, outline and its centre."""
+Box = tuple[float, float, float, float]
+Footprint = tuple[Box, tuple[float, float, float], tuple[str, float, float], tuple[float, float]]
+
+
+def _footprint(window: Window, body: Body) -> Footprint:
+    """Bounding box, a region inside, the outline and the centre of both."""
     arrays = {face.array for face in (body.front, body.back) if face.array is not None}
     if window.outline is None:
         shift = window.shifts[body.front.array if body.front.array is not None else arrays.pop()]
         x0, x1, y0, y1 = window.lattice.extent()
         box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
-        return box, _inner_box(window.lattice, box), ("none", 0.0, 0.0), shift
-    centre = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
-    cx, cy = centre
+        middle = (0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]))
+        return box, _inside_cells(window.lattice, box), ("none", 0.0, 0.0), middle
+    cx, cy = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
     if isinstance(window.outline, Circle):
         half = 0.5 * window.outline.diameter
-        inner = half * 0.7
         return (
             (cx - half, cx + half, cy - half, cy + half),
-            (cx - inner, cx + inner, cy - inner, cy + inner),
+            (half, half, half),
             ("circle", half, half),
-            centre,
+            (cx, cy),
         )
-    assert isinstance(window.outline, Rectangle)
     hx, hy = 0.5 * window.outline.width, 0.5 * window.outline.height
-    box = (cx - hx, cx + hx, cy - hy, cy + hy)
-    return box, box, ("rectangle", hx, hy), centre
+    return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, np.inf), ("rectangle", hx, hy), (cx, cy)
 
 
-def _inner_box(lattice: Lattice, box: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """A rectangle that lies in the union of the kept cells, whose bounding box is `box`."""
-    x0, x1, y0, y1 = box
-    if lattice.outline is not None and isinstance(lattice.outline, Circle):
-        reach = (0.5 * lattice.outline.diameter - 2.0 * lattice.circumradius - hypot(*lattice.pitch)) * 0.7
-        cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-        return (cx - reach, cx + reach, cy - reach, cy + reach)
-    if lattice.hexagonal or lattice.outline is not None:
-        pad = 2.0 * lattice.circumradius + hypot(*lattice.pitch)
-        return (x0 + pad, x1 - pad, y0 + pad, y1 - pad)
-    return box
+def _inside_cells(lattice: Lattice, box: Box) -> tuple[float, float, float]:
+    """A region about the middle of `box` that lies in the union of the kept cells."""
+    half_x, half_y = 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
+    if not lattice.hexagonal and lattice.outline is None:
+        return half_x, half_y, np.inf
+    lost = 2.0 * lattice.circumradius  # a cell that is cut is left out
+    if isinstance(lattice.outline, Circle):
+        # the box of the kept cells need not be centred on the outline to better than a cell
+        return half_x, half_y, 0.5 * lattice.outline.diameter - 2.0 * lost
+    if isinstance(lattice.outline, Rectangle):
+        return 0.5 * lattice.outline.width - 2.0 * lost, 0.5 * lattice.outline.height - 2.0 * lost, np.inf
+    return half_x - lost, half_y - lost, np.inf

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.rays import Fate
 from clacad.surface import ULP
@@ -165,7 +164,7 @@ def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through
         else:
             before = np.zeros(len(beam))
         beam, length, ok = _through(layout, face, beam, n1, n2, within=structured)
-        good &= ok & _in_box(layout, body, beam)
+        good &= ok & _in_inner(layout, body, beam)
         if structured:
             good &= _steeper(beam.direction, face.slope) & in_zone(layout, _at(beam, face.high), 0.0)
         lengths.append(before + length)
@@ -197,14 +196,13 @@ def _steeper(direction: Floats, slope: float) -> Mask:
     return np.asarray(direction[:, 2] ** 2 >= slope * slope * lateral)
 
 
-def _in_box(layout: Layout, body: BodyPlan, beam: Beam) -> Mask:
-    xy = sheet_xy(layout, beam)
-    x0, x1, y0, y1 = body.inner
-    return np.asarray((xy[:, 0] > x0) & (xy[:, 0] < x1) & (xy[:, 1] > y0) & (xy[:, 1] < y1))
+def _in_inner(layout: Layout, body: BodyPlan, beam: Beam) -> Mask:
+    """Whether rays are certainly over the body: what lies between two such points is the body too."""
+    x, y = (sheet_xy(layout, beam) - np.asarray(body.centre)).T
+    half_x, half_y, radius = body.inner
+    inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
+    return np.asarray(inside & (x * x + y * y < radius * radius) & (radius > 0.0))
 
 
 def _sheet(layout: Layout, body: int, beam: Beam) -> Floats:
     return sheet_position(layout, beam.array, beam.cell, beam.local, beam.z + layout.bodies[body].level)
-
-
-Fates = NDArray[np.uint8]
