@@ -335,6 +335,15 @@ def test_one_ray_is_traced_as_among_many():
         assert alone.fate[0] == together.fate[i]
 
 
+def test_a_direction_that_is_unit_to_rounding_is_not_rounded_again():
+    rng = np.random.default_rng(2)
+    ray = rng.normal(size=(2000, 3))
+    ray[:, 2] = np.abs(ray[:, 2]) + 0.1
+    ray /= np.linalg.norm(ray, axis=1)[:, None]
+    window = [Interface(Quadric(0, 0, 0), (0, 0, 0), 1.0, 1.0)]
+    assert np.array_equal(trace_sequence(window, Rays(-ray, ray)).direction, ray)
+
+
 def test_inputs_are_left_alone_and_nothing_is_required_to_arrive():
     start, ray = np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]])
     rays = Rays(start, ray)
