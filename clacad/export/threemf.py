@@ -303,7 +303,7 @@ def _current(model: _Model) -> _Object:
 def _transform(model: _Model, attributes: Attributes) -> Floats:
     text = attributes.get("transform")
     if text is None:
-        return ONE_PLACE[0]
+        return np.asarray(ONE_PLACE[0], dtype=np.float64)
     numbers = [float(word) for word in text.split()]
     if len(numbers) != 12 or not all(math.isfinite(v) for v in numbers):
         raise model.fail("a transform that is not twelve numbers")
@@ -343,9 +343,9 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Fl
 
 def _composed(inner: Floats, outer: Floats) -> Floats:
     """Place `inner` maps (m, 4, 3) inside the map `outer` (4, 3)."""
-    result = inner @ outer[:3]
+    result = np.matmul(inner, outer[:3])
     result[:, 3] += outer[3]
-    return np.asarray(result)
+    return np.asarray(result, dtype=np.float64)
 
 
 def _part(model: _Model, number: str, placements: Floats) -> Part:

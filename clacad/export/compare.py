@@ -1,0 +1,239 @@
+"""Hold a mesh file that was read back against the design: closed, volume, extent, 1,000 points a face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import fsum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.export.closed import Measure, crowded_edges, measure
+from clacad.export.errors import FileDisagrees
+from clacad.export.filemesh import CHUNK, FileMesh
+from clacad.export.truth import body_volume, distance_to_face, whole_extent
+from clacad.sheet import Window
+
+Floats = NDArray[np.float64]
+
+SAMPLES = 6000
+"""Facets looked at closely in a file; about 1,000 and more on each optical face."""
+
+WALL = 0.05
+"""A facet whose |n_z| is less is a wall."""
+
+EDGE_COUNT_LIMIT = 3_000_000
+"""Up to this many facets every edge is counted, beyond it only balanced."""
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """What the mesher says of what it wrote.
+
+    Parameters
+    ----------
+    facets : int
+        With every instance counted.
+    sag_error : float
+        Largest distance of facets from the exact surface, design units.
+    merge : float
+        Largest height by which vertices may have been moved to close tiny steps, design units.
+    single : bool
+        Whether coordinates were rounded to float32.
+    """
+
+    facets: int
+    sag_error: float
+    merge: float = 0.0
+    single: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the file was found to be, design units; `checks` names what was compared and agreed."""
+
+    volume: float
+    volume_exact: float | None
+    crowded: int | None
+    checks: tuple[str, ...]
+
+
+def compare_mesh(mesh: FileMesh, window: Window, promise: Promise, name: str) -> Verdict:
+    """Compare a file with the design it is said to be made from.
+
+    Parameters
+    ----------
+    mesh : FileMesh
+        As read back.
+    window : Window
+        All of its bodies are expected in the file.
+    promise : Promise
+    name : str
+        File name, for messages.
+
+    Raises
+    ------
+    FileDisagrees
+        With the first difference found, as a sentence with both numbers.
+    """
+    scale = (mesh.unit if mesh.unit is not None else 1e-3) / window.unit
+    found = _measured(mesh, scale, window)
+    if found.facets != promise.facets:
+        raise FileDisagrees(f"{name}: {found.facets} facets were read back, {promise.facets} were written")
+    if not found.closed:
+        raise FileDisagrees(f"{name}: the surface is not closed and consistently wound")
+    slack = rounding(window, promise.single)
+    _compare_box(found, window, promise, slack, name)
+    samples = _sampled(mesh, scale)
+    chord = _compare_shape(samples, window, promise, slack, name)
+    exact = _compare_volume(found, window, promise, chord, slack, name)
+    crowded = None
+    if found.facets <= EDGE_COUNT_LIMIT and all(len(part.placements) == 1 for part in mesh.parts):
+        crowded = sum(crowded_edges(part.corners(0, part.facet_count)) for part in mesh.parts)
+    checks = ("closed", "shape") if exact is None else ("closed", "volume", "shape")
+    return Verdict(found.volume, exact, crowded, checks)
+
+
+def rounding(window: Window, single: bool) -> float:
+    """Largest height a coordinate can be off by rounding alone, slopes up to 10 allowed for (length)."""
+    x0, x1, y0, y1 = whole_extent(window)
+    reach = max(abs(v) for v in (x0, x1, y0, y1, *window.z_range))
+    return reach * (2.0**-24 if single else 2.0**-50) * 12.0
+
+
+def _measured(mesh: FileMesh, scale: float, window: Window) -> Measure:
+    """Measure the file in design units; instanced parts once each, not once a place."""
+    if all(len(part.placements) == 1 for part in mesh.parts):
+        return measure((chunk * scale for chunk in mesh.chunks()), origin=np.zeros(3))
+    facets, volumes, areas, sums = 0, [], [], [0, 0]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for part in mesh.parts:
+        one = measure(part.corners(k, k + CHUNK) for k in range(0, part.facet_count, CHUNK))
+        facets += one.facets * len(part.placements)
+        turn = part.placements[:, :3]
+        size = np.linalg.det(turn)
+        volumes.append(one.volume * float(size.sum()) * scale**3)
+        areas.append(one.area * float(np.abs(size).sum()))
+        sums = [sums[0] | one.imbalance[0], sums[1] | one.imbalance[1]]
+        assert part.vertices is not None
+        ends = np.stack([part.vertices.min(axis=0), part.vertices.max(axis=0)])
+        corners = np.array(
+            [[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        )
+        places = np.einsum("cx,pxy->pcy", corners, turn) + part.placements[:, None, 3]
+        low, high = np.minimum(low, places.min(axis=(0, 1))), np.maximum(high, places.max(axis=(0, 1)))
+    low, high = low * scale, high * scale
+    box = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
+    return Measure(facets, (sums[0], sums[1]), fsum(volumes), fsum(areas), *box)
+
+
+def _compare_box(found: Measure, window: Window, promise: Promise, slack: float, name: str) -> None:
+    x0, x1, y0, y1 = whole_extent(window)
+    pairs = [
+        ("x", found.low[0], x0),
+        ("x", found.high[0], x1),
+        ("y", found.low[1], y0),
+        ("y", found.high[1], y1),
+    ]
+    for axis, got, want in pairs:
+        # Instanced and fused outlines end on the design's own; a round outline is a polygon inside it.
+        room = slack + (promise.sag_error if window.outline is None else 1e-3 * (x1 - x0)) + 1e-9 * (x1 - x0)
+        if abs(got - want) > room:
+            raise FileDisagrees(f"{name}: it ends at {axis} = {got:.9g}, the design at {want:.9g}")
+    low, high = window.z_range
+    room = slack + promise.merge + promise.sag_error + 1e-6 * (high - low)
+    if found.low[2] < low - room or found.high[2] > high + room:
+        raise FileDisagrees(
+            f"{name}: heights {found.low[2]:.9g} … {found.high[2]:.9g} leave the design's {low:.9g} … {high:.9g}"
+        )
+
+
+def _sampled(mesh: FileMesh, scale: float) -> Floats:
+    """Pick SAMPLES facets at random, always the same ones for one file, (n, 3, 3), design units."""
+    count = mesh.facet_count
+    chosen = np.unique(np.random.default_rng(0).integers(0, count, size=min(SAMPLES, 2 * count)))
+    picked, first = [], 0
+    for part in mesh.parts:
+        each = part.facet_count
+        mine = chosen[(chosen >= first) & (chosen < first + each * len(part.placements))] - first
+        for place, facet in zip(*np.divmod(mine, max(1, each))):
+            corners = part.corners(int(facet), int(facet) + 1)[0]
+            picked.append(corners @ part.placements[place, :3] + part.placements[place, 3])
+        first += each * len(part.placements)
+    return np.asarray(picked).reshape(-1, 3, 3) * scale
+
+
+def _compare_shape(
+    facets: Floats, window: Window, promise: Promise, slack: float, name: str
+) -> tuple[float, float]:
+    """Compare sampled facets with the exact faces; returns the chord volume and its standard error.
+
+    For a surface of second order the mean height of chord over arc is 3/4 of that at the centroid.
+    """
+    normal = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    n_z = np.where(length > 0.0, normal[:, 2] / np.where(length > 0.0, length, 1.0), 0.0)
+    optical = np.abs(n_z) >= WALL
+    middle = facets.mean(axis=1)
+    points = np.concatenate([facets, middle[:, None]], axis=1)
+    off = np.full((len(facets), 4), np.inf)
+    for body in window.bodies:
+        for face in (body.front, body.back):
+            mine = np.flatnonzero(optical & (np.sign(n_z) == -face.side))
+            if len(mine):
+                off[mine] = np.minimum(
+                    off[mine], distance_to_face(window, face, points[mine], middle[mine, :2])
+                )
+    off = off[optical]
+    upright = np.abs(n_z[optical])
+    at_corners = (off[:, :3].max(axis=1) * upright).max(initial=0.0)
+    at_middle = (off[:, 3] * upright).max(initial=0.0)
+    if at_corners > slack + promise.merge + 1e-9 * _pitch(window):
+        raise FileDisagrees(
+            f"{name}: a corner lies {at_corners:.3g} off the exact surface (rounding: {slack:.2g})"
+        )
+    if at_middle > 1.1 * promise.sag_error + slack + promise.merge:
+        raise FileDisagrees(
+            f"{name}: a facet lies {at_middle:.3g} off the exact surface; its sag error is {promise.sag_error:.3g}"
+        )
+    area = 0.5 * np.abs(normal[optical, 2])
+    share = 0.75 * off[:, 3] * area
+    everything = len(facets) or 1
+    return float(share.sum() / everything), float(share.std() / np.sqrt(everything))
+
+
+def _pitch(window: Window) -> float:
+    return min(window.lattice.pitch)
+
+
+def _compare_volume(found: Measure, window: Window, promise: Promise, chord: tuple[float, float], slack: float,
+                    name: str) -> float | None:  # fmt: skip
+    """Compare the enclosed volume with the exact integral; chords may take or add what the samples say."""
+    integrals = [body_volume(window, body) for body in window.bodies]
+    exact = 0.0
+    error = 0.0
+    for integral in integrals:
+        if integral is None:
+            return None
+        exact, error = exact + integral.value, error + integral.error
+    x0, x1, y0, y1 = whole_extent(window)
+    faces = 2 * len(window.bodies)
+    area = (x1 - x0) * (y1 - y0) * faces
+    # Every sampled facet stands for facets/samples of the file; five standard errors of that estimate.
+    room = found.facets * (chord[0] + 5.0 * chord[1]) * 1.1 + area * (slack * 0.1 + promise.merge * 1e-2)
+    room += error + 1e-12 * abs(exact) + _outline_room(window)
+    if found.volume <= 0.0 or abs(found.volume - exact) > room:
+        raise FileDisagrees(
+            f"{name}: it encloses {found.volume:.12g}, the design {exact:.12g}; chords explain {room:.2g} of difference"
+        )
+    return exact
+
+
+def _outline_room(window: Window) -> float:
+    """Volume a polygon may lose against a round outline."""
+    from clacad.lattice import Circle
+
+    if not isinstance(window.outline, Circle):
+        return 0.0
+    low, high = window.z_range
+    return 1e-3 * window.outline.diameter**2 * (high - low)
