@@ -57,7 +57,9 @@ def _border_facts(window: Window, body: Body, number: int) -> BorderFacts:
     front, back = _heights(window, body)
     f = np.stack([front(*p.T) for p in (here, there)])
     b = np.stack([back(*p.T) for p in (here, there)])
+    rounding = 1e-12 * window.lattice.circumradius  # two roots of one height differ by less: no step
     rise = [np.nan_to_num(np.abs(z[0] - z[1]), nan=0.0) for z in (f, b)]
+    rise = [np.where(r <= rounding, 0.0, r) for r in rise]
     if body.columnar:  # a lens that has ended: by how much it misses its neighbour
         f, b = (
             np.where(np.isnan(z), [lens_height(face, *p.T) for p in (here, there)], z)
