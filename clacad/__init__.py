@@ -10,7 +10,9 @@ Public names resolve lazily (PEP 562): importing clacad loads neither a CAD kern
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 __version__ = "0.1.0"
@@ -38,7 +40,12 @@ _HOME = {
     "trace": "clacad.trace",
     "trace_sequence": "clacad.trace",
     "export": "clacad.export",
+    "solids": "clacad.brep",
     "verify": "clacad.verify",
+    "accuracy": "clacad.accuracy",
+    "render": "clacad.render",
+    "render_movie": "clacad.render",
+    "plan_effects": "clacad.effects",
 }
 
 __all__ = sorted(_HOME)
@@ -55,3 +62,18 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_HOME])
+
+
+class _Package(ModuleType):
+    """The package, whose public functions keep their names though their homes are called alike.
+
+    Importing `clacad.trace` (the package) would bind it over `clacad.trace` (the function). The verb is what
+    a user means; the module stays reachable as ``from clacad.trace import ...``.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
