@@ -1,11 +1,20 @@
 """Cells, borders, crossings, corners: ONE topology for mesh and B-Rep.
 
-`cell_complex(window, body)` gives the prototile's borders, nodes and rims; `incidence` says which
-cells of the finite sheet they occur at; `pieces` and `holes` count what the body falls into.
+`cell_complex(window, body)` gives the prototile's borders, nodes and rims; `node_masks` and the
+`*_count` functions say where and how often in the finite sheet they occur; `pieces` and `holes` count what the body falls into.
 """
 
 from __future__ import annotations
 
+from clacad.cell_complex.build import cell_complex, holes, one_tiling, pieces
+from clacad.cell_complex.count import (
+    count_holes,
+    count_pieces,
+    inner_node_count,
+    interior_border_count,
+    saddle_count,
+)
+from clacad.cell_complex.nodes import node_cells, node_masks
 from clacad.cell_complex.nouns import (
     Border,
     CellComplex,
@@ -30,4 +39,15 @@ __all__ = [
     "RimArc",
     "Step",
     "Tiling",
+    "cell_complex",
+    "count_holes",
+    "count_pieces",
+    "holes",
+    "inner_node_count",
+    "interior_border_count",
+    "node_cells",
+    "node_masks",
+    "one_tiling",
+    "pieces",
+    "saddle_count",
 ]

@@ -144,6 +144,9 @@ class Border:
     breaks : (n,) parameters
         Every parameter at which anything on the border changes (crossings of fronts and of backs,
         rims of either cell, ends of joints), ascending, ends excluded. Both cells need a vertex there.
+    roots : (n,) parameters
+        Every sign change of every difference of lens and land heights on the border, visible or not
+        (a crossing hidden under land, say), unspaced; `breaks` is chosen from them.
     """
 
     index: int
@@ -154,6 +157,7 @@ class Border:
     steps: tuple[Step, ...]
     joint: Joint | None
     breaks: Floats
+    roots: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,6 +268,5 @@ class CellComplex:
 
     def faces_of(self, tiling: Tiling) -> tuple[Face, ...]:
         """The faces of the body that the tiling cuts (both, for a columnar body)."""
-        return (self.body.front, self.body.back) if self.columnar else tuple(
-            face for face in (self.body.front, self.body.back) if face.array == tiling.array
-        )  # fmt: skip
+        faces = (self.body.front, self.body.back)
+        return faces if self.columnar else tuple(face for face in faces if face.array == tiling.array)

@@ -1,0 +1,121 @@
+"""Every real root of a smooth function on [0, 1], by monotone pieces: nothing is missed between samples.
+
+The function is replaced by Chebyshev interpolants that agree with it to rounding; the real roots of
+their derivative cut [0, 1] into pieces on which the function is monotone, so a piece holds one root
+if its ends differ in sign and none otherwise. Each root is then bisected on the function itself, never
+on the interpolant. (Trefethen, Approximation Theory and Approximation Practice, chapter 18.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Function = Callable[[Floats], Floats]
+
+_DEGREES = (16, 32, 64)
+_MAX_DEPTH = 30  # a square-root end (equator) halves towards it; 2^-30 of a border is nothing
+_PLATEAU = 1e-8  # a tail this small that no longer falls is rounding
+
+
+def sign_changes(function: Function, noise: float) -> Floats:
+    """Find where a function changes sign on the open interval (0, 1).
+
+    Parameters
+    ----------
+    function : (n,) → (n,)
+        Smooth where it is not NaN.
+    noise : float
+        Rounding level of the function: values within ±noise count as zero.
+
+    Returns
+    -------
+    (n,) array, ascending
+        Odd roots. A root where the function only touches zero is none; a stretch of zeros between
+        opposite signs counts once, at its middle. Zeros at 0 and 1 themselves are not sign changes.
+    """
+    knots, values = _monotone_knots(function, noise)
+    sign = np.where(np.abs(values) <= noise, 0.0, np.sign(values))
+    known = np.flatnonzero(np.isfinite(values) & (sign != 0.0))
+    low, high, roots = [], [], []
+    for first, second in zip(known[:-1], known[1:]):
+        between = values[first + 1 : second]
+        if sign[first] * sign[second] > 0.0 or np.isnan(between).any():
+            continue
+        if second == first + 1:
+            low.append(knots[first])
+            high.append(knots[second])
+        else:
+            roots.append(0.5 * (knots[first + 1] + knots[second - 1]))
+    found = np.concatenate([np.asarray(roots), bisect(function, np.asarray(low), np.asarray(high))])
+    return np.sort(found[(found > 0.0) & (found < 1.0)])
+
+
+def bisect(function: Function, low: Floats, high: Floats) -> Floats:
+    """Halve brackets (n,) of opposite sign until they cannot be halved any more."""
+    low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
+    if low.size == 0:
+        return low
+    rising = function(low) < 0.0
+    for _ in range(64):
+        middle = 0.5 * (low + high)
+        below = (function(middle) < 0.0) == rising
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+        if np.all(high - low <= np.spacing(np.maximum(np.abs(low), np.abs(high)))):
+            break
+    return np.asarray(0.5 * (low + high))
+
+
+def _monotone_knots(function: Function, noise: float) -> tuple[Floats, Floats]:
+    """Give parameters between which the function is monotone, with its values there (NaN: no function)."""
+    knots: list[Floats] = [np.array([0.0])]
+    stack = [(0.0, 1.0, 0)]
+    while stack:
+        low, high, depth = stack.pop()
+        critical = _critical_points(function, low, high, noise, depth == _MAX_DEPTH)
+        if critical is None:
+            middle = 0.5 * (low + high)
+            stack += [(middle, high, depth + 1), (low, middle, depth + 1)]
+        else:
+            knots += [critical, np.array([high])]
+    t = np.unique(np.concatenate(knots))
+    return t, function(t)
+
+
+def _critical_points(function: Function, low: float, high: float, noise: float, last: bool) -> Floats | None:
+    """Roots of the derivative inside (low, high); None where the function must be split to be resolved."""
+    before = np.inf
+    for degree in _DEGREES:
+        nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+        values = function(low + (high - low) * 0.5 * (nodes + 1.0))
+        if np.isnan(values).all():
+            return np.empty(0)
+        if np.isnan(values).any():
+            return np.empty(0) if last else None
+        coefficients = _interpolant(nodes, values)
+        # The lens heights carry rounding of `noise`; a tail at that level is all that can be resolved.
+        tail = np.abs(coefficients[-4:]).max()
+        largest = np.abs(coefficients).max()
+        plateau = tail <= _PLATEAU * largest and tail > 0.1 * before
+        before = tail
+        if tail <= max(2.0 * noise, 1e-15 * largest) or plateau or last:
+            trimmed = chebyshev.chebtrim(coefficients, max(noise, tail if plateau else 0.0))
+            slope = chebyshev.chebder(trimmed)
+            if len(slope) < 2 or not np.any(slope[1:]):
+                return np.empty(0)
+            roots = chebyshev.chebroots(chebyshev.chebtrim(slope))
+            real = roots.real[(np.abs(roots.imag) < 1e-6) & (np.abs(roots.real) < 1.0)]
+            return np.asarray(low + (high - low) * 0.5 * (np.sort(real) + 1.0))
+    return None
+
+
+def _interpolant(nodes: Floats, values: Floats) -> Floats:
+    """Chebyshev coefficients of the interpolant at first-kind points (discrete orthogonality)."""
+    n = len(nodes)
+    transform = chebyshev.chebvander(nodes, n - 1).T @ values * (2.0 / n)
+    transform[0] *= 0.5
+    return np.asarray(transform)
