@@ -145,7 +145,7 @@ def make_border(
     joint = _joint(left, right, breaks) if columnar else None
     kept = _kept_breaks(left, right, steps, joint, breaks)
     return Border(
-        k, lattice.steps[k], lattice.offset(*lattice.steps[k]), tuple(a), tuple(b), steps, joint, kept
+        k, lattice.steps[k], lattice.offset(*lattice.steps[k]), tuple(a), tuple(b), steps, joint, kept, roots
     )
 
 
