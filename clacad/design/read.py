@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
-import re
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from clacad.design import override, units
 from clacad.design.errors import DesignError, Mistake, in_order
@@ -26,15 +21,13 @@ from clacad.design.model import (
     Outline,
     PairSpec,
 )
-from clacad.design.places import KeyPath, Place, find, located, split_key, syntax_place
+from clacad.design.places import KeyPath, located, split_key
 from clacad.design.rules import Asked, broken
+from clacad.design.text import DEEPEST, parse, plain, read_text, too_deep
 from clacad.design.units import Unit
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
-
-LARGEST_FILE: Final = 16 * 2**20
-DEEPEST: Final = 64
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
@@ -57,19 +50,19 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
         With every mistake, each with path, line and column.
     """
     name = os.fspath(path)
-    text = _text(name)
-    data = _data(text, name)
+    text = read_text(name)
+    data = parse(text, name)
     return _made(data, tuple(overrides), text, name)
 
 
 def from_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> Design:
     """Read a design from nested dictionaries; see `Design.from_dict`."""
-    plain = _plain(data)
-    if not isinstance(plain, dict):
-        raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(plain)}")])
-    if _too_deep(plain):
+    given = plain(data)
+    if not isinstance(given, dict):
+        raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(given)}")])
+    if too_deep(given):
         raise DesignError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
-    return _made(plain, tuple(overrides), None, "")
+    return _made(given, tuple(overrides), None, "")
 
 
 def replaced(design: Design, changes: Mapping[str, Any]) -> Design:
@@ -78,128 +71,12 @@ def replaced(design: Design, changes: Mapping[str, Any]) -> Design:
     mistakes = []
     for key, value in changes.items():
         try:
-            data = override.put(data, split_key(key), _plain(value))
+            data = override.put(data, split_key(key), plain(value))
         except LookupError as problem:
             mistakes.append(Mistake("CL118", str(problem.args[0]), key=key))
     if mistakes:
         raise DesignError(mistakes)
     return _made(data, (), None, design.path)
-
-
-# --- reading ----------------------------------------------------------------------------------------------
-
-
-def _refuse(mistake: Mistake) -> NoReturn:
-    raise DesignError([mistake])
-
-
-def _text(name: str) -> str:
-    try:
-        with open(name, "rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-    except OSError as problem:
-        why = (problem.strerror or str(problem)).lower()
-        _refuse(Mistake("CL100", f"cannot read the design: {why}", path=name, hint=_nearest_file(name)))
-    except ValueError:
-        _refuse(
-            Mistake(
-                "CL100", "cannot read the design: the name holds a zero byte", path=name.replace("\0", "?")
-            )
-        )
-    if len(raw) > LARGEST_FILE:
-        _refuse(Mistake("CL100", "the file is too large for a design", path=name, allowed="16 MB"))
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as problem:
-        line = raw.count(b"\n", 0, problem.start) + 1
-        column = problem.start - raw.rfind(b"\n", 0, problem.start)
-        _refuse(Mistake("CL100", "the file is not UTF-8 text", path=name, line=line, column=column,
-                        found=f"byte 0x{raw[problem.start]:02x}", hint="save it as UTF-8"))  # fmt: skip
-
-
-def _nearest_file(name: str) -> str:
-    folder, base = os.path.split(name)
-    try:
-        listed = sorted(entry for entry in os.listdir(folder or ".") if entry.endswith((".toml", ".json")))
-    except (OSError, ValueError):
-        return ""
-    close = get_close_matches(base, listed, n=1, cutoff=0.6) or get_close_matches(base + ".toml", listed, n=1)
-    return f"did you mean {os.path.join(folder, close[0])}?" if close else ""
-
-
-def _data(text: str, name: str) -> dict[str, Any]:
-    is_json = name.lower().endswith(".json")
-    _refuse_deep_keys(text, name)
-    try:
-        data = json.loads(text) if is_json else tomllib.loads(text)
-    except RecursionError:
-        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
-    except ValueError as problem:
-        what = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", str(problem))[:200]
-        what = re.sub(r"\('(.*)',\)", r"[\1]", what)
-        _refuse_syntax(f"not {'JSON' if is_json else 'TOML'}: {what[:1].lower()}{what[1:]}", name, text,
-                       syntax_place(problem, text))  # fmt: skip
-    if not isinstance(data, dict):
-        _refuse(Mistake("CL104", f"a design is a table, not {kind_of(data)}", path=name, line=1, column=1))
-    if _too_deep(data):
-        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
-    twins = find(text, name).twins if is_json else []
-    if twins:
-        _refuse_syntax("not a design: a key that is there twice", name, text, twins[0])
-    return data
-
-
-def _refuse_syntax(message: str, name: str, text: str, place: Place) -> NoReturn:
-    line = re.split("\r\n|\n", text)[place.line - 1]
-    mistake = Mistake("CL101", message, path=name, line=place.line, column=place.column, width=place.width)
-    raise DesignError([replace(mistake, source_line=line, hint=_syntax_hint(line))])
-
-
-def _syntax_hint(line: str) -> str:
-    """Name the three slips people make in TOML: a unit or a word without quotes, a decimal comma."""
-    _, equals, value = line.partition("=")
-    value = value.split("#")[0].strip()
-    if not equals or not value:
-        return ""
-    if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", value):
-        return f"write {value.replace(',', '.')}: the decimal sign is a point"
-    if re.fullmatch(r"[+-]?[0-9.]+(e[+-]?[0-9]+)? ?[^\s\d\[\]\"',]+", value) or re.fullmatch(
-        r"[A-Za-z][\w -]*", value
-    ):
-        return f'write "{value}" in quotes'
-    return ""
-
-
-def _refuse_deep_keys(text: str, name: str) -> None:
-    """Refuse dotted keys of more than 64 parts before parsing: the time to parse them grows as their square."""
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
-            _refuse(Mistake("CL100", f"a key nested more than {DEEPEST} deep", path=name, line=number, column=1,
-                            source_line=line))  # fmt: skip
-
-
-def _too_deep(data: Any) -> bool:
-    level, depth = [data], 0
-    while level:
-        depth += 1
-        if depth > DEEPEST:
-            return True
-        level = [item for part in level if isinstance(part, dict | list)
-                 for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
-    return False
-
-
-def _plain(value: Any, depth: int = 0) -> Any:
-    """Turn tuples, mappings, paths and number-like scalars of other libraries into what TOML knows."""
-    if depth > DEEPEST:
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item, depth + 1) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item, depth + 1) for item in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return _plain(value.tolist(), depth + 1)
-    return value
 
 
 # --- checking ---------------------------------------------------------------------------------------------
