@@ -1,1 +1,89 @@
-"""Writing files: one format a module, one atomic writer for all of them."""
+"""Writing files: one format a module, one atomic writer for all of them, nothing published unread."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+from clacad.export.errors import (
+    CannotWrite,
+    ExportError,
+    ExportIncomplete,
+    ExportRefused,
+    FileDisagrees,
+    LimitRefused,
+    UnknownFormat,
+    UnreadableFile,
+    WorkerDied,
+)
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.export.manifest import Manifest
+    from clacad.export.worker import Progress
+
+__all__ = [
+    "CannotWrite", "ExportError", "ExportIncomplete", "ExportRefused", "FileDisagrees", "LimitRefused",
+    "UnknownFormat", "UnreadableFile", "WorkerDied", "export",
+]  # fmt: skip
+
+
+def export(
+    design: Design,
+    out: str | os.PathLike[str],
+    formats: Sequence[str] = ("step", "stl"),
+    slope_error: float | Literal["auto"] = "auto",
+    quads: int | None = None,
+    step: Literal["auto", "fused", "instanced"] = "auto",
+    cells: tuple[int, int] | None = None,
+    overwrite: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Manifest:
+    """Write a design's files into a folder: all at once, each read back and compared with the design first.
+
+    Parameters
+    ----------
+    design : Design
+    out : path
+        Folder; made if missing. Nothing is written outside it.
+    formats : sequence of str
+        step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask.
+    slope_error : float or "auto"
+        Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
+        cell side whose STL stays within 2 GB and 50 M facets.
+    quads : int or None
+        Facet grid a cell side; overrides `slope_error`.
+    step : "auto", "fused" or "instanced"
+        auto is fused up to 2,500 cells.
+    cells : (a, b) or None
+        The same design with another count, centred.
+    overwrite : bool
+        Replace files that no export of ours owns.
+    force : bool
+        Pass the limits on facets, bytes and memory.
+    progress : callable or None
+        Called with a stage's name and the share done.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    DesignError
+        The design cannot be built.
+    LimitRefused
+        The work would pass a limit; nothing was written.
+    ExportRefused, CannotWrite
+        The folder cannot be written to, or holds a file that is not ours; nothing was changed.
+    ExportIncomplete
+        Some formats failed; the others were published.
+    FileDisagrees, WorkerDied
+        The only format asked for failed so; nothing was published.
+    """
+    from clacad.export.run import Request, run_export
+
+    request = Request(tuple(formats), slope_error, quads, step, cells, overwrite, force)
+    return run_export(design, os.fspath(out), request, progress)

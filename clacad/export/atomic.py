@@ -124,6 +124,10 @@ class Stage:
         self._may_replace(name)
         return self._private / name
 
+    def written(self) -> list[Path]:
+        """Files that are in the private folder now."""
+        return [] if self._private is None else sorted(self._private.iterdir())
+
     def _may_replace(self, name: str) -> None:
         target = self.folder / name
         if not os.path.lexists(target):

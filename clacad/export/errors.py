@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 
 class ExportError(Exception):
     """An export that did not happen; `exit_status` is the command line's answer."""
@@ -17,6 +20,29 @@ class CannotWrite(ExportError):
 
 class ExportRefused(CannotWrite):
     """Writing would overwrite something that an earlier export does not own."""
+
+
+class UnknownFormat(ExportError, ValueError):
+    """A format was asked for that is not written."""
+
+    exit_status = 2
+
+
+class ExportIncomplete(ExportError):
+    """Some of the files could not be made; the others were published, and `manifest` lists them.
+
+    Parameters
+    ----------
+    failures : mapping of format to ExportError
+    manifest : Manifest
+        What was published.
+    """
+
+    def __init__(self, failures: Mapping[str, ExportError], manifest: Any) -> None:
+        super().__init__("; ".join(f"{name}: {error}" for name, error in failures.items()))
+        self.failures = dict(failures)
+        self.manifest = manifest
+        self.exit_status = next(iter(failures.values())).exit_status
 
 
 class LimitRefused(ExportError):

@@ -1,0 +1,401 @@
+"""What an export will cost, told before any work, and refused when it cannot end well.
+
+Cells and facets are counted in integers, so a design of 10^18 lenslets is refused as fast as one of 10^8.
+Facets and the bytes of STL and TIFF are exact, other bytes are good to 20 %, seconds and memory are ranges.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from math import ceil, isqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.export.errors import LimitRefused
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet import Window
+
+MOST_FACETS = 50_000_000
+MOST_BYTES = 2_000_000_000
+MOST_CELLS = 10_000_000
+"""Lenslets of one array; every format that lists cells one by one ends within minutes below this."""
+MEMORY_SHARE = 0.8
+QUADS = (64, 32, 16, 8, 4)
+"""Facet grids a cell side that "auto" chooses from, finest first."""
+
+MESH_FORMATS = ("stl", "stl-parts", "3mf", "ply", "glb")
+WELDED_FORMATS = ("3mf", "ply", "glb")
+MOST_WELDED = 8_000_000
+"""Facets up to which a mesh is welded into shared vertices in memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The price of one format.
+
+    Parameters
+    ----------
+    format : str
+    bytes : int
+    exact : bool
+        Whether `bytes` is exact; otherwise within 20 %.
+    facets : int or None
+    quads : int or None
+    seconds, memory : (low, high)
+        Processor seconds; bytes of memory.
+    """
+
+    format: str
+    bytes: int
+    exact: bool
+    facets: int | None
+    quads: int | None
+    seconds: tuple[float, float]
+    memory: tuple[int, int]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        return {
+            "format": self.format, "bytes": self.bytes, "exact": self.exact, "facets": self.facets,
+            "quads": self.quads, "seconds": list(self.seconds), "memory": list(self.memory),
+        }  # fmt: skip
+
+
+# -- before anything is prescribed -------------------------------------------------------------
+
+
+def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> None:
+    """Refuse a design whose mere count of lenslets is beyond every limit; integer arithmetic only.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    n1, n2 = (int(n) for n in design.lattice.count)
+    cells = n1 * n2
+    if cells > MOST_CELLS:
+        side = isqrt(MOST_CELLS)
+        raise LimitRefused(
+            f"{count_text(cells)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that are written; "
+            f"use lattice.count up to [{side}, {side}], or export a part with cells=({min(n1, 100)}, {min(n2, 100)})"
+        )
+    grid = quads if quads is not None else QUADS[-1]
+    if any(f in MESH_FORMATS for f in formats) and design.lattice.outline is None:
+        faces = 4 if design.pair.form == "biconvex" else 2
+        if "stl" in formats or "stl-parts" in formats:
+            _refuse_facets("stl", 2 * grid * grid * cells * faces, grid, (n1, n2))
+
+
+def _refuse_facets(
+    format: str, facets: int, quads: int, count: tuple[int, int], at_least: bool = True
+) -> None:
+    size = 84 + 50 * facets
+    if facets <= MOST_FACETS and size <= MOST_BYTES:
+        return
+    most = min(MOST_FACETS, MOST_BYTES // 50)
+    coarser = isqrt(max(0, quads * quads * most // facets))
+    part = max(1, isqrt(count[0] * count[1] * most // facets))
+    ways = [f"cells=({part}, {part})"]
+    if coarser >= 2:
+        ways.insert(0, f"quads={coarser}")
+    else:
+        ways.append("format 3mf or step, which repeat one cell")
+    raise LimitRefused(
+        f"{format}: {'at least ' if at_least else ''}{count_text(facets)} facets, {size_text(size)} at {quads} quads a cell "
+        f"side, are more than {count_text(MOST_FACETS)} facets or {size_text(MOST_BYTES)}; use {' or '.join(ways)} "
+        "(or force it)"
+    )
+
+
+# -- with the window known ---------------------------------------------------------------------
+
+
+def choose_quads(window: Window, formats: Sequence[str], force: bool = False) -> int:
+    """Finest facet grid whose files stay within the limits: what slope_error="auto" means.
+
+    Raises
+    ------
+    LimitRefused
+        Not even the coarsest fits.
+    """
+    for quads in QUADS[:-1]:
+        if facets_at_least(window, quads) * 50 > MOST_BYTES:
+            continue
+        facets = facet_count(window, quads)
+        if facets <= MOST_FACETS and 84 + 50 * facets <= MOST_BYTES and _weldable(window, formats, quads):
+            return quads
+    if not force:
+        _refuse_facets("stl", facet_count(window, QUADS[-1]), QUADS[-1], window.lattice.count, at_least=False)
+    return QUADS[-1]
+
+
+def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> int:
+    """Least number of quads a cell side whose rms slope error is at most the one asked for (radians).
+
+    Raises
+    ------
+    LimitRefused
+        The files would pass the limits; the message says what they allow.
+    """
+    from clacad.export.tessellation import Tessellation, one_cell
+
+    if not slope_error > 0.0:
+        raise LimitRefused(f"a slope error of {slope_error} rad is out of reach; ask for a positive one")
+    single = one_cell(window)
+    # The error falls as 1/quads: one coarse mesh of one cell says how many, two more settle it.
+    quads = max(1, ceil(8 * Tessellation(single, 8).mesh.slope_error / slope_error * 0.98))
+    if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
+        _refuse_facets("stl", facets_at_least(window, quads), quads, window.lattice.count)
+    while Tessellation(single, quads).mesh.slope_error > slope_error:
+        quads += 1
+    return quads
+
+
+def _weldable(window: Window, formats: Sequence[str], quads: int) -> bool:
+    return all(welded_facets(window, quads, f) <= MOST_WELDED for f in formats if f in WELDED_FORMATS)
+
+
+def facets_at_least(window: Window, quads: int) -> int:
+    """Facets of the lenslet faces alone, before any mesh is made."""
+    structured = sum(face.array is not None for face in window.faces)
+    return 2 * quads * quads * structured * window.lattice.cell_count
+
+
+def facet_count(window: Window, quads: int) -> int:
+    """Facets of the whole sheet, exactly, without making them."""
+    from clacad.export.tessellation import Tessellation
+
+    return int(Tessellation(window, quads).mesh.facet_count)
+
+
+def welded_facets(window: Window, quads: int, format: str) -> int:
+    """Facets that an indexed format holds in memory: those of one cell where the format repeats cells."""
+    from clacad.export.tessellation import Tessellation, instanceable
+
+    whole = Tessellation(window, quads)
+    mesh = whole.cell if format != "ply" and instanceable(window) else whole.mesh
+    return int(mesh.facet_count)
+
+
+def forecast(window: Window, formats: Sequence[str], quads: int, step: str = "auto") -> list[Forecast]:
+    """Forecast each format.
+
+    Parameters
+    ----------
+    window : Window
+    formats : sequence of str
+    quads : int
+        Facet grid a cell side for the mesh formats.
+    step : "auto", "fused" or "instanced"
+    """
+    return [_forecast_one(window, name, quads, step) for name in formats]
+
+
+def _forecast_one(window: Window, name: str, quads: int, step: str) -> Forecast:
+    if name in ("stl", "stl-parts"):
+        facets = facet_count(window, quads)
+        size = 84 * (1 if name == "stl" else len(window.bodies)) + 50 * facets
+        return Forecast(
+            name,
+            size,
+            True,
+            facets,
+            quads,
+            (1.2e-6 * facets, 6e-6 * facets + 0.2),
+            (150_000_000, 600_000_000),
+        )
+    if name in WELDED_FORMATS:
+        return _forecast_welded(window, name, quads)
+    if name == "step":
+        return _forecast_step(window, step)
+    return _forecast_map(window, name)
+
+
+def _forecast_welded(window: Window, name: str, quads: int) -> Forecast:
+    from clacad.export.tessellation import instanceable
+
+    held = welded_facets(window, quads, name)
+    instanced = name != "ply" and instanceable(window)
+    cells = window.lattice.cell_count
+    places = cells * len(window.bodies) if instanced else 0
+    facets = held * cells if instanced else held
+    vertices = 0.62 * held  # walls keep corners of their own; measured 0.55 … 0.7
+    if name == "ply":
+        size = int(48 * vertices + 13 * held) + 300
+    elif name == "glb":
+        size = int(24 * vertices + 12 * held + 62 * places + 2500)
+    else:
+        size = int(21.0 * held + _threemf_places(window, places) + 1500)
+    memory = int(700 * held + 400 * places)
+    seconds = (1.0e-5 * held + 4e-6 * places + 0.05, 5e-5 * held + 4e-5 * places + 0.5)
+    return Forecast(
+        name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000)
+    )
+
+
+def _threemf_places(window: Window, places: int) -> float:
+    from clacad.export.threemf import FLAT_LIMIT
+
+    if places and places // len(window.bodies) > FLAT_LIMIT:
+        places = (window.lattice.count[0] + window.lattice.count[1]) * len(window.bodies)
+    return 9.0 * places
+
+
+def _forecast_step(window: Window, step: str) -> Forecast:
+    fused = step == "fused" or (step == "auto" and window.lattice.cell_count <= 2500)
+    cells, bodies = window.lattice.cell_count, len(window.bodies)
+    rows = window.lattice.count[0] + window.lattice.count[1]
+    if fused:
+        each = 20_000 * bodies
+        size, seconds, memory = (
+            each * cells,
+            (2e-3 * cells, 4e-2 * cells + 3.0),
+            (40_000 * cells, 400_000 * cells),
+        )
+    else:
+        size, seconds, memory = (
+            30_000 * bodies + 700 * rows * bodies,
+            (0.5, 6.0 + 2e-4 * cells),
+            (0, 20_000 * cells),
+        )
+    return Forecast(
+        "step", size, False, None, None, seconds, (memory[0] + 300_000_000, memory[1] + 600_000_000)
+    )
+
+
+def _forecast_map(window: Window, name: str) -> Forecast:
+    from clacad.export.sag import samples_per_cell, structured_faces
+
+    faces, cells = len(structured_faces(window)), window.lattice.cell_count
+    per_cell = samples_per_cell(window, None) if name != "xyz" else min(16, samples_per_cell(window, None))
+    pixels = per_cell * per_cell * cells * faces
+    exact = False
+    if name == "tiff":
+        size = 6 * pixels
+    elif name == "png":
+        size = int(1.7 * pixels)
+    elif name == "xyz":
+        size = 85 * pixels
+    elif name == "sag":
+        size = faces * 70 * 65 * 65
+    elif name == "table":
+        size = 75 * cells * faces + 3000
+    else:  # mask
+        size = 110 * cells * faces + 3000
+    return Forecast(
+        name, size, exact, None, None, (4e-7 * size / 6, 2e-6 * size + 0.2), (100_000_000, 400_000_000)
+    )
+
+
+# -- limits --------------------------------------------------------------------------------------
+
+
+def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -> None:
+    """Hold a forecast against the limits: facets, bytes a file, free memory, free disk.
+
+    Raises
+    ------
+    LimitRefused
+        With the number, the limit, and two ways to get under it.
+    """
+    memory, disk = free_memory(), free_disk(folder)
+    for row in rows:
+        if row.facets is not None and row.quads is not None and row.format in ("stl", "stl-parts"):
+            _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
+        held = welded_facets(window, row.quads or 4, row.format) if row.format in WELDED_FORMATS else 0
+        if held > MOST_WELDED:
+            raise LimitRefused(
+                f"{row.format}: {count_text(held)} facets with shared vertices are more than "
+                f"{count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or force it)"
+            )
+        if row.bytes > MOST_BYTES:
+            raise LimitRefused(
+                f"{row.format}: about {size_text(row.bytes)} are more than {size_text(MOST_BYTES)} a file; "
+                f"{_smaller(row, window)} (or force it)"
+            )
+        if row.memory[0] > MEMORY_SHARE * memory:
+            raise LimitRefused(
+                f"{row.format}: at least {size_text(row.memory[0])} of memory, more than 80 % of the {size_text(memory)} that "
+                f"are free; {_smaller(row, window)} (or force it)"
+            )
+    total = sum(row.bytes for row in rows)
+    if total > 0.95 * disk:
+        raise LimitRefused(
+            f"about {size_text(total)} are to be written and {size_text(disk)} are free in {folder}; "
+            "use another folder, or fewer cells"
+        )
+
+
+def _smaller(row: Forecast, window: Window) -> str:
+    if row.format == "step":
+        return "use --step instanced, or --cells 50x50"
+    if row.quads is not None:
+        return f"use fewer quads than {row.quads}, or fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}"
+    return f"use fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}, or format table"
+
+
+def free_memory() -> int:
+    """Bytes of memory that could be had now; a container's limit counts."""
+    available = 1 << 62
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                available = int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+            available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    try:
+        limit = int(Path("/sys/fs/cgroup/memory.max").read_text())
+        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
+        available = min(available, max(0, limit - used))
+    except (OSError, ValueError):
+        pass
+    return available
+
+
+def free_disk(folder: Path) -> int:
+    """Bytes free where `folder` is or will be."""
+    place = folder.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    try:
+        return shutil.disk_usage(place).free
+    except OSError:
+        return 1 << 62
+
+
+def outlook(window: Window) -> list[dict[str, Any]]:
+    """Forecast the common formats for `check`: what an export with default settings would cost.
+
+    Each row is `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
+    """
+    rows = []
+    for name in ("step", "stl", "3mf"):
+        try:
+            quads = choose_quads(window, (name,)) if name in MESH_FORMATS else QUADS[-1]
+            one = _forecast_one(window, name, quads, "auto")
+            rows.append(one.to_dict() | {"refused": None})
+        except LimitRefused as refusal:
+            rows.append({"format": name, "refused": str(refusal)})
+    return rows
+
+
+def count_text(n: int) -> str:
+    """Number for a person: 12,345 or 1.2e18."""
+    return f"{n:,}" if n < 10**10 else f"{Decimal(n):.3g}"  # an int may be too large for a float
+
+
+def size_text(n: int | float | Decimal) -> str:
+    """Bytes for a person: 1.5 GB."""
+    n = Decimal(n)
+    for unit in ("bytes", "kB", "MB", "GB", "TB", "PB"):
+        if n < 1000 or unit == "PB":
+            return f"{n:.0f} {unit}" if unit == "bytes" else f"{n:.3g} {unit}"
+        n /= 1000
+    raise AssertionError("unreachable: the loop ends with PB")

@@ -1,0 +1,281 @@
+"""One entry a format: write into the private folder, read back, compare with the design, tell what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.export.atomic import Stage, canonical_json, file_hash, flush
+from clacad.export.errors import UnknownFormat
+from clacad.export.manifest import FileRecord
+from clacad.export.worker import Progress, Worker
+from clacad.sheet import Window
+
+if TYPE_CHECKING:
+    from clacad.export.pieces import Piece
+    from clacad.export.tessellation import Tessellation
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What every format needs: the window, the place to write, the meshes, the worker.
+
+    Parameters
+    ----------
+    window : Window
+    stem : str
+        First part of every file name.
+    stage : Stage
+    tessellation : Tessellation
+    worker : Worker
+    step : "auto", "fused" or "instanced"
+    progress : callable
+    """
+
+    window: Window
+    stem: str
+    stage: Stage
+    tessellation: Tessellation
+    worker: Worker
+    step: str
+    progress: Progress
+
+    @property
+    def scale(self) -> float:
+        """Millimetres per design unit."""
+        return self.window.unit / 1e-3
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of all bodies."""
+        return tuple(body.name for body in self.window.bodies)
+
+    def record(self, path: Path, format: str, unit: str = "mm", bodies: Sequence[str] | None = None,
+               facts: Mapping[str, Any] | None = None, checks: tuple[str, ...] = ("shape",)) -> FileRecord:  # fmt: skip
+        """Describe a file that was written and agreed."""
+        flush(path)
+        whose = self.bodies if bodies is None else tuple(bodies)
+        return FileRecord(
+            path.name, file_hash(path), path.stat().st_size, format, unit, whose, facts or {}, checks
+        )
+
+
+# -- meshes --------------------------------------------------------------------------------------
+
+
+def _stl(job: Job) -> list[FileRecord]:
+    return [_one_stl(job, f"{job.stem}.stl", job.window)]
+
+
+def _stl_parts(job: Job) -> list[FileRecord]:
+    from dataclasses import replace
+
+    return [
+        _one_stl(job, f"{job.stem}.{body.name}.stl", replace(job.window, bodies=(body,)))
+        for body in job.window.bodies
+    ]
+
+
+def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
+    from clacad.export.compare import compare_mesh
+    from clacad.export.readers import read_mesh
+    from clacad.export.stl import check_stl_facets, write_stl
+
+    path = job.stage.path(name)
+    names = [body.name for body in window.bodies]
+    mesh = job.tessellation.mesh
+    bodies = [part for part, body in zip(mesh.bodies, job.window.bodies, strict=True) if body.name in names]
+    job.progress(f"write {name}", 0.0)
+    write_stl(bodies, path, job.scale, f"{job.stem} {' '.join(names)}")
+    job.progress(f"read back {name}", 0.5)
+    check_stl_facets(path)
+    promise = job.tessellation.promise(instanced=False, single=True, bodies=names)
+    verdict = compare_mesh(read_mesh(path), window, promise, name)
+    facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, names)
+    facts |= {"mode": "fused", "triangles": promise.facets, "float": "f32"}
+    return job.record(path, "stl-binary", bodies=names, facts=facts, checks=verdict.checks)
+
+
+def _mesh_facts(
+    job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str]
+) -> dict[str, Any]:
+    mesh = job.tessellation.mesh
+    cube = job.scale**3
+    parts = [part for part, body in zip(mesh.bodies, job.window.bodies, strict=True) if body.name in names]
+    return {
+        "triangles": facets, "quads": job.tessellation.quads, "slope_error_rms": float(mesh.slope_error),
+        "sag_error_max": float(mesh.sag_error) * job.scale, "volume": volume * cube,
+        "volume_exact": None if exact is None else exact * cube,
+        "saddles": sum(int(getattr(part, "saddles", 0)) for part in parts),
+        "wedges": sum(int(getattr(part, "wedges", 0)) for part in parts),
+        "merged_steps": sum(int(getattr(part, "merged_steps", 0)) for part in parts),
+    }  # fmt: skip
+
+
+def _threemf(job: Job) -> list[FileRecord]:
+    from clacad.export.threemf import write_threemf
+
+    return [_indexed(job, "3mf", write_threemf, single=False, instanced=None)]
+
+
+def _ply(job: Job) -> list[FileRecord]:
+    from clacad.export.ply import write_ply
+
+    return [_indexed(job, "ply", write_ply, single=False, instanced=False)]
+
+
+def _glb(job: Job) -> list[FileRecord]:
+    from clacad.export.glb import write_glb
+
+    return [_indexed(job, "glb", write_glb, single=True, instanced=None)]
+
+
+Writer = Callable[["Sequence[Piece]", Path, float, str], None]
+
+
+def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool | None) -> FileRecord:
+    """Write a format of shared vertices; `instanced` None means: where the sheet allows it."""
+    from clacad.export.compare import compare_mesh
+    from clacad.export.readers import read_mesh
+    from clacad.export.tessellation import instanceable
+
+    name = f"{job.stem}.{kind}"
+    path = job.stage.path(name)
+    repeated = instanceable(job.window) if instanced is None else instanced
+    job.progress(f"write {name}", 0.0)
+    write(job.tessellation.pieces(repeated), path, job.scale, job.stem)
+    job.progress(f"read back {name}", 0.5)
+    promise = job.tessellation.promise(instanced=repeated, single=single)
+    verdict = compare_mesh(read_mesh(path), job.window, promise, name)
+    facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies)
+    facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
+    facts |= {"saddles": 0, "wedges": 0, "merged_steps": 0} if repeated else {}
+    return job.record(path, kind, unit="m" if kind == "glb" else "mm", facts=facts, checks=verdict.checks)
+
+
+# -- exact solids ----------------------------------------------------------------------------------
+
+
+def _step(job: Job) -> list[FileRecord]:
+    from clacad.export.step_record import step_record
+
+    return [step_record(job)]
+
+
+# -- maps, points, tables, masks -------------------------------------------------------------------
+
+
+def _maps(job: Job, word: str, kinds: Mapping[str, str]) -> list[FileRecord]:
+    """Write every structured face as each kind of raster, and one calibration file for them all."""
+    from clacad.export.sag import check_map, height_map, samples_per_cell, structured_faces, write_map
+
+    records, calibration = [], {}
+    per_cell = samples_per_cell(job.window, None)
+    for body, face, label in structured_faces(job.window):
+        map_ = height_map(job.window, body, face, label, per_cell)
+        calibration[label] = map_.calibration(job.scale)
+        for kind, suffix in kinds.items():
+            path = job.stage.path(f"{job.stem}.{label}.{suffix}")
+            job.progress(f"write {path.name}", 0.0)
+            write_map(map_, path, kind, job.scale)
+            check_map(map_, path, kind, job.scale)
+            facts = {"float": "f32"} if kind == "tiff32" else {}
+            records.append(job.record(path, kind, bodies=[body.name], facts=facts))
+    path = job.stage.path(f"{job.stem}.{word}.json")
+    path.write_text(
+        canonical_json({"format": 1, "unit": "mm", "faces": calibration}), encoding="utf-8", newline="\n"
+    )
+    records.append(job.record(path, "height-calibration"))
+    return records
+
+
+def _tiff(job: Job) -> list[FileRecord]:
+    return _maps(job, "tiff", {"tiff32": "f32.tiff", "tiff16": "u16.tiff"})
+
+
+def _png(job: Job) -> list[FileRecord]:
+    return _maps(job, "png", {"png16": "u16.png"})
+
+
+def _sag(job: Job) -> list[FileRecord]:
+    from clacad.export.sag import check_grid_sag, structured_faces, write_grid_sag
+
+    records = []
+    for body, face, label in structured_faces(job.window):
+        path = job.stage.path(f"{job.stem}.{label}.cell.dat")
+        write_grid_sag(job.window, face, 64, path, job.scale)
+        check_grid_sag(job.window, face, path, job.scale)
+        records.append(job.record(path, "grid-sag", bodies=[body.name], facts={"mode": "cell"}))
+    return records
+
+
+def _xyz(job: Job) -> list[FileRecord]:
+    from clacad.export.sag import check_points, samples_per_cell, structured_faces, write_points
+
+    records = []
+    per_cell = min(16, samples_per_cell(job.window, None))
+    for body, face, label in structured_faces(job.window):
+        path = job.stage.path(f"{job.stem}.{label}.xyz")
+        job.progress(f"write {path.name}", 0.0)
+        count = write_points(job.window, body, face, per_cell, path, job.scale)
+        check_points(job.window, face, path, job.scale, count)
+        records.append(job.record(path, "xyz-normals", bodies=[body.name], facts={"points": count}))
+    return records
+
+
+def _table(job: Job) -> list[FileRecord]:
+    from clacad.export.table import check_table, write_table_csv, write_table_json
+
+    surfaces, poses = job.stage.path(f"{job.stem}.surfaces.json"), job.stage.path(f"{job.stem}.poses.csv")
+    write_table_json(job.window, surfaces, job.scale)
+    count = write_table_csv(job.window, poses, job.scale)
+    check_table(job.window, surfaces, poses, job.scale, count)
+    return [job.record(surfaces, "surface-table"), job.record(poses, "pose-table", facts={"lenslets": count})]
+
+
+def _mask(job: Job) -> list[FileRecord]:
+    from clacad.export.mask import check_mask, write_dxf, write_svg
+    from clacad.export.sag import structured_faces
+
+    records = []
+    for body, face, label in structured_faces(job.window):
+        svg, dxf = (
+            job.stage.path(f"{job.stem}.{label}.mask.svg"),
+            job.stage.path(f"{job.stem}.{label}.mask.dxf"),
+        )
+        write_svg(job.window, body, face, label, svg, job.scale)
+        write_dxf(job.window, body, face, label, dxf, job.scale)
+        check_mask(job.window, face, svg, dxf, job.scale)
+        records += [
+            job.record(path, kind, bodies=[body.name])
+            for path, kind in ((svg, "mask-svg"), (dxf, "mask-dxf"))
+        ]
+    return records
+
+
+FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
+    "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
+    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask,
+}  # fmt: skip
+"""Format word → the function that writes, reads back and compares its files."""
+
+
+def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
+    """Give the formats asked for, each once, in the order asked.
+
+    Raises
+    ------
+    UnknownFormat
+        With the nearest word and the list.
+    """
+    from difflib import get_close_matches
+
+    unknown = [name for name in asked if name not in FORMATS]
+    if unknown or not asked:
+        near = get_close_matches(unknown[0], FORMATS, 1) if unknown else []
+        hint = f"; did you mean {near[0]}?" if near else ""
+        what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
+        raise UnknownFormat(f"{what}\n  allowed: {', '.join(FORMATS)}")
+    return tuple(dict.fromkeys(asked))

@@ -1,0 +1,163 @@
+"""Carrying out an export: forecast, write, read back, publish."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from clacad.export import forecast as limits
+from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
+from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, WorkerDied
+from clacad.export.formats import FORMATS, Job, known_formats
+from clacad.export.manifest import FileRecord, Manifest, carried_over, document
+from clacad.export.worker import Progress, Worker, ended_by_signals
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet import Window
+
+KERNEL = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
+"""What the worker loads while the parent still prepares the work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What was asked of an export; see `clacad.export.export`."""
+
+    formats: tuple[str, ...]
+    slope_error: float | Literal["auto"] = "auto"
+    quads: int | None = None
+    step: Literal["auto", "fused", "instanced"] = "auto"
+    cells: tuple[int, int] | None = None
+    overwrite: bool = False
+    force: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Options as the manifest keeps them."""
+        return {
+            "formats": list(self.formats), "slope_error": self.slope_error, "quads": self.quads, "step": self.step,
+            "cells": None if self.cells is None else list(self.cells),
+        }  # fmt: skip
+
+
+def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
+    """Do what `clacad.export.export` promises."""
+    report = progress if progress is not None else _silent
+    formats = known_formats(request.formats)
+    made = design if request.cells is None else design.with_cells(request.cells)
+    if not request.force:
+        limits.refuse_early(made, formats, request.quads)
+    began = time.monotonic()
+    with ended_by_signals(), Worker(memory=_worker_memory(), preload=KERNEL) as worker:
+        if "step" in formats:
+            worker.start()  # the kernel loads while the design is prescribed and forecast
+        report("forecast", 0.0)
+        window = _prescribed(made)
+        quads = _quads(window, request, formats)
+        rows = limits.forecast(window, formats, quads, request.step)
+        if not request.force:
+            limits.refuse_over_limits(window, rows, Path(out))
+        with Stage(out, overwrite=request.overwrite) as stage:
+            stage.path(MANIFEST)  # a foreign manifest is refused before any work
+            job = _job(window, design, stage, quads, worker, request, report)
+            records, failures, seconds = _produced(job, formats)
+            if not records:
+                raise next(iter(failures.values()))
+            content = _content(design, window, records, request, quads)
+            content["files"] += carried_over(stage.folder, content)
+            content["files"].sort(key=lambda entry: str(entry["name"]))
+            facts = {
+                "seconds": seconds | {"all": time.monotonic() - began},
+                "forecast": [r.to_dict() for r in rows],
+            }
+            report("publish", 1.0)
+            stage.publish(content, facts)
+            folder = stage.folder
+    manifest = Manifest(folder, read_manifest(folder) or content, facts)
+    if failures:
+        raise ExportIncomplete(failures, manifest)
+    return manifest
+
+
+def _silent(_name: str, _done: float) -> None:
+    return
+
+
+def _worker_memory() -> int:
+    """Address space of the worker: what is free, but never less than the kernel itself maps."""
+    return max(4_000_000_000, int(limits.MEMORY_SHARE * limits.free_memory()))
+
+
+def _prescribed(design: Design) -> Window:
+    from clacad.prescription import prescribe
+
+    return prescribe(design)
+
+
+def _quads(window: Window, request: Request, formats: tuple[str, ...]) -> int:
+    """Facet grid: as asked, by slope error, or the finest within the limits."""
+    if not any(name in limits.MESH_FORMATS for name in formats):
+        return limits.QUADS[-1]
+    if request.quads is not None:
+        if request.quads < 1:
+            raise LimitRefused(f"quads = {request.quads}; at least 1 is needed")
+        return request.quads
+    if request.slope_error == "auto":
+        return limits.choose_quads(window, formats, request.force)
+    return limits.quads_for_slope(window, float(request.slope_error), request.force)
+
+
+def _job(
+    window: Window,
+    design: Design,
+    stage: Stage,
+    quads: int,
+    worker: Worker,
+    request: Request,
+    report: Progress,
+) -> Job:
+    from clacad.export.tessellation import Tessellation
+
+    return Job(
+        window, safe_name(design.name), stage, Tessellation(window, quads), worker, request.step, report
+    )
+
+
+def _produced(
+    job: Job, formats: tuple[str, ...]
+) -> tuple[list[FileRecord], dict[str, ExportError], dict[str, float]]:
+    """Make every format; one that fails leaves nothing behind and does not stop the others."""
+    records: list[FileRecord] = []
+    failures: dict[str, ExportError] = {}
+    seconds: dict[str, float] = {}
+    for name in formats:
+        began = time.monotonic()
+        before = set(job.stage.written())
+        try:
+            with translated(job.stage.folder):
+                records += FORMATS[name](job)
+        except (ExportError, MemoryError) as error:
+            failures[name] = error if isinstance(error, ExportError) else _starved(name)
+            for path in set(job.stage.written()) - before:
+                path.unlink(missing_ok=True)
+        seconds[name] = time.monotonic() - began
+    return records, failures, seconds
+
+
+def _starved(name: str) -> ExportError:
+    return WorkerDied(f"{name}: ran out of memory; use fewer quads or fewer cells")
+
+
+def _content(
+    design: Design, window: Window, records: list[FileRecord], request: Request, quads: int
+) -> dict[str, Any]:
+    from clacad import __version__
+    from clacad.feasibility import feasibility
+
+    bodies = feasibility(window).bodies
+    counts = {"pieces": [body.pieces for body in bodies], "holes": [body.holes for body in bodies]}
+    versions: Mapping[str, str] = {"clacad": __version__}
+    return document(design, window, records, request.to_dict(), versions, counts)

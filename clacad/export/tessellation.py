@@ -1,0 +1,167 @@
+"""From the sheet's mesh to what each format writes: streams of facets, or welded pieces with exact normals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.export.compare import WALL, Promise
+from clacad.export.filemesh import Floats
+from clacad.export.pieces import Piece, Places
+from clacad.sheet import Body, Face, Land, Window, lens_height_and_normal
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Tessellation:
+    """A window, its mesh, and the mesh of one cell where one cell tells all.
+
+    Parameters
+    ----------
+    window : Window
+    quads : int
+        Facet grid a cell side.
+    """
+
+    window: Window
+    quads: int
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Mesh of the whole sheet (its facets come as a stream)."""
+        from clacad.mesh import tessellate
+
+        return tessellate(self.window, quads=self.quads)
+
+    @cached_property
+    def cell(self) -> Mesh:
+        """Mesh of one cell alone: what instanced formats repeat."""
+        from clacad.mesh import tessellate
+
+        return tessellate(one_cell(self.window), quads=self.quads)
+
+    def promise(self, instanced: bool, single: bool, bodies: Sequence[str] | None = None) -> Promise:
+        """What a file of this mesh, or of some of its bodies, must be found to be."""
+        mesh = self.cell if instanced else self.mesh
+        times = self.window.lattice.cell_count if instanced else 1
+        named = zip(self.window.bodies, mesh.bodies, strict=True)
+        facets = sum(part.facet_count for body, part in named if bodies is None or body.name in bodies)
+        return Promise(
+            facets=facets * times,
+            sag_error=float(mesh.sag_error),
+            merge=float(getattr(mesh, "merge", 0.0)),
+            single=single,
+        )
+
+    def pieces(self, instanced: bool) -> list[Piece]:
+        """Welded meshes with exact vertex normals, one a body."""
+        mesh = self.cell if instanced else self.mesh
+        window = one_cell(self.window) if instanced else self.window
+        return [
+            _piece(window, body, part.rows(), self._places(body) if instanced else None)
+            for body, part in zip(window.bodies, mesh.bodies, strict=True)
+        ]
+
+    def _places(self, body: Body) -> Places:
+        return Places(self.window.lattice, self.window.shifts[_array(body)])
+
+
+def _array(body: Body) -> int:
+    return next(face.array for face in (body.front, body.back) if face.array is not None)
+
+
+def instanceable(window: Window) -> bool:
+    """Whether the sheet is nothing but equal cells side by side.
+
+    Not with land between the cells and an outline, and not for a slab whose two arrays are displaced
+    against one another: there one cell of one face looks at pieces of several of the other.
+    """
+    one_array = all(len({f.array for f in (b.front, b.back)} - {None}) == 1 for b in window.bodies)
+    return window.outline is None and (one_array or window.shifts[0] == window.shifts[1])
+
+
+def one_cell(window: Window) -> Window:
+    """Reduce a window to a single cell at the origin of its own array's frame."""
+    return replace(
+        window.with_cells((1, 1)),
+        shifts=((0.0, 0.0), (0.0, 0.0)),
+        outline=None,
+        land=_without_border(window.land),
+    )
+
+
+def _without_border(land: Land) -> Land:
+    return replace(land, border=0.0)
+
+
+def _piece(window: Window, body: Body, rows: Iterator[Floats], places: Places | None) -> Piece:
+    """Weld facets whose corners and normals agree bit by bit."""
+    corners = np.concatenate(list(rows)) + 0.0
+    normals = exact_normals(window, (body.front, body.back), corners) + 0.0
+    both = np.concatenate([corners, normals], axis=2).reshape(-1, 6)
+    unique, index = np.unique(both.view([("", np.float64)] * 6).ravel(), return_inverse=True)
+    table = unique.view(np.float64).reshape(-1, 6)
+    shared, inverse = _in_first_use_order(table, index.reshape(-1))
+    return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], places, body.index)
+
+
+def _in_first_use_order(table: Floats, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:  # fmt: skip
+    """Number vertices in the order the facets meet them, which compresses and caches better than sorted."""
+    _, first = np.unique(index, return_index=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return table[order], rank[index]
+
+
+def exact_normals(window: Window, faces: Sequence[Face], corners: Floats) -> Floats:
+    """Unit outward normals at the corners of facets: of the lens on a lens, of the facet on walls and land.
+
+    Parameters
+    ----------
+    window : Window
+    faces : (front, back)
+    corners : (n, 3, 3) array, design units, sheet frame
+
+    Returns
+    -------
+    (n, 3, 3) array
+    """
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(flat, axis=1)
+    flat = np.where(
+        length[:, None] > 0.0, flat / np.where(length > 0.0, length, 1.0)[:, None], np.array([0.0, 0.0, 1.0])
+    )
+    result = np.repeat(flat[:, None], 3, axis=1)
+    for face in faces:
+        if face.array is None:
+            continue
+        mine = np.flatnonzero((np.abs(flat[:, 2]) >= WALL) & (np.sign(flat[:, 2]) == -face.side))
+        if len(mine):
+            result[mine] = _lens_normals(window, face, corners[mine], result[mine])
+    return result
+
+
+def _lens_normals(window: Window, face: Face, corners: Floats, flat: Floats) -> Floats:
+    """Replace the normals of facets whose three corners lie on the lens of their cell."""
+    assert face.array is not None
+    shift = np.asarray(window.shifts[face.array])
+    middle = corners.mean(axis=1)
+    index, _, _ = window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
+    centre = window.lattice.centres(index) + shift
+    local = corners[..., :2] - centre[:, None]
+    z, normal = lens_height_and_normal(face, local[..., 0].ravel(), local[..., 1].ravel())
+    z, normal = z.reshape(-1, 3), normal.reshape(-1, 3, 3) * -face.side
+    land = np.full_like(z, np.inf) if face.land is None else np.abs(corners[..., 2] - face.land)
+    # A facet is the lens's unless all its corners lie nearer to the land; a rim corner lies on both.
+    with np.errstate(invalid="ignore"):
+        on_lens = np.isfinite(z) & (np.abs(corners[..., 2] - z) <= 1e-6 * min(window.lattice.pitch))
+    lens = on_lens.all(axis=1) & ~(land <= 1e-12 * min(window.lattice.pitch)).all(axis=1)
+    lens &= window.lattice.contains(index)
+    return np.where(lens[:, None, None], normal, flat)
