@@ -170,7 +170,7 @@ def _refracted(ray: Vector, gradient: Vector, before: Decimal, after: Decimal) -
     normal = (gradient[0] / length, gradient[1] / length, gradient[2] / length)
     along = _dot(ray, normal)
     tangential = [(r - along * n) * before / after for r, n in zip(ray, normal, strict=True)]
-    left = 1 - sum(p * p for p in tangential)
+    left = 1 - sum((p * p for p in tangential), Decimal(0))
     if left < 0:
         return None
     forward = left.sqrt().copy_sign(along)
