@@ -205,3 +205,10 @@ def volume(shape: Any) -> float:
     properties = GProp_GProps()
     BRepGProp.VolumeProperties_s(shape, properties)
     return float(properties.Mass())
+
+
+def surface_area(shape: Any) -> float:
+    """Surface area by the kernel's quadrature, mm²."""
+    properties = GProp_GProps()
+    BRepGProp.SurfaceProperties_s(shape, properties)
+    return float(properties.Mass())
