@@ -9,6 +9,7 @@ from clacad.cli.console import show_json, show_text
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet import Window
 
 
 def new_design(name: str, template: str, *, overwrite: bool, json: bool, quiet: bool) -> int:
@@ -73,11 +74,11 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     else:
         from clacad.cli.tables import check_text
 
-        show_text(check_text(design, window, describe(window, facts), checks, forecast), quiet=quiet)
+        show_text(check_text(design.name, describe(window, facts), checks, forecast), quiet=quiet)
     return 1 if failed else 0
 
 
-def _forecast(window: Any) -> list[dict[str, Any]]:
+def _forecast(window: Window) -> list[dict[str, Any]]:
     from clacad.export.forecast import outlook
 
     return outlook(window)

@@ -22,13 +22,14 @@ def checks_text(checks: Iterable[Any]) -> str:
     """One line a check: state, id, value against limit, and the sentence where it did not pass."""
     lines = []
     for check in checks:
-        lines.append([MARKS[check.state], check.id, number(check.value), limit_text(check), check.unit, check.sentence])
+        name = f"{check.id} ({check.subject})" if check.subject else check.id
+        lines.append([MARKS[check.state], name, number(check.value), limit_text(check), check.sentence])
     return table(lines)
 
 
 def limit_text(check: Any) -> str:
     """The limit as text, with its sense."""
-    return "" if check.limit is None else f"(limit {number(check.limit)})"
+    return "" if check.limit is None else f"{check.relation} {number(check.limit)} {check.unit}".rstrip()
 
 
 def number(value: Any) -> str:
@@ -41,18 +42,44 @@ def number(value: Any) -> str:
 
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
-    """What the files would cost: facets, bytes, seconds, memory."""
-    lines = [["format", "setting", "facets", "bytes", "seconds", "memory"]]
+    """What the files would cost: facets, bytes, seconds, memory; or why an export would be refused."""
+    lines = [["format", "facets", "bytes", "seconds", "memory", ""]]
     for row in rows:
-        facets = row.get("triangles")
+        if row.get("refused"):
+            lines.append([row["format"], f"refused: {row['refused']}"])
+            continue
+        low, high = row["seconds"]
+        grid = "" if row["quads"] is None else f"{row['quads']} quads a cell side"
         lines.append(
             [
-                str(row["format"]),
-                str(row.get("setting", "")),
-                "" if facets is None else f"{facets:,}",
-                size(row["bytes"]),
-                f"{row['seconds']:.2g}",
-                size(row["memory"]),
+                row["format"],
+                "" if row["facets"] is None else f"{row['facets']:,}",
+                ("" if row["exact"] else "about ") + size(row["bytes"]),
+                f"{low:.2g} to {high:.2g}",
+                f"up to {size(row['memory'][1])}",
+                grid,
             ]
         )
     return table(lines)
+
+
+def files_text(files: Iterable[Any]) -> str:
+    """The files of a manifest: name, bytes, hash, what was compared with the design."""
+    lines = [
+        [entry["name"], size(entry["bytes"]), entry["sha256"][:16], "agrees: " + ", ".join(entry["checks"])]
+        for entry in files
+    ]
+    return table(lines)
+
+
+def check_text(
+    title: str, derived: Iterable[Sequence[str]], checks: Iterable[Any], forecast: Iterable[dict[str, Any]]
+) -> str:
+    """All of `clacad check`."""
+    checks = list(checks)
+    failed = [check.id for check in checks if check.state == "fail"]
+    verdict = f"FAIL: {', '.join(dict.fromkeys(failed))}" if failed else "the design rules hold"
+    blocks = (
+        derived_text(derived), "design rules", checks_text(checks), "what an export would cost", forecast_text(forecast),
+    )  # fmt: skip
+    return "\n".join((title, *blocks, verdict))

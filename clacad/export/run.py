@@ -82,6 +82,21 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     return manifest
 
 
+def forecast_rows(design: Design, request: Request) -> list[limits.Forecast]:
+    """What an export would cost, format by format; writes nothing.
+
+    Raises
+    ------
+    DesignError, LimitRefused
+    """
+    made = design if request.cells is None else design.with_cells(request.cells)
+    formats = known_formats(request.formats)
+    if not request.force:
+        limits.refuse_early(made, formats, request.quads)
+    window = _prescribed(made)
+    return limits.forecast(window, formats, _quads(window, request, formats), request.step)
+
+
 def _silent(_name: str, _done: float) -> None:
     return
 

@@ -1,0 +1,119 @@
+"""`clacad export`: write the part, print the fabrication table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from clacad.cli.console import Progress, say, show_json, show_text
+from clacad.cli.design_commands import load_design
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+class BadOption(ValueError):
+    """An option that cannot be understood; exit status 2."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ExportRequest:
+    """What to export, where to, and how finely."""
+
+    out: Path
+    formats: tuple[str, ...]
+    slope_error: str | None
+    quads: int | None
+    step: str
+    cells: str | None
+    overwrite: bool
+    force: bool
+    dry_run: bool
+
+
+def export_design(
+    path: Path, overrides: list[str], request: ExportRequest, *, json: bool, quiet: bool
+) -> int:
+    """Export and print what was made; with --dry-run print the forecast only."""
+    from clacad.cli.tables import derived_text, files_text
+    from clacad.export import export
+    from clacad.feasibility import describe, feasibility
+    from clacad.prescription import prescribe
+
+    design = load_design(path, overrides)
+    cells = parse_cells(request.cells)
+    if request.dry_run:
+        return _forecast(design, request, cells, json=json, quiet=quiet)
+    progress = Progress(quiet=quiet)
+    try:
+        manifest = export(
+            design, request.out, request.formats,
+            slope_error=parse_slope_error(request.slope_error), quads=request.quads,
+            step=parse_step(request.step), cells=cells, overwrite=request.overwrite, force=request.force,
+            progress=progress,
+        )  # fmt: skip
+    finally:
+        progress.done()
+    if json:
+        show_json(dict(manifest.document))
+        return 0
+    window = prescribe(design if cells is None else design.with_cells(cells))
+    text = derived_text(describe(window, feasibility(window)))
+    show_text(f"{design.name}\n{text}\nfiles in {manifest.folder}\n{files_text(manifest.files)}", quiet=quiet)
+    if not quiet:
+        say(f"next: clacad verify {path} --files {request.out}")
+    return 0
+
+
+def _forecast(
+    design: Design, request: ExportRequest, cells: tuple[int, int] | None, *, json: bool, quiet: bool
+) -> int:
+    from clacad.cli.tables import forecast_text
+    from clacad.export.run import Request, forecast_rows
+
+    step, slope_error = parse_step(request.step), parse_slope_error(request.slope_error)
+    asked = Request(
+        request.formats, slope_error, request.quads, step, cells, request.overwrite, request.force
+    )
+    rows: list[dict[str, Any]] = [row.to_dict() for row in forecast_rows(design, asked)]
+    if json:
+        show_json(rows)
+    else:
+        show_text(forecast_text(rows), quiet=quiet)
+    return 0
+
+
+def parse_cells(text: str | None) -> tuple[int, int] | None:
+    """Read "10x10" (or "10" for 10 by 10) as a pair; None stays None."""
+    if text is None:
+        return None
+    parts = text.lower().replace("×", "x").split("x")
+    if len(parts) not in (1, 2) or not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
+        raise BadOption(f"--cells {text}: it is two whole numbers above 0, such as 10x10")
+    a, b = int(parts[0]), int(parts[-1])
+    return a, b
+
+
+def parse_slope_error(text: str | None) -> float | Literal["auto"]:
+    """Read "auto", or an angle such as "5 mrad" as radians; a bare number is degrees."""
+    if text is None or text == "auto":
+        return "auto"
+    from clacad.design.units import family_of, in_radians, split
+
+    parts = split(text)
+    if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
+        raise BadOption(f"--slope-error {text}: it is an angle such as '5 mrad' or '0.3 deg', or auto")
+    value = in_radians(parts[0], parts[1] or "deg")
+    if not value > 0.0:
+        raise BadOption(f"--slope-error {text}: it is an angle above 0, such as '5 mrad', or auto")
+    return value
+
+
+def parse_step(text: str) -> Literal["auto", "fused", "instanced"]:
+    """One of the three STEP modes."""
+    if text not in ("auto", "fused", "instanced"):
+        raise BadOption(f"--step {text}: it is one of auto, fused, instanced")
+    return cast("Literal['auto', 'fused', 'instanced']", text)
