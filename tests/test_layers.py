@@ -34,7 +34,7 @@ LAYER = {
 
 # Neighbours within a row that may use one another, each with its reason.
 SIDEWAYS = {
-    ("sheet", "lattice"): "a row above",
+    ("scene", "design"): "one reader for both kinds of file: units, places of mistakes, suggestions",
     ("mesh", "cell_complex"): "one topology for mesh and B-Rep",
     ("brep", "cell_complex"): "one topology for mesh and B-Rep",
     ("cell_complex", "extremes"): "extremes of heights along a border",
