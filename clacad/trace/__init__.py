@@ -22,6 +22,9 @@ from clacad.trace.thin import trace_thin
 
 __all__ = ["Interface", "trace", "trace_sequence"]
 
+SMALL_JOB = 3_000_000
+"""Ray-surfaces below which numpy alone is faster than loading the compiled kernels."""
+
 Rung = Literal["law", "thin", "surfaces", "mesh"]
 
 
@@ -31,6 +34,7 @@ def trace(
     rung: Rung = "surfaces",
     effects: Sequence[object] = (),
     record: bool = False,
+    threads: int | None = None,
     path: Literal["numpy", "numba"] | None = None,
 ) -> TraceResult:
     """Trace rays through a window.
@@ -44,6 +48,11 @@ def trace(
         Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
     record : bool
         Keep `hits` and `directions` at every face.
+    threads : int or None
+        None: the environment variable CLACAD_THREADS, else every core.
+    path : "numpy", "numba" or None
+        Which implementation; None takes numpy for small jobs, where compiled kernels would cost more to load
+        than they save.
 
     Returns
     -------
@@ -64,8 +73,14 @@ def trace(
     elif rung == "thin":
         trace_thin(layout, ledger, rows)
     elif rung == "surfaces":
+        compiled = path == "numba" or (path is None and len(rows) * faces > SMALL_JOB)
         for same, indices in colours(layout, rays, rows):
-            trace_surfaces(layout, ledger, same, indices)
+            if compiled:
+                from clacad.trace.compiled_surfaces import thread_count, trace_compiled
+
+                trace_compiled(layout, ledger, same, indices, thread_count(threads))
+            else:
+                trace_surfaces(layout, ledger, same, indices)
     else:
         raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
     return ledger.closed()

@@ -1,0 +1,55 @@
+"""Rung "surfaces" compiled: rays handed to the kernels in chunks, one chunk a thread at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from clacad.trace.kernel_block import trace_chunk
+from clacad.trace.layout import Layout
+from clacad.trace.ledger import Ledger, Rows
+from clacad.trace.packing import pack
+
+CHUNK = 1 << 16
+"""Rays handed to a thread at a time: many chunks a thread, so that none waits long for the last."""
+
+
+def trace_compiled(
+    layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence[float], threads: int
+) -> None:
+    """Trace the launched rays `rows`; the same results as `surfaces.trace_surfaces`."""
+    packed = pack(layout)
+
+    def one(chosen: Rows) -> int:
+        return trace_chunk(
+            packed.faces, packed.bodies, packed.lattice, packed.rows, np.asarray(indices, dtype=np.float64),
+            chosen, ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell,
+            ledger.order, ledger.surface, ledger.hits, ledger.directions,
+        )  # fmt: skip
+
+    chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]
+    if threads == 1 or len(chunks) == 1:
+        for chunk in chunks:
+            one(chunk)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(one, chunks))
+
+
+def thread_count(asked: int | None) -> int:
+    """Threads to use: as asked, else CLACAD_THREADS, else one for each core this process may run on.
+
+    Raises
+    ------
+    ValueError
+        The number, or the variable, is not a positive whole number.
+    """
+    text = os.environ.get("CLACAD_THREADS", "") if asked is None else str(asked)
+    if text == "":
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not text.isdigit() or int(text) < 1:
+        raise ValueError(f"threads (or CLACAD_THREADS) is {text!r}, not a positive whole number")
+    return int(text)

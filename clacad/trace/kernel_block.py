@@ -1,0 +1,454 @@
+"""The straight path, compiled: blocks of rays in the first-level cache, face by face, two loops a face.
+
+The twin of `clacad.trace.surfaces.in_cell`. Each pass is a plain loop over a block that a compiler turns
+into vector instructions: no branch, no call, two square roots and two divisions a face. Rays for which a
+condition of the straight path fails are marked and walked one by one afterwards.
+
+Positions are carried times N, so that the step to the vertex plane needs no division:
+with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r − b  the hit is
+((X q + c L), (Y q + c M), c N) / (N q) and r = (N r) q / (N q).
+"""
+
+from __future__ import annotations
+
+from math import floor, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.rays import Fate
+from clacad.trace import packing as slot
+from clacad.trace.compiled import exact, fused
+from clacad.trace.kernel_launch import launch_block, launch_ray
+from clacad.trace.kernel_scalar import height, meet
+from clacad.trace.kernel_walk import reach, walk_ray
+from clacad.trace.layout import Floats
+
+Ints = NDArray[np.int64]
+Rows = NDArray[np.intp]
+Bytes = NDArray[np.uint8]
+Cells = NDArray[np.int32]
+
+BLOCK = 256
+"""Rays in a block: with its scratch rows 44 KB, which the first-level cache about holds."""
+
+X, Y, Z, L, M, N, R, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ, SCRATCH = range(19)
+
+ALIVE, GHOST, BEHIND_START = int(Fate.ALIVE), int(Fate.GHOST), -8 * 2.0**-52
+
+
+@fused
+def _meet_quadric(face: Floats, s: Floats, m: int, n1: float) -> None:
+    """First loop of a face: to the hit, in the lens frame, from the vertex on."""
+    x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[L], s[M], s[N], s[R], s[PATH]
+    cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
+    vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
+    for i in range(m):
+        u, v, w = dx[i], dy[i], dz[i]
+        down = z[i] - vz
+        px, py = w * (x[i] - vx) - down * u, w * (y[i] - vy) - down * v
+        a = cx * u * u + cy * v * v + kappa * w * w
+        b = cx * px * u + cy * py * v - side * w * w
+        c = cx * px * px + cy * py * py
+        r = sqrt(b * b - a * c)
+        q = side * r - b
+        inverse = 1.0 / (w * q)
+        x[i] = (px * q + c * u) * inverse
+        y[i] = (py * q + c * v) * inverse
+        z[i] = c * w * inverse
+        root[i] = r * q * inverse
+        path[i] += n1 * ((c - down * q) * inverse)
+
+
+@fused
+def _turn_in(face: Floats, s: Floats, m: int) -> None:
+    """Positions and directions from sheet axes to lens axes, about the vertex."""
+    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[L], s[M], s[N]
+    vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
+    a, b, c, d, e, f = (
+        face[slot.R0],
+        face[slot.R0 + 1],
+        face[slot.R0 + 2],
+        face[slot.R0 + 3],
+        face[slot.R0 + 4],
+        face[slot.R0 + 5],
+    )
+    g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
+    for i in range(m):
+        u, v, w = x[i] - vx, y[i] - vy, z[i] - vz
+        x[i], y[i], z[i] = a * u + d * v + g * w + vx, b * u + e * v + h * w + vy, c * u + f * v + k * w + vz
+        u, v, w = dx[i], dy[i], dz[i]
+        dx[i], dy[i], dz[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
+
+
+@fused
+def _turn_out(face: Floats, s: Floats, m: int) -> None:
+    """Positions about the vertex, and directions, from lens axes back to sheet axes; normals must face up."""
+    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[L], s[M], s[N], s[GOOD]
+    gx, gy, gz = s[GX], s[GY], s[GZ]
+    a, b, c, d, e, f = (
+        face[slot.R0],
+        face[slot.R0 + 1],
+        face[slot.R0 + 2],
+        face[slot.R0 + 3],
+        face[slot.R0 + 4],
+        face[slot.R0 + 5],
+    )
+    g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
+    for i in range(m):
+        u, v, w = x[i], y[i], z[i]
+        x[i], y[i], z[i] = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + k * w
+        u, v, w = dx[i], dy[i], dz[i]
+        dx[i], dy[i], dz[i] = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + k * w
+        good[i] = good[i] if g * gx[i] + h * gy[i] + k * gz[i] > 0.0 else 0.0
+
+
+@fused
+def _refract_quadric(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
+    """Second loop of a face: Snell's law; the normal must be of the apex half."""
+    x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[L], s[M], s[N], s[R], s[GOOD]
+    gxs, gys, gzs = s[GX], s[GY], s[GZ]
+    sx, sy, sk = (
+        -face[slot.SIDE] * face[slot.CX],
+        -face[slot.SIDE] * face[slot.CY],
+        face[slot.SIDE] * face[slot.KX],
+    )
+    turned = face[slot.TURNED] != 0.0
+    mu = n1 / n2
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    for i in range(m):
+        gx, gy, gz = sx * x[i], sy * y[i], 1.0 - sk * z[i]
+        incident = mu * root[i]
+        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        dx[i] = mu * dx[i] + g * gx
+        dy[i] = mu * dy[i] + g * gy
+        dz[i] = mu * dz[i] + g * gz
+        good[i] = good[i] if gz > 0.0 else 0.0
+    if turned:
+        for i in range(m):
+            gxs[i], gys[i], gzs[i] = sx * x[i], sy * y[i], 1.0 - sk * z[i]
+
+
+@exact
+def _meet_biconic(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
+    """Both loops of a biconic face: Newton has no fixed length, so rays are taken one by one."""
+    mu = n1 / n2
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    for i in range(m):
+        t, x, y, z, gx, gy, gz, root = meet(
+            face, s[X, i] - face[slot.VX], s[Y, i] - face[slot.VY], s[Z, i] - face[slot.VZ], s[L, i], s[M, i], s[N, i]
+        )  # fmt: skip
+        incident = mu * root
+        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        s[X, i], s[Y, i], s[Z, i], s[R, i] = x, y, z, root
+        s[L, i], s[M, i], s[N, i] = mu * s[L, i] + g * gx, mu * s[M, i] + g * gy, mu * s[N, i] + g * gz
+        s[GX, i], s[GY, i], s[GZ, i] = gx, gy, gz
+        s[PATH, i] += n1 * t
+        if not gz > 0.0:
+            s[GOOD, i] = 0.0
+
+
+@fused
+def _settle(face: Floats, s: Floats, m: int, climb: float) -> None:
+    """Positions from the cell's centre on; rays must stay steep, and on the lens where land could cover it."""
+    x, y, z, dz, good = s[X], s[Y], s[Z], s[N], s[GOOD]
+    vx, vy, vz, land, side = face[slot.VX], face[slot.VY], face[slot.VZ], face[slot.LAND], face[slot.SIDE]
+    for i in range(m):
+        x[i] += vx
+        y[i] += vy
+        z[i] += vz
+        good[i] = good[i] if (dz[i] > 0.0) & (dz[i] >= climb) else 0.0
+    if face[slot.WHOLE] == 0.0 and land == land:
+        for i in range(m):
+            good[i] = good[i] if (z[i] - land) * side <= 0.0 else 0.0
+
+
+@fused
+def _in_zone(lat: Floats, s: Floats, m: int, margin: float) -> None:
+    """Rays must lie inside their cell, `margin` from its borders."""
+    x, y, good = s[X], s[Y], s[GOOD]
+    if lat[slot.HEXAGONAL] == 0.0:
+        hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
+        for i in range(m):
+            good[i] = good[i] if (abs(x[i]) < hx) & (abs(y[i]) < hy) else 0.0
+        return
+    half, slant = lat[slot.HALF] - margin, lat[slot.NORMAL + 3]
+    for i in range(m):
+        u, v = x[i], y[i]
+        one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
+        good[i] = good[i] if (one < half) & (two < half) & (three < half) else 0.0
+
+
+@fused
+def _in_cell_at(lat: Floats, s: Floats, m: int, level: float) -> None:
+    """Rays must be in their cell where they cross a level; everything times N, so no division."""
+    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[L], s[M], s[N], s[GOOD]
+    half, half_y, slant = lat[slot.HALF], lat[slot.HALF + 1], lat[slot.NORMAL + 3]
+    if lat[slot.HEXAGONAL] == 0.0:
+        for i in range(m):
+            rise = level - z[i]
+            u, v = x[i] * dz[i] + rise * dx[i], y[i] * dz[i] + rise * dy[i]
+            good[i] = good[i] if (abs(u) < half * dz[i]) & (abs(v) < half_y * dz[i]) else 0.0
+        return
+    for i in range(m):
+        rise, edge = level - z[i], half * dz[i]
+        u, v = x[i] * dz[i] + rise * dx[i], y[i] * dz[i] + rise * dy[i]
+        one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
+        good[i] = good[i] if (one < edge) & (two < edge) & (three < edge) else 0.0
+
+
+@fused
+def _carry(lat: Floats, s: Floats, m: int, rise: float, level: float, index: float, change: float) -> None:
+    """Carry rays to a level and into the cells of the array there.
+
+    rise : what the level adds to heights over the old one; change : +1 array 0 → 1, −1 back, 0 neither
+    """
+    x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[L], s[M], s[N], s[PATH], s[CI], s[CJ]
+    rx, ry = change * lat[slot.RESIDUAL], change * lat[slot.RESIDUAL + 1]
+    wi, wj = change * lat[slot.WHOLE_STEPS], change * lat[slot.WHOLE_STEPS + 1]
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    per_pitch, per_row = 1.0 / pitch, 1.0 / row
+    for i in range(m):
+        t = (level + rise - z[i]) / dz[i]
+        x[i] += t * dx[i] - rx
+        y[i] += t * dy[i] - ry
+        z[i] = level
+        path[i] += index * t
+    if lat[slot.HEXAGONAL] == 0.0:
+        for i in range(m):
+            k = floor(x[i] * per_pitch + 0.5)
+            x[i] -= k * pitch
+            ci[i] += k - wi
+        for i in range(m):
+            k = floor(y[i] * per_row + 0.5)
+            y[i] -= k * row
+            cj[i] += k - wj
+        return
+    half, slant = 0.5 * pitch, row / pitch
+    for i in range(m):
+        b = floor(y[i] * per_row + 0.5)
+        a = floor(x[i] * per_pitch - 0.5 * b + 0.5)
+        u, v = x[i] - (a + 0.5 * b) * pitch, y[i] - b * row
+        two, three = 0.5 * u + slant * v, -0.5 * u + slant * v
+        second = (1.0 if two >= half else 0.0) - (1.0 if two < -half else 0.0)
+        third = ((1.0 if three >= half else 0.0) - (1.0 if three < -half else 0.0)) * (1.0 - abs(second))
+        a, b = a - third, b + second + third
+        x[i] -= (a + 0.5 * b) * pitch
+        y[i] -= b * row
+        ci[i] += a - wi
+        cj[i] += b - wj
+
+
+@exact
+def _keep(rows: Ints, s: Floats, m: int) -> None:
+    """Rays must be over a kept cell."""
+    ci, cj, good = s[CI], s[CJ], s[GOOD]
+    last = len(rows) - 1
+    for i in range(m):
+        j = min(max(cj[i], 0.0), float(last))
+        row = int(j) if j == j else 0
+        inside = (cj[i] == j) & (ci[i] >= rows[row, 0]) & (ci[i] < rows[row, 1])
+        good[i] = good[i] if inside else 0.0
+
+
+@fused
+def _centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats) -> None:
+    """Sheet-frame x and y."""
+    x, y, ci, cj = s[X], s[Y], s[CI], s[CJ]
+    sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    if lat[slot.HEXAGONAL] != 0.0:
+        for i in range(m):
+            px[i] = (lat[slot.X0] + (ci[i] + 0.5 * cj[i]) * pitch + sx) + x[i]
+            py[i] = (lat[slot.Y0] + cj[i] * row + sy) + y[i]
+        return
+    across, along = lat[slot.N1] - 1.0, lat[slot.N2] - 1.0
+    for i in range(m):
+        px[i] = ((2.0 * ci[i] - across) * (0.5 * pitch) + sx) + x[i]
+        py[i] = ((2.0 * cj[i] - along) * (0.5 * row) + sy) + y[i]
+
+
+@fused
+def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int) -> None:
+    """Rays must be certainly over the body."""
+    px, py, good = s[GX], s[GY], s[GOOD]
+    _centres(lat, s, m, array, px, py)
+    mx, my, hx, hy, radius = (
+        body[slot.MID_X],
+        body[slot.MID_Y],
+        body[slot.INNER_X],
+        body[slot.INNER_Y],
+        body[slot.INNER_R],
+    )
+    square = radius * radius if radius > 0.0 else 0.0
+    for i in range(m):
+        u, v = px[i] - mx, py[i] - my
+        good[i] = good[i] if (abs(u) < hx) & (abs(v) < hy) & (u * u + v * v < square) else 0.0
+
+
+@exact
+def _thick(face: Floats, s: Floats, m: int, sign: float) -> None:
+    """Rays on one face must lie on the right side of the body's other face."""
+    for i in range(m):
+        if s[GOOD, i] != 0.0 and not sign * (height(face, s[X, i], s[Y, i]) - s[Z, i]) >= 0.0:
+            s[GOOD, i] = 0.0
+
+
+@exact
+def _cross(face: Floats, s: Floats, m: int, n1: float, n2: float, climb: float) -> None:
+    """Cross one face."""
+    turned = face[slot.TURNED] != 0.0
+    if turned:
+        _turn_in(face, s, m)
+    if face[slot.BICONIC] == 0.0:
+        _meet_quadric(face, s, m, n1)
+        _refract_quadric(face, s, m, n1, n2)
+    else:
+        _meet_biconic(face, s, m, n1, n2)
+    if turned:
+        _turn_out(face, s, m)
+    _settle(face, s, m, climb)
+
+
+@exact
+def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
+    """The first face must not lie behind the start."""
+    for i in range(m):
+        slack = BEHIND_START * (abs(carried[i]) + abs(s[PATH, i] - carried[i]))
+        if not s[PATH, i] >= slack:
+            s[GOOD, i] = 0.0
+
+
+@exact
+def _open_baffle(lat: Floats, s: Floats, m: int, cells: Floats) -> None:
+    """Rays must pass the honeycomb between the arrays."""
+    for i in range(m):
+        di, dj = s[CI, i] - cells[0, i], s[CJ, i] - cells[1, i]
+        if s[GOOD, i] != 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], s[X, i], s[Y, i], di, dj) <= 1.0:
+            s[GOOD, i] = 0.0
+
+
+@exact
+def _store_hit(
+    lat: Floats, level: float, s: Floats, m: int, array: int, chosen: Rows, hit: Floats, turn: Floats
+) -> None:
+    """Note hits and directions at one face."""
+    px, py = s[GX], s[GY]
+    _centres(lat, s, m, array, px, py)
+    for i in range(m):
+        if s[GOOD, i] != 0.0:
+            row = chosen[i]
+            hit[row, 0], hit[row, 1], hit[row, 2] = px[i], py[i], s[Z, i] + level
+            turn[row, 0], turn[row, 1], turn[row, 2] = s[L, i], s[M, i], s[N, i]
+
+
+@exact
+def straight(
+    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
+    hits: Floats, turns: Floats, carried: Floats,
+) -> int:  # fmt: skip
+    """Trace a launched block straight through every face; return the array its cells refer to at the end."""
+    m = len(chosen)
+    array, met = 0, 0
+    for b in range(len(bodies)):
+        body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
+        if not columnar and body[slot.COVERED] == 0.0:
+            s[GOOD, :m] = 0.0
+            return array
+        for side in range(2):
+            face, other = faces[2 * b + side], faces[2 * b + 1 - side]
+            n1, n2 = (1.0, index) if side == 0 else (index, 1.0)
+            structured = face[slot.ARRAY] >= 0.0
+            rise = 0.0
+            if b and side == 0:
+                rise = body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
+                s[LEFT_X, :m], s[LEFT_Y, :m] = s[X, :m], s[Y, :m]
+            entering = structured and (side == 0 or not columnar)
+            if entering and met + b + side > 0:
+                change = face[slot.ARRAY] - array
+                array = int(face[slot.ARRAY])
+                _carry(lat, s, m, rise, body[slot.BODY_LOW] if columnar else face[slot.LOW], n1, change)
+            elif rise != 0.0:
+                s[Z, :m] -= rise
+            climb = face[slot.CLIMB] if not columnar else max(face[slot.CLIMB], other[slot.CLIMB])
+            if entering:
+                _in_zone(lat, s, m, 0.0)
+                _keep(rows, s, m)
+                _steep(s, m, face[slot.CLIMB])
+                if met == 0:
+                    s[CI0, :m], s[CJ0, :m] = s[CI, :m], s[CJ, :m]
+            _cross(face, s, m, n1, n2, climb if structured else 0.0)
+            if structured:
+                _in_zone(lat, s, m, lat[slot.MARGIN])
+                met += 1
+                if not columnar:
+                    _in_cell_at(lat, s, m, face[slot.HIGH])
+                elif body[slot.COVERED] == 0.0:
+                    _thick(other, s, m, 1.0 - 2.0 * side)
+            if not columnar:
+                _in_inner(body, lat, s, m, array)
+            if b == 0 and side == 0:
+                _start_ahead(s, m, carried)
+            if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
+                _open_baffle(lat, s, m, s[CI0 : CJ0 + 1])
+            if len(hits):
+                _store_hit(
+                    lat, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
+                )
+        if columnar:
+            _in_cell_at(lat, s, m, body[slot.BODY_HIGH])
+    return array
+
+
+@fused
+def _steep(s: Floats, m: int, climb: float) -> None:
+    dz, good = s[N], s[GOOD]
+    for i in range(m):
+        good[i] = good[i] if dz[i] >= climb else 0.0
+
+
+@exact
+def trace_chunk(
+    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows,
+    position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
+    hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """Trace the launched rays `chosen` and write their rows; return how many had to be walked.
+
+    `position` and `direction` hold the rays as launched and receive the result.
+    """
+    s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
+    walked, last = 0, len(faces) - 1
+    top = bodies[len(bodies) - 1, slot.LEVEL]
+    for first in range(0, len(chosen), BLOCK):
+        block = chosen[first : first + BLOCK]
+        m = len(block)
+        launch_block(
+            lat, bodies[0], position, direction, block, s[X], s[Y], s[Z], s[L], s[M], s[N], s[CI], s[CJ], s[PATH],
+            s[GOOD],
+        )  # fmt: skip
+        carried[:m] = s[PATH, :m]
+        array = straight(faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
+        _centres(lat, s, m, array, s[GX], s[GY])
+        for k in range(m):
+            row = block[k]
+            if s[GOOD, k] != 0.0:
+                position[row, 0], position[row, 1], position[row, 2] = s[GX, k], s[GY, k], s[Z, k] + top
+                direction[row, 0], direction[row, 1], direction[row, 2] = s[L, k], s[M, k], s[N, k]
+                path[row], surface[row] = s[PATH, k], last
+                cell[row, 0], cell[row, 1] = int(s[CI0, k]), int(s[CJ0, k])
+                di, dj = int(s[CI, k] - s[CI0, k]), int(s[CJ, k] - s[CJ0, k])
+                order[row, 0], order[row, 1] = di, dj
+                fate[row] = ALIVE if di == 0 and dj == 0 else GHOST
+                continue
+            walked += 1
+            for face in range(len(hits)):
+                for c in range(3):
+                    hits[face, row, c], turns[face, row, c] = position[row, c], direction[row, c]
+            reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies[0], position, direction, row)
+            if reaches:
+                walk_ray(
+                    faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
+                    fate, path, cell, order, surface, hits, turns,
+                )  # fmt: skip
+    return walked

@@ -1,0 +1,428 @@
+"""Compiled scalar pieces of the walk: one ray, one face. The same formulas as `clacad.surface` and `face`.
+
+Nothing here may be compiled with ``fastmath={"contract"}``: fusing a multiply with an add would break the
+exact products below. Notation as in `clacad.surface`.
+"""
+
+from __future__ import annotations
+
+from math import copysign, floor, inf, isfinite, nan, sqrt
+
+from clacad.surface.biconic import FLAT, NEWTON_STEPS, SETTLED
+from clacad.surface.quadric import CANCELS, STEEPEST
+from clacad.trace import packing as slot
+from clacad.trace.compiled import exact
+from clacad.trace.layout import Floats
+
+_SPLITTER = 134217729.0
+
+SEARCH = 256
+"""Steps in which a biconic is searched for the crossing of a ray that Newton lost; such rays graze it."""
+
+
+@exact
+def two_sum(a: float, b: float) -> tuple[float, float]:
+    """Rounded sum and what rounding took away."""
+    s = a + b
+    v = s - a
+    return s, (a - (s - v)) + (b - v)
+
+
+@exact
+def two_product(a: float, b: float) -> tuple[float, float]:
+    """Rounded product and what rounding took away."""
+    p = a * b
+    t = _SPLITTER * a
+    ah = t - (t - a)
+    al = a - ah
+    t = _SPLITTER * b
+    bh = t - (t - b)
+    bl = b - bh
+    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
+
+
+@exact
+def pair_product(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Product of two pairs."""
+    p, e = two_product(ah, bh)
+    return two_sum(p, e + (ah * bl + al * bh))
+
+
+@exact
+def pair_sum(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Sum of two pairs."""
+    s, e = two_sum(ah, bh)
+    return two_sum(s, e + (al + bl))
+
+
+@exact
+def less_multiple(x: float, k: float, step: float) -> float:
+    """Give x − k·step with the product unrounded."""
+    high, low = two_product(k, step)
+    return (x - high) - low
+
+
+@exact
+def relocate(lat: Floats, x: float, y: float) -> tuple[float, float, float, float]:
+    """Whole lattice steps and remaining local coordinates; see `layout.relocate`."""
+    if lat[slot.HEXAGONAL] == 0.0:
+        i, x = _relocate_axis(x, lat[slot.PITCH])
+        j, y = _relocate_axis(y, lat[slot.ROW])
+        return i, j, x, y
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    half = 0.5 * pitch
+    slant = row / pitch
+    j = _nearest(y / row)
+    i = _nearest(x / pitch - 0.5 * j)
+    for _ in range(4):
+        u, v = less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+        if u >= half or u < -half:
+            i += 1.0 if u >= half else -1.0
+            continue
+        across = 0.5 * u + slant * v
+        if across >= half or across < -half:
+            j += 1.0 if across >= half else -1.0
+            continue
+        across = -0.5 * u + slant * v
+        if across >= half or across < -half:
+            step = 1.0 if across >= half else -1.0
+            i, j = i - step, j + step
+            continue
+        break
+    return i, j, less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+
+
+@exact
+def _nearest(x: float) -> float:
+    """Nearest integer, ties to even."""
+    r = floor(x + 0.5)
+    if r - x == 0.5 and r % 2.0 != 0.0:
+        r -= 1.0
+    return r
+
+
+@exact
+def _relocate_axis(x: float, pitch: float) -> tuple[float, float]:
+    half = 0.5 * pitch
+    k = floor(x / pitch + 0.5)
+    local = less_multiple(x, k, pitch)
+    if local >= half:
+        k += 1.0
+    elif local < -half:
+        k -= 1.0
+    return k, less_multiple(x, k, pitch)
+
+
+@exact
+def less_steps(lat: Floats, x: float, y: float, i: float, j: float) -> tuple[float, float]:
+    """Local coordinates seen from the cell (i, j) steps away."""
+    if i == 0.0 and j == 0.0:
+        return x, y
+    if lat[slot.HEXAGONAL] != 0.0:
+        return less_multiple(x, i + 0.5 * j, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
+    return less_multiple(x, i, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
+
+
+@exact
+def in_zone(lat: Floats, x: float, y: float, margin: float) -> bool:
+    """Whether a point of the cell frame lies at least `margin` inside its cell's borders."""
+    for n in range(int(lat[slot.BORDERS])):
+        across = lat[slot.NORMAL + 2 * n] * x + lat[slot.NORMAL + 2 * n + 1] * y
+        if not abs(across) <= lat[slot.HALF + n] - margin:
+            return False
+    return True
+
+
+@exact
+def to_lens(face: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Sheet axes to lens axes."""
+    if face[slot.TURNED] == 0.0:
+        return x, y, z
+    return (
+        face[slot.R0] * x + face[slot.R0 + 3] * y + face[slot.R0 + 6] * z,
+        face[slot.R0 + 1] * x + face[slot.R0 + 4] * y + face[slot.R0 + 7] * z,
+        face[slot.R0 + 2] * x + face[slot.R0 + 5] * y + face[slot.R0 + 8] * z,
+    )
+
+
+@exact
+def to_sheet(face: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Lens axes to sheet axes."""
+    if face[slot.TURNED] == 0.0:
+        return x, y, z
+    return (
+        face[slot.R0] * x + face[slot.R0 + 1] * y + face[slot.R0 + 2] * z,
+        face[slot.R0 + 3] * x + face[slot.R0 + 4] * y + face[slot.R0 + 5] * z,
+        face[slot.R0 + 6] * x + face[slot.R0 + 7] * y + face[slot.R0 + 8] * z,
+    )
+
+
+@exact
+def _discriminant(
+    cx: float,
+    cy: float,
+    kappa: float,
+    side: float,
+    x: float,
+    y: float,
+    z: float,
+    L: float,
+    M: float,
+    N: float,
+) -> float:
+    """B² − AC in pairs; the same at every point of the ray."""
+    lh, ll = two_product(kappa, z)
+    uh, ul = pair_sum(lh, ll, -2.0 * side, 0.0)
+    lh, ll = pair_sum(lh, ll, -side, 0.0)
+    ah, al = _three_products(cx, L, L, cy, M, M)
+    h, e = two_product(N, N)
+    h, e = pair_product(kappa, 0.0, h, e)
+    ah, al = pair_sum(ah, al, h, e)
+    bh, bl = _three_products(cx, x, L, cy, y, M)
+    h, e = pair_product(lh, ll, N, 0.0)
+    bh, bl = pair_sum(bh, bl, h, e)
+    ch, cl = _three_products(cx, x, x, cy, y, y)
+    h, e = pair_product(uh, ul, z, 0.0)
+    ch, cl = pair_sum(ch, cl, h, e)
+    bh, bl = pair_product(bh, bl, bh, bl)
+    ah, al = pair_product(ah, al, ch, cl)
+    return pair_sum(bh, bl, -ah, -al)[0]
+
+
+@exact
+def _three_products(a: float, b: float, c: float, d: float, e: float, f: float) -> tuple[float, float]:
+    """Sum a b c + d e f as a pair."""
+    h, low = two_product(b, c)
+    h, low = pair_product(a, 0.0, h, low)
+    g, rest = two_product(e, f)
+    g, rest = pair_product(d, 0.0, g, rest)
+    return pair_sum(h, low, g, rest)
+
+
+@exact
+def _carry(x: float, y: float, z: float, L: float, M: float, N: float) -> tuple[float, float, float, float]:
+    """Distance to a base point near the apex, and that point."""
+    square = L * L + M * M + N * N
+    if N * N >= STEEPEST * STEEPEST * square:
+        t = -z / N
+        return t, x + t * L, y + t * M, 0.0
+    t = -(x * L + y * M + z * N) / square
+    return t, x + t * L, y + t * M, z + t * N
+
+
+@exact
+def _quadric_root(
+    cx: float,
+    cy: float,
+    kappa: float,
+    side: float,
+    x: float,
+    y: float,
+    z: float,
+    bx: float,
+    by: float,
+    bz: float,
+    L: float,
+    M: float,
+    N: float,
+) -> tuple[float, float]:
+    """Distance from the base point and r of the crossing from the −z side (for N > 0)."""
+    a = cx * L * L + cy * M * M + kappa * N * N
+    b = cx * bx * L + cy * by * M + (kappa * bz - side) * N
+    c = cx * bx * bx + cy * by * by + (kappa * bz - 2.0 * side) * bz
+    disc = b * b - a * c
+    if b * b > CANCELS * abs(disc):
+        disc = _discriminant(cx, cy, kappa, side, x, y, z, L, M, N)
+    if not disc >= 0.0:
+        return nan, nan
+    root = sqrt(disc)
+    signed = -side * root if N < 0.0 else side * root
+    if signed * b <= 0.0:
+        return c / (signed - b), root
+    return -(b + signed) / a, root
+
+
+@exact
+def _biconic_parts(face: Floats, x: float, y: float) -> tuple[float, float]:
+    """Q, w (0 beyond the equator) and the κ of the quadric that shares the profile at this azimuth."""
+    cx, cy = face[slot.CX], face[slot.CY]
+    a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
+    q = cx * x * x + cy * y * y
+    p = a * x * x + b * y * y
+    w = sqrt(1.0 - p) if p < 1.0 else 0.0
+    return w, (p / q if q != 0.0 else (1.0 + face[slot.KX]) * cx)
+
+
+@exact
+def _biconic_root(
+    face: Floats, x: float, y: float, z: float, bx: float, by: float, bz: float, L: float, M: float, N: float
+) -> tuple[float, float]:
+    """Newton on the azimuth's own quadric, see `clacad.surface.biconic`; a search where it does not settle."""
+    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
+    of_x, of_y = (1.0 + face[slot.KX]) * cx, (1.0 + face[slot.KY]) * cy
+    skew = cx * cy * (of_x - of_y)
+    sign = -side if N < 0.0 else side
+    t, root = _quadric_root(cx, cy, 0.5 * (of_x + of_y), side, x, y, z, bx, by, bz, L, M, N)
+    for _ in range(NEWTON_STEPS):
+        u, v = bx + t * L, by + t * M
+        w, kappa = _biconic_parts(face, u, v)
+        target, root = _quadric_root(cx, cy, kappa, side, x, y, z, bx, by, bz, L, M, N)
+        slope = sign * skew * u * v * (v * L - u * M) / ((1.0 + w) * (1.0 + w) * root)
+        change = (target - t) / (1.0 - slope if abs(1.0 - slope) > FLAT else 1.0)
+        if not isfinite(change):
+            break
+        t += change
+        if abs(change) <= SETTLED * abs(t):
+            u, v = bx + t * L, by + t * M
+            q = cx * u * u + cy * v * v
+            if abs(bz + t * N) <= abs(q) + 1e-15 * (abs(cx) * u * u + abs(cy) * v * v):
+                return t, root
+            break
+    return _biconic_search(face, bx, by, bz, L, M, N), 0.0
+
+
+@exact
+def _biconic_search(face: Floats, x: float, y: float, z: float, L: float, M: float, N: float) -> float:
+    """Crossing nearest the apex plane of a ray that Newton lost, by scanning the stretch inside the equator."""
+    cx, cy = face[slot.CX], face[slot.CY]
+    a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
+    p, q, r = a * L * L + b * M * M, a * x * L + b * y * M, a * x * x + b * y * y - 1.0
+    disc = q * q - p * r
+    reach = 4.0 / max(abs(cx), abs(cy))
+    low, high = -reach, reach
+    if p > 0.0:
+        if not disc > 0.0:
+            return nan
+        low, high = max(low, (-q - sqrt(disc)) / p), min(high, (-q + sqrt(disc)) / p)
+    sense = -1.0 if N < 0.0 else 1.0
+    best, lowest = nan, inf
+    before, f_before = low, nan
+    for k in range(SEARCH + 1):
+        t = low + (high - low) * k / SEARCH
+        f = sense * _biconic_gap(face, x + t * L, y + t * M, z + t * N)
+        if f_before < 0.0 and f >= 0.0:
+            one, two = before, t
+            for _ in range(100):
+                middle = 0.5 * (one + two)
+                if sense * _biconic_gap(face, x + middle * L, y + middle * M, z + middle * N) < 0.0:
+                    one = middle
+                else:
+                    two = middle
+            if abs(z + two * N) < lowest:
+                best, lowest = two, abs(z + two * N)
+        before, f_before = t, f
+    return best
+
+
+@exact
+def _biconic_gap(face: Floats, x: float, y: float, z: float) -> float:
+    """Height of a point over the biconic; NaN beyond the equator."""
+    cx, cy = face[slot.CX], face[slot.CY]
+    p = (1.0 + face[slot.KX]) * cx * cx * x * x + (1.0 + face[slot.KY]) * cy * cy * y * y
+    if not p <= 1.0:
+        return nan
+    return z - face[slot.SIDE] * (cx * x * x + cy * y * y) / (1.0 + sqrt(1.0 - p))
+
+
+@exact
+def meet(
+    face: Floats, x: float, y: float, z: float, L: float, M: float, N: float
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Distance to the apex half in the lens frame, point, normal turned along the ray, r; NaN on a miss."""
+    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
+    carried, bx, by, bz = _carry(x, y, z, L, M, N)
+    if face[slot.BICONIC] == 0.0:
+        t, root = _quadric_root(cx, cy, face[slot.KX], side, x, y, z, bx, by, bz, L, M, N)
+    else:
+        t, root = _biconic_root(face, x, y, z, bx, by, bz, L, M, N)
+    px, py, pz = bx + t * L, by + t * M, bz + t * N
+    gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * face[slot.KX] * pz
+    if face[slot.BICONIC] != 0.0:
+        w, _ = _biconic_parts(face, px, py)
+        gz = w
+        skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+        twist = side * skew * px * py / ((1.0 + w) * (1.0 + w))
+        gx, gy = gx - twist * py, gy + twist * px
+        root = abs(gx * L + gy * M + gz * N)
+    if not (gz > 0.0 and isfinite(t) and isfinite(root)):
+        return nan, nan, nan, nan, nan, nan, nan, nan
+    if N < 0.0:
+        gx, gy, gz = -gx, -gy, -gz
+    return carried + t, px, py, pz, gx, gy, gz, root
+
+
+@exact
+def snell(
+    L: float, M: float, N: float, gx: float, gy: float, gz: float, root: float, n1: float, n2: float
+) -> tuple[float, float, float]:
+    """Direction behind a surface; NaN at total internal reflection."""
+    mu = n1 / n2
+    w = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    incident = mu * root
+    radicand = (gx * gx + gy * gy + gz * gz) * w + incident * incident
+    if not radicand >= 0.0:
+        return nan, nan, nan
+    total = sqrt(radicand) + incident
+    g = 0.0 if w == 0.0 and total == 0.0 else w / total
+    return mu * L + g * gx, mu * M + g * gy, mu * N + g * gz
+
+
+@exact
+def height(face: Floats, x: float, y: float) -> float:
+    """Height of the lens over the body's level above a point of the cell frame; NaN where there is none."""
+    if face[slot.ARRAY] < 0.0:
+        return face[slot.VZ]
+    u, v, w = to_lens(face, x - face[slot.VX], y - face[slot.VY], 0.0)
+    L, M, N = to_lens(face, 0.0, 0.0, 1.0)
+    t, _, _, _, gx, gy, gz, _ = meet(face, u, v, w, L, M, N)
+    if not to_sheet(face, gx, gy, gz)[2] > 0.0:
+        return nan
+    return face[slot.VZ] + t
+
+
+@exact
+def lens_roots(
+    face: Floats, x: float, y: float, z: float, L: float, M: float, N: float
+) -> tuple[float, float]:
+    """Both distances at which a ray crosses the whole of a lens's surface; inf where it does not."""
+    x, y, z = to_lens(face, x - face[slot.VX], y - face[slot.VY], z - face[slot.VZ])
+    L, M, N = to_lens(face, L, M, N)
+    cx, cy, side, kappa = face[slot.CX], face[slot.CY], face[slot.SIDE], face[slot.KX]
+    if face[slot.BICONIC] != 0.0:
+        kappa = 0.5 * ((1.0 + face[slot.KX]) * cx + (1.0 + face[slot.KY]) * cy)
+    a = cx * L * L + cy * M * M + kappa * N * N
+    b = cx * x * L + cy * y * M + (kappa * z - side) * N
+    c = cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z
+    one, two = inf, inf
+    disc = b * b - a * c
+    if disc >= 0.0:
+        q = -(b + copysign(sqrt(disc), b))
+        one, two = _finite(c / q), _finite(q / a)
+    if face[slot.BICONIC] == 0.0:
+        return one, two
+    met = meet(face, x, y, z, L, M, N)[0]
+    other = two if abs(one - met) < abs(two - met) else one
+    for _ in range(8):
+        other -= _biconic_step(face, x + other * L, y + other * M, z + other * N, L, M, N)
+    return _finite(met), _finite(other)
+
+
+@exact
+def _biconic_step(face: Floats, x: float, y: float, z: float, L: float, M: float, N: float) -> float:
+    """Newton step along the ray towards z = sag(x, y)."""
+    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
+    a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
+    p = a * x * x + b * y * y
+    if not p <= 1.0:
+        return nan
+    w = sqrt(1.0 - p)
+    sag = side * (cx * x * x + cy * y * y) / (1.0 + w)
+    skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+    twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
+    gx, gy = -side * cx * x - twist * y, -side * cy * y + twist * x
+    return (z - sag) * w / (L * gx + M * gy + N * w)
+
+
+@exact
+def _finite(t: float) -> float:
+    return t if isfinite(t) else inf
