@@ -231,12 +231,15 @@ def outline_arcs(outline: Outline, scale: float, centre: Floats) -> list[Arc]:
 def _outline_faces(shells: Shells, outline: Outline, scale: float, centre: Floats, faces: tuple[CellFace, CellFace],
                    owner: int) -> None:  # fmt: skip
     """The side faces of an outline, and the flat faces that reach out to it."""
-    levels = [face.level for face in faces]
-    assert levels[0] is not None
-    assert levels[1] is not None
+    assert faces[0].level is not None
+    assert faces[1].level is not None
+    levels = (faces[0].level, faces[1].level)
     arcs = outline_arcs(outline, scale, centre)
     rise = np.array([0.0, 0.0, levels[1] - levels[0]])
-    bottom, top, posts, rims = [], [], [], ([], [])
+    bottom: list[int] = []
+    top: list[int] = []
+    posts: list[int] = []
+    rims: tuple[list[int], list[int]] = ([], [])
     for arc in arcs:
         start = arc.poles[0] + np.array([0.0, 0.0, levels[0]])
         bottom.append(shells.point(start))
@@ -250,12 +253,15 @@ def _outline_faces(shells: Shells, outline: Outline, scale: float, centre: Float
             shells, owner, arc, (levels[0], levels[1]), (rims[0][n], posts[after], rims[1][n], posts[n])
         )
     for f, face in enumerate(faces):
-        level = levels[f]
-        assert level is not None
         key = ("plane" if face.plane else "outside", f)
         loops = [[LoopEdge(edge, True) for edge in rims[f]], *(loop for loop, _, _ in _chained(shells, key))]
         _flat_face(
-            shells, owner, _flat_surface(shells, level), face.side, loops, "plane" if face.plane else "land"
+            shells,
+            owner,
+            _flat_surface(shells, levels[f]),
+            face.side,
+            loops,
+            "plane" if face.plane else "land",
         )
 
 

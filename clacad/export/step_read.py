@@ -223,7 +223,9 @@ def _curved(face: Any) -> bool:
     from OCP.GeomAbs import GeomAbs_BSplineSurface
 
     surface = BRepAdaptor_Surface(face, False)
-    return surface.GetType() == GeomAbs_BSplineSurface and min(surface.UDegree(), surface.VDegree()) >= 2
+    return bool(
+        surface.GetType() == GeomAbs_BSplineSurface and min(surface.UDegree(), surface.VDegree()) >= 2
+    )
 
 
 def _face_points(face: Any, count: int) -> tuple[Floats, Floats, float]:

@@ -37,7 +37,7 @@ _POINTS_KEPT = 200_000
 
 
 def quoted(text: str) -> str:
-    """Encode a string of Part 21: quotes and backslashes doubled, other than ASCII as \\X2\\…\\X0\\."""
+    """Encode a string of Part 21: quotes and backslashes doubled, other than ASCII in hexadecimal."""
     out = []
     for character in text:
         code = ord(character)
