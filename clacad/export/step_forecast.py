@@ -81,8 +81,8 @@ def forecast(window: Window, mode: str, write: Callable[[Window, Any], dict[str,
         stream, facts, seconds = _tried(window, write)
         return StepForecast(mode, stream.count, seconds, _BASE_MEMORY, facts["solids"], facts["faces"])
     rows, speeds = [], []
-    for n1, n2 in _SAMPLES:
-        stream, facts, seconds = _tried(window.with_cells((n1, n2)), write)
+    for count in _SAMPLES:
+        stream, facts, seconds = _tried(window.with_cells(count), write)
         plain = stream.count - stream.references * _mean_digits(stream.lines)
         rows.append([plain, stream.references, stream.lines, facts["faces"], facts["solids"]])
         speeds.append(seconds)
@@ -90,13 +90,11 @@ def forecast(window: Window, mode: str, write: Callable[[Window, Any], dict[str,
     terms = np.linalg.solve(_bilinear(sides[:, 0], sides[:, 1]), np.array(rows, dtype=np.float64))
     cells = window.lattice.cell_count
     n1, n2 = window.lattice.count if window.lattice.outline is None else (sqrt(cells), sqrt(cells))
-    counts = (_bilinear(np.array([n1]), np.array([n2])) @ terms)[0]
-    faces = int(round(counts[3]))
+    counts = (_bilinear(np.array([float(n1)]), np.array([float(n2)])) @ terms)[0]
+    faces, solids = round(float(counts[3])), round(float(counts[4]))
     size = int(counts[0] + counts[1] * _mean_digits(counts[2]))
     memory = _BASE_MEMORY + _MEMORY_PER_FACE * faces
-    return StepForecast(
-        mode, size, max(speeds) + _SECONDS_PER_FACE * faces, memory, int(round(counts[4])), faces
-    )
+    return StepForecast(mode, size, max(speeds) + _SECONDS_PER_FACE * faces, memory, solids, faces)
 
 
 def _bilinear(n1: Floats, n2: Floats) -> Floats:
@@ -115,7 +113,7 @@ def _mean_digits(entities: float) -> float:
 
 def _tried(
     window: Window, write: Callable[[Window, Any], dict[str, Any]]
-) -> tuple[int, dict[str, Any], float]:
+) -> tuple[_Counter, dict[str, Any], float]:
     stream, start = _Counter(), time.process_time()
     facts = write(window, stream)
-    return stream.count, facts, time.process_time() - start
+    return stream, facts, time.process_time() - start
