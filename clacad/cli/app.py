@@ -207,3 +207,23 @@ def trace(
         rays, out, rung, tuple(e for e in effects.split(",") if e), mesh, quads, normals, overwrite=overwrite
     )
     return trace_file(design, set or [], request, json=json, quiet=quiet)
+
+
+@app.command()
+def accuracy(
+    design: Design,
+    rays: Annotated[int, typer.Option("--rays", min=100, help="Rays sent up every rung.")] = 100_000,
+    target: Annotated[str | None, typer.Option("--target", metavar="E", help="Name the cheapest setting within this rms "
+                                               "direction error, e.g. '0.5 mrad'.")] = None,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write the plot here, .svg or .png.")]
+    = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Error against seconds over the rungs: table, plot, the cheapest setting for a target."""
+    from clacad.cli.accuracy_command import measure_accuracy
+
+    return measure_accuracy(design, set or [], rays, target, out, overwrite=overwrite, json=json, quiet=quiet)

@@ -98,17 +98,20 @@ def parse_cells(text: str | None) -> tuple[int, int] | None:
 
 
 def parse_slope_error(text: str | None) -> float | Literal["auto"]:
-    """Read "auto", or an angle such as "5 mrad" as radians; a bare number is degrees."""
-    if text is None or text == "auto":
-        return "auto"
+    """Read "auto", or an angle such as "5 mrad" as radians."""
+    return "auto" if text is None or text == "auto" else parse_angle("--slope-error", text)
+
+
+def parse_angle(option: str, text: str) -> float:
+    """Read an angle above 0 such as "5 mrad" as radians; a bare number is degrees, as in a design file."""
     from clacad.design.units import family_of, in_radians, split
 
     parts = split(text)
     if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
-        raise BadOption(f"--slope-error {text}: it is an angle such as '5 mrad' or '0.3 deg', or auto")
+        raise BadOption(f"{option} {text}: it is an angle such as '5 mrad' or '0.3 deg'")
     value = in_radians(parts[0], parts[1] or "deg")
     if not value > 0.0:
-        raise BadOption(f"--slope-error {text}: it is an angle above 0, such as '5 mrad', or auto")
+        raise BadOption(f"{option} {text}: it is an angle above 0, such as '5 mrad'")
     return value
 
 

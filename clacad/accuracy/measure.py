@@ -1,0 +1,173 @@
+"""Sending the same rays up every rung, and taking the time."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.accuracy.extended import direction_errors
+from clacad.accuracy.table import Row
+from clacad.law import angle_between
+from clacad.rays import Fate, Rays, TraceResult
+from clacad.sheet import Window
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+
+Floats = NDArray[np.float64]
+QUADS = (4, 8, 16, 32, 64, 128)
+"""Tessellations of the ladder, quads per cell side."""
+ORACLE_RAYS = 1000
+"""Rays traced in 50 digits."""
+REPEATS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """The rays and what is known of them.
+
+    window : Window
+    rays : Rays
+    truth : TraceResult
+        Rung surfaces, float64.
+    asked : (n, 3)
+        What the law says; NaN where it has no answer.
+    """
+
+    window: Window
+    rays: Rays
+    truth: TraceResult
+    asked: Floats
+
+    @classmethod
+    def raised(cls, window: Window, rays: Rays) -> Ladder:
+        """Trace the truth."""
+        from clacad.trace import trace
+
+        return cls(window, rays, trace(window, rays), window.law.refract(rays.direction))
+
+
+def timed(run: Callable[[], TraceResult]) -> tuple[TraceResult, float, float]:
+    """Result, processor seconds (best of 3, warm) and seconds of the first call beyond that (compiling)."""
+    began = time.process_time()
+    result = run()
+    first = time.process_time() - began
+    best = first
+    for _ in range(REPEATS):
+        began = time.process_time()
+        result = run()
+        best = min(best, time.process_time() - began)
+    return result, best, max(0.0, first - best)
+
+
+def peak_memory(run: Callable[[], Any]) -> int:
+    """Peak of traced allocations during a call, bytes."""
+    tracemalloc.start()
+    try:
+        run()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def row(ladder: Ladder, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0) -> Row:
+    """Measure one rung: time, memory, errors against truth and law."""
+    result, seconds, compiling = timed(run)
+    memory = peak_memory(run)
+    both = (result.fate == Fate.ALIVE) & (ladder.truth.fate == Fate.ALIVE)
+    disagree = result.fate != ladder.truth.fate
+    if rung != "law":  # the homogeneous law has no cells: every ray is of order 0
+        disagree |= (result.order != ladder.truth.order).any(axis=1)
+    model = angle_between(result.direction[both], ladder.truth.direction[both])
+    law = angle_between(result.direction[both], ladder.asked[both])
+    law = law[np.isfinite(law)]
+    return Row(
+        rung, setting, _rms(model), _part(model, 95.0), _part(model, 100.0), _rms(law), _part(law, 100.0),
+        float(disagree.mean()), seconds, prepare + compiling, len(ladder.rays), int(both.sum()), memory=memory,
+    )  # fmt: skip
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _part(values: Floats, percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
+
+
+def reference(ladder: Ladder, count: int = ORACLE_RAYS) -> dict[str, float]:
+    """Hold the truth to a 50-digit trace on its first `count` living rays."""
+    alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)[:count]
+    truth = ladder.truth
+    error = direction_errors(
+        ladder.window, ladder.rays.position[alive], ladder.rays.direction[alive], truth.direction[alive],
+        truth.cell[alive], truth.order[alive],
+    )  # fmt: skip
+    decided = error[np.isfinite(error)]
+    return {
+        "rays": float(len(alive)),
+        "rms": _rms(decided),
+        "p95": _part(decided, 95.0),
+        "max": _part(decided, 100.0),
+        "undecided": float(len(error) - len(decided)),
+        "digits": 50.0,
+    }
+
+
+def exact_rows(ladder: Ladder, checked: dict[str, float]) -> list[Row]:
+    """Rungs law, thin, surfaces in float64 and float32."""
+    from clacad.trace import trace
+
+    window, rays = ladder.window, ladder.rays
+    surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays))
+    single = row(ladder, "surfaces", "float32", lambda: trace(window, rays, precision="float32"))
+    return [
+        row(ladder, "law", "", lambda: trace(window, rays, rung="law")),
+        row(ladder, "thin", "", lambda: trace(window, rays, rung="thin")),
+        replace(
+            surfaces, model_rms=checked["rms"], model_p95=checked["p95"], model_max=checked["max"],
+            checked=int(checked["rays"]), bytes=_surface_bytes(window),
+        ),
+        replace(single, bytes=_surface_bytes(window) // 2, float="f32"),
+    ]  # fmt: skip
+
+
+def _surface_bytes(window: Window) -> int:
+    """Numbers that describe one telescopelet: surface, vertex and rotation of each face."""
+    return len(window.faces) * (4 + 3 + 9) * 8
+
+
+def mesh_rows(ladder: Ladder, quads: int, build: Callable[[int], Mesh], sizes: Callable[[int], tuple[int, int]]
+              ) -> list[Row]:  # fmt: skip
+    """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
+    from clacad.trace import trace
+
+    began = time.process_time()
+    mesh = build(quads)
+    prepare = time.process_time() - began
+    rows = []
+    triangles, file_bytes = sizes(quads)
+    for single in (False, True):
+        facets = mesh.rounded() if single else mesh
+        for normals in ("facet", "vertex"):
+            kind = "float32" if single else "float64"
+            setting = f"{quads} quads, {normals} normals, {kind} vertices"
+            measured = row(
+                ladder, "mesh", setting,
+                lambda: trace(ladder.window, ladder.rays, rung="mesh", mesh=facets, normals=normals),  # noqa: B023
+                prepare,
+            )  # fmt: skip
+            rows.append(
+                replace(
+                    measured, quads=quads, normals=normals, float="f32" if single else "f64", triangles=triangles,
+                    bytes=mesh.tile_bytes // (2 if single else 1),
+                    file_bytes=file_bytes if single and normals == "facet" else None,
+                )
+            )  # fmt: skip
+    return rows

@@ -1,0 +1,87 @@
+"""`clacad accuracy`: error against seconds over the rungs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clacad.cli.console import Progress, show_json, show_text, size, table
+from clacad.cli.design_commands import load_design
+from clacad.cli.export_command import parse_angle
+
+if TYPE_CHECKING:
+    from clacad.accuracy import Row, Table
+
+
+def measure_accuracy(
+    path: Path, overrides: list[str], rays: int, target: str | None, out: Path | None, *, overwrite: bool, json: bool,
+    quiet: bool,
+) -> int:  # fmt: skip
+    """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
+    from clacad.accuracy import accuracy
+
+    design = load_design(path, overrides)
+    limit = None if target is None else parse_angle("--target", target)
+    progress = Progress(quiet=quiet)
+    try:
+        measured = accuracy(design, rays=rays, progress=progress)
+    finally:
+        progress.done()
+    if out is not None:
+        _write(out, measured, limit, overwrite)
+    chosen = None if limit is None else measured.cheapest(limit, rays)
+    if json:
+        document = measured.to_dict()
+        if chosen is not None:
+            document["target"] = {"radians": limit, "chosen": chosen.to_dict()}
+        show_json(document)
+        return 0
+    show_text(accuracy_text(measured), quiet=quiet)
+    if chosen is not None and limit is not None:
+        show_text(
+            f"target {1e3 * limit:g} mrad: {chosen.rung} {chosen.setting}".rstrip()
+            + f", {1e3 * chosen.model_rms:.3g} mrad in {chosen.predicted_seconds(rays):.3g} s for {rays:,} rays",
+            quiet=quiet,
+        )
+    return 0
+
+
+def _write(out: Path, measured: Table, target: float | None, overwrite: bool) -> None:
+    from clacad.accuracy.plot import plot_png, plot_svg
+    from clacad.export.atomic import write_file
+
+    if out.suffix.lower() == ".png":
+        write_file(out, lambda path: _bytes(path, plot_png(measured, target)), overwrite=overwrite)
+    else:
+        write_file(out, lambda path: _bytes(path, plot_svg(measured, target).encode()), overwrite=overwrite)
+
+
+def _bytes(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+
+
+def accuracy_text(measured: Table) -> str:
+    """The table for a person, errors in mrad."""
+    front = set(map(id, measured.pareto()))
+    lines = [
+        ["", "rung", "setting", "model rms", "95 %", "max", "law rms", "other fate", "seconds", "Mrays/s", "prepare s",
+         "memory", "file"]
+    ]  # fmt: skip
+    lines += [_line(row, id(row) in front) for row in measured.rows]
+    reference = measured.reference
+    notes = [
+        f"errors in mrad; truth: rung surfaces, itself {1e3 * reference['rms']:.2g} rms, {1e3 * reference['max']:.2g} "
+        f"max from a {reference['digits']:.0f}-digit trace of {reference['rays']:.0f} rays",
+        "* no other setting is better in both error and seconds",
+        *measured.notes,
+    ]
+    return f"{measured.design}, {measured.rays:,} rays\n{table(lines)}\n" + "\n".join(notes)
+
+
+def _line(row: Row, on_front: bool) -> list[str]:
+    errors = [f"{1e3 * e:.3g}" for e in (row.model_rms, row.model_p95, row.model_max, row.law_rms)]
+    return [
+        "*" if on_front else "", row.rung, row.setting, *errors, f"{row.disagree:.2%}", f"{row.seconds:.3g}",
+        f"{row.rays_per_s / 1e6:.3g}", f"{row.prepare_s:.2g}", size(row.memory),
+        "" if row.file_bytes is None else size(row.file_bytes),
+    ]  # fmt: skip

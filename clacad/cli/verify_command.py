@@ -1,0 +1,40 @@
+"""`clacad verify`: trace what was written, write the report, print the verdict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from clacad.cli.console import Progress, say, show_json, show_text
+from clacad.cli.design_commands import load_design
+from clacad.cli.export_command import parse_cells
+
+
+def verify_design(
+    path: Path, overrides: list[str], files: Path | None, out: Path | None, cells: str | None, rays: int, *,
+    overwrite: bool, json: bool, quiet: bool,
+) -> int:  # fmt: skip
+    """Judge a design and its files; the exit status comes from the same object as the page."""
+    from clacad.cli.tables import checks_text
+    from clacad.verify import verify
+
+    design = load_design(path, overrides)
+    progress = Progress(quiet=quiet)
+    try:
+        report = verify(design, files=files, cells=parse_cells(cells), rays=rays, progress=progress)
+        if out is not None:
+            from clacad.report import write_report
+
+            progress("writing the report", 0.0)
+            written = write_report(report, out, overwrite=overwrite)
+    finally:
+        progress.done()
+    if json:
+        show_json(report.to_dict())
+    else:
+        show_text(f"{design.name}\n{checks_text(report.checks)}", quiet=quiet)
+        if report.convergence is not None:
+            show_text(str(report.convergence), quiet=quiet)
+        show_text(report.verdict(), quiet=quiet)
+    if out is not None and not quiet:
+        say("report: " + ", ".join(str(p) for p in written))
+    return report.exit_status
