@@ -11,11 +11,12 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from math import ceil, isqrt
+from math import ceil, isqrt, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import LimitRefused
+from clacad.lattice import Circle, Rectangle
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -248,25 +249,73 @@ def _threemf_places(window: Window, places: int) -> float:
 
 
 def _forecast_step(window: Window, step: str) -> Forecast:
-    fused = step == "fused" or (step == "auto" and window.lattice.cell_count <= 2500)
+    """Bytes from the text of small sheets of the same design: it grows as A + B (n1 + n2) + C n1 n2."""
+    from clacad.export.step import chosen_mode
+
+    mode = chosen_mode(window, step)  # type: ignore[arg-type]
     cells, bodies = window.lattice.cell_count, len(window.bodies)
-    rows = window.lattice.count[0] + window.lattice.count[1]
-    if fused:
-        each = 20_000 * bodies
-        size, seconds, memory = (
-            each * cells,
-            (2e-3 * cells, 4e-2 * cells + 3.0),
-            (40_000 * cells, 400_000 * cells),
-        )
+    if max(window.lattice.count) <= 8:
+        size = float(_step_text(window, mode))
     else:
-        size, seconds, memory = (
-            30_000 * bodies + 700 * rows * bodies,
-            (0.5, 6.0 + 2e-4 * cells),
-            (0, 20_000 * cells),
-        )
-    return Forecast(
-        "step", size, False, None, None, seconds, (memory[0] + 300_000_000, memory[1] + 600_000_000)
+        size = _extrapolated(window, mode)
+    if mode == "fused":
+        seconds = (4e-4 * cells * bodies + 0.8, 8e-3 * cells * bodies + 8.0)
+        memory = (400_000_000, 900_000_000 + 250_000 * cells * bodies)
+    else:
+        seconds = (0.8, 10.0 + 3e-4 * cells * bodies)
+        memory = (300_000_000, 700_000_000 + 20_000 * cells)
+    return Forecast("step", int(size), False, None, None, seconds, memory)
+
+
+def _extrapolated(window: Window, mode: str) -> float:
+    from clacad.export.tessellation import instanceable
+
+    n1, n2 = window.lattice.count
+    if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode
+        small, large = (_smaller_sheet(window, n) for n in (8, 16))
+        one, two = _step_text(small, mode), _step_text(large, mode)
+        each = [(sheet.lattice.cell_count, sheet.lattice.cell_count**0.5) for sheet in (small, large)]
+        grows = 0 if mode == "fused" else 1
+        slope = (two - one) / (each[1][grows] - each[0][grows])
+        whole = window.lattice.cell_count
+        return two + slope * ((whole, whole**0.5)[grows] - each[1][grows])
+    if mode == "instanced" and instanceable(window):
+        a, b = (_step_text(_smaller_sheet(window, n), mode) for n in (2, 6))
+        return a + (b - a) / 8 * (n1 + n2 - 4)
+    a, b, c = (_step_text(_smaller_sheet(window, n), mode) for n in (1, 4, 8))
+    # Through n = 1, 4, 8 on the diagonal: f = A + 2 (B/2) n + C n^2. Longer numbers add some per cent a decade.
+    square = ((c - b) / 4 - (b - a) / 3) / 7
+    linear = (b - a) / 3 - 5 * square
+    digits = 1.0 + 0.07 * max(0.0, log10(n1 * n2 / 64))
+    return (a - linear - square + 0.5 * linear * (n1 + n2) + square * n1 * n2) * digits
+
+
+def _step_text(window: Window, mode: str) -> int:
+    from clacad.export.step_record import text_length
+
+    return text_length(window, mode)
+
+
+def _smaller_sheet(window: Window, n: int) -> Window:
+    """A sheet of about n × n of the same cells, with the same border."""
+    from dataclasses import replace
+
+    lattice = window.lattice
+    if isinstance(lattice.outline, Circle):
+        share = min(1.0, n / max(lattice.count))
+        disc = Circle(lattice.outline.diameter * share)
+        count = (ceil(lattice.count[0] * share), ceil(lattice.count[1] * share))
+        return replace(window, lattice=replace(lattice, count=count, outline=disc), outline=disc)
+    small = window.with_cells((min(n, lattice.count[0]), min(n, lattice.count[1])))
+    if window.outline is None or isinstance(window.outline, Circle):
+        return small
+    x0, x1, y0, y1 = lattice.extent()
+    u0, u1, v0, v1 = small.lattice.extent()
+    width, height = (
+        window.outline.width - (x1 - x0) + (u1 - u0),
+        window.outline.height - (y1 - y0) + (v1 - v0),
     )
+    return replace(small, outline=Rectangle(width, height))
 
 
 def _forecast_map(window: Window, name: str) -> Forecast:

@@ -79,7 +79,7 @@ class Worker:
         if self._process is not None:
             return
         read_end, write_end = os.pipe()
-        self._errors = tempfile.TemporaryFile()
+        self._errors = _scratch()
         path = [entry or os.getcwd() for entry in sys.path]
         setup = json.dumps([*self._limits, self._preload])
         command = [sys.executable, "-c", _BOOT, json.dumps(path), str(write_end), str(os.getpid()), setup]
@@ -229,6 +229,13 @@ def _cause(status: int, peak: int, limits: tuple[int | None, int | None], stage:
         name = plain.get(-status) or signal.Signals(-status).name
         return f"the worker process crashed with {name}{at}{limit} (stage: {stage})"
     return f"the worker process ended with status {status} without a result (stage: {stage})"
+
+
+def _scratch() -> IO[bytes]:
+    """A file for the child's last words: in memory where the system has that, so nothing is written anywhere."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("clacad-worker"), "w+b")
+    return tempfile.TemporaryFile()
 
 
 def _send(stream: IO[bytes], payload: bytes) -> None:

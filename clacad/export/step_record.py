@@ -1,0 +1,165 @@
+"""STEP through the worker: write, read back with the kernel, hold against the design."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+from clacad.export.errors import FileDisagrees
+from clacad.export.manifest import FileRecord
+from clacad.export.truth import Integral, body_volume, whole_extent
+from clacad.sheet import Window
+
+if TYPE_CHECKING:
+    from clacad.export.formats import Job
+
+SHAPE_LIMIT = 1e-7
+"""Largest distance of a written lens face from the closed form, in pitches."""
+VOLUME_LIMIT = 1e-9
+"""Largest relative difference of volumes beyond what merged steps explain."""
+SECONDS = 3600.0
+
+
+def step_record(job: Job) -> FileRecord:
+    """Write the STEP file of a job, read it back and compare.
+
+    Raises
+    ------
+    WorkerDied
+        The kernel crashed, or ran out of memory or time.
+    FileDisagrees
+        The file holds something else than the design.
+    """
+    name = f"{job.stem}.step"
+    path = job.stage.path(name)
+    job.progress(f"write {name}", 0.0)
+    run = job.worker.run
+    written = run(
+        "clacad.export.step_record:write",
+        job.window,
+        str(path),
+        job.step,
+        timeout=SECONDS,
+        progress=job.progress,
+    )
+    job.progress(f"read back {name}", 0.5)
+    found = run(
+        "clacad.export.step_record:read", str(path), job.window, timeout=SECONDS, progress=job.progress
+    )
+    exact = exact_volume(job.window)
+    checks = compare_step(written, found, job.window, exact, name)
+    cube = job.scale**3
+    facts = {
+        "mode": written["mode"], "schema": written["schema"], "solids": written["solids"], "faces": written["faces"],
+        "saddles": written["saddles"], "wedges": written["wedges"], "merged_steps": written["merged_steps"],
+        "volume": found.get("volume"), "volume_exact": None if exact is None else exact.value * cube, "float": "f64",
+    }  # fmt: skip
+    return job.record(path, "step", facts=facts, checks=checks)
+
+
+def write(window: Window, path: str, mode: str) -> dict[str, Any]:
+    """Write in the worker; the kernel is not needed, but its memory and time are."""
+    from clacad.export.step import write_step
+
+    return write_step(window, path, mode=mode)  # type: ignore[arg-type]
+
+
+def read(path: str, window: Window) -> dict[str, Any]:
+    """Read in the worker, with the kernel where the file is of a size it can take."""
+    from clacad.export.step_read import read_step
+
+    return read_step(path, window)
+
+
+class _Counter(io.StringIO):
+    """A stream that only counts what is written to it."""
+
+    def __init__(self) -> None:
+        self.length = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        self.length += len(text)
+        return len(text)
+
+
+def text_length(window: Window, mode: str) -> int:
+    """Bytes of the STEP file of a window, by drawing up its text and throwing it away."""
+    from clacad.brep.shell import MERGE
+    from clacad.export import step
+    from clacad.export.step_text import Part21
+
+    stream = _Counter()
+    part = Part21(stream, "AP242", window.name, step.PROGRAM, window.lattice.pitch[0] * window.unit / 1e-3)
+    writer = step._write_fused if mode == "fused" else step._write_instanced
+    writer(window, part, True, MERGE)
+    part.close()
+    return stream.length
+
+
+def exact_volume(window: Window) -> Integral | None:
+    """Volume of all bodies by quadrature, design units cubed; None where an outline cuts lenslets."""
+    value = error = 0.0
+    for body in window.bodies:
+        part = body_volume(window, body, depth=11)
+        if part is None:
+            return None
+        value, error = value + part.value, error + part.error
+    return Integral(value, error)
+
+
+def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str
+                 ) -> tuple[str, ...]:  # fmt: skip
+    """Compare what was read back with what was written and with the design; the checks that were made.
+
+    Raises
+    ------
+    FileDisagrees
+    """
+    scale = window.unit / 1e-3
+    pitch = min(window.lattice.pitch) * scale
+    if found["dangling"] or found["open_edges"]:
+        raise FileDisagrees(
+            f"{name}: {found['dangling']} references lead nowhere, {found['open_edges']} edges are open"
+        )
+    checks = ["closed"]
+    if found["kernel"]:
+        for key in ("solids", "faces"):
+            if found[f"kernel_{key}"] != written[key]:
+                raise FileDisagrees(
+                    f"{name}: the kernel finds {found[f'kernel_{key}']} {key}, {written[key]} were written"
+                )
+        if not found["valid"]:
+            raise FileDisagrees(f"{name}: the kernel finds a solid that is not valid")
+    room = SHAPE_LIMIT * pitch + written["fit_error"] + written["largest_shift"]
+    measured = [found.get(key) for key in ("patch_error", "lens_error")]
+    for error in measured:
+        if error is not None and not error <= room:
+            raise FileDisagrees(
+                f"{name}: a lens face lies {error:.3g} mm off the exact surface; {room:.2g} is allowed"
+            )
+    if any(error is not None for error in measured):
+        checks.append("shape")
+    if exact is not None and found["kernel"]:
+        _compare_volume(written, found, window, exact, scale, name)
+        checks.append("volume")
+    return tuple(checks)
+
+
+def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral, scale: float, name: str
+                    ) -> None:  # fmt: skip
+    x0, x1, y0, y1 = whole_extent(window)
+    area = (x1 - x0) * (y1 - y0) * scale**2 * 2 * len(window.bodies)
+    want = exact.value * scale**3
+    room = (
+        VOLUME_LIMIT * want
+        + exact.error * scale**3
+        + (written["largest_shift"] + written["fit_error"]) * area
+    )
+    if not abs(found["volume"] - want) <= room:
+        raise FileDisagrees(
+            f"{name}: the kernel finds a volume of {found['volume']:.12g} mm^3, the design has {want:.12g}; "
+            f"{room:.2g} of difference is allowed"
+        )
