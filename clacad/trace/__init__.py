@@ -64,25 +64,38 @@ def trace(
     ValueError
         An unknown rung, or a wavelength outside a material's data.
     """
+    if rung not in ("law", "thin", "surfaces", "mesh"):
+        raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
     faces = {"law": 1, "thin": 2}.get(rung, 2 * len(window.bodies))
-    ledger = Ledger.opened(rays, faces if record else 0)
+    recorded = faces if record else 0
     layout = lay_out(window)
+    if rung == "surfaces" and (path == "numba" or (path is None and len(rays) * faces > SMALL_JOB)):
+        return _compiled(layout, rays, recorded, threads)
+    ledger = Ledger.opened(rays, recorded)
     rows = ledger.launchable()
     if rung == "law":
         trace_law(layout, ledger, rows)
     elif rung == "thin":
         trace_thin(layout, ledger, rows)
-    elif rung == "surfaces":
-        compiled = path == "numba" or (path is None and len(rows) * faces > SMALL_JOB)
-        for same, indices in colours(layout, rays, rows):
-            if compiled:
-                from clacad.trace.compiled_surfaces import thread_count, trace_compiled
-
-                trace_compiled(layout, ledger, same, indices, thread_count(threads))
-            else:
-                trace_surfaces(layout, ledger, same, indices)
     else:
-        raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
+        for same, indices in colours(layout, rays, rows):
+            trace_surfaces(layout, ledger, same, indices)
+    return ledger.closed()
+
+
+def _compiled(layout: Layout, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
+    """Rung "surfaces" by the compiled kernels."""
+    from clacad.trace.compiled_surfaces import thread_count, trace_compiled
+
+    count = thread_count(threads)
+    if rays.wavelength is None:
+        ledger = Ledger.blank(len(rays), recorded)
+        indices = tuple(body.index for body in layout.window.bodies)
+        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count)
+        return ledger.closed()
+    ledger = Ledger.opened(rays, recorded)
+    for rows, indices in colours(layout, rays, ledger.launchable()):
+        trace_compiled(layout, rays, ledger, rows, indices, count)
     return ledger.closed()
 
 

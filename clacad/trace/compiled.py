@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -19,3 +20,16 @@ def fused(function: Function) -> Function:
     """Compile with multiply-adds fused: for plain arithmetic only, never around an exact product."""
     options = {"cache": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
     return cast(Function, njit(**options)(function))
+
+
+def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """Give the machine's multiply-add: a b + c, rounded once."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
+multiply_add: Callable[[float, float, float], float] = intrinsic(_multiply_add)
+"""a b + c with one rounding, so that multiply_add(a, b, −(a b)) is exactly what the product lost."""

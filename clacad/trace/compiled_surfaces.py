@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from clacad.rays import Rays
 from clacad.trace.kernel_block import trace_chunk
 from clacad.trace.layout import Layout
 from clacad.trace.ledger import Ledger, Rows
@@ -18,16 +19,18 @@ CHUNK = 1 << 16
 
 
 def trace_compiled(
-    layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence[float], threads: int
+    layout: Layout, rays: Rays, ledger: Ledger, rows: Rows, indices: Sequence[float], threads: int
 ) -> None:
-    """Trace the launched rays `rows`; the same results as `surfaces.trace_surfaces`."""
+    """Trace the rays `rows`, whatever they are, and write their rows; the results of `surfaces.trace_surfaces`."""
     packed = pack(layout)
+    position, direction = np.ascontiguousarray(rays.position), np.ascontiguousarray(rays.direction)
+    each = np.asarray(indices, dtype=np.float64)
 
     def one(chosen: Rows) -> int:
         return trace_chunk(
-            packed.faces, packed.bodies, packed.lattice, packed.rows, np.asarray(indices, dtype=np.float64),
-            chosen, ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell,
-            ledger.order, ledger.surface, ledger.hits, ledger.directions,
+            packed.faces, packed.bodies, packed.lattice, packed.rows, each, chosen, position, direction,
+            ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order,
+            ledger.surface, ledger.flux, ledger.hits, ledger.directions,
         )  # fmt: skip
 
     chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]

@@ -11,14 +11,36 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 
 from __future__ import annotations
 
-from math import floor, sqrt
+from math import floor, isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.rays import Fate
+from clacad.rays import NO_CELL, Fate
 from clacad.trace import packing as slot
 from clacad.trace.compiled import exact, fused
+from clacad.trace.kernel_block_slots import (
+    BLOCK,
+    CI,
+    CI0,
+    CJ,
+    CJ0,
+    DX,
+    DY,
+    DZ,
+    GOOD,
+    GX,
+    GY,
+    GZ,
+    LEFT_X,
+    LEFT_Y,
+    PATH,
+    ROOT,
+    SCRATCH,
+    X,
+    Y,
+    Z,
+)
 from clacad.trace.kernel_launch import launch_block, launch_ray
 from clacad.trace.kernel_scalar import height, meet
 from clacad.trace.kernel_walk import reach, walk_ray
@@ -29,18 +51,15 @@ Rows = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
 Cells = NDArray[np.int32]
 
-BLOCK = 256
-"""Rays in a block: with its scratch rows 44 KB, which the first-level cache about holds."""
+ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
-X, Y, Z, L, M, N, R, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ, SCRATCH = range(19)
-
-ALIVE, GHOST, BEHIND_START = int(Fate.ALIVE), int(Fate.GHOST), -8 * 2.0**-52
+BEHIND_START = -8 * 2.0**-52
 
 
 @fused
 def _meet_quadric(face: Floats, s: Floats, m: int, n1: float) -> None:
     """First loop of a face: to the hit, in the lens frame, from the vertex on."""
-    x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[L], s[M], s[N], s[R], s[PATH]
+    x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
     vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
     for i in range(m):
@@ -63,7 +82,7 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float) -> None:
 @fused
 def _turn_in(face: Floats, s: Floats, m: int) -> None:
     """Positions and directions from sheet axes to lens axes, about the vertex."""
-    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[L], s[M], s[N]
+    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
     vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
     a, b, c, d, e, f = (
         face[slot.R0],
@@ -84,7 +103,7 @@ def _turn_in(face: Floats, s: Floats, m: int) -> None:
 @fused
 def _turn_out(face: Floats, s: Floats, m: int) -> None:
     """Positions about the vertex, and directions, from lens axes back to sheet axes; normals must face up."""
-    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[L], s[M], s[N], s[GOOD]
+    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
     gx, gy, gz = s[GX], s[GY], s[GZ]
     a, b, c, d, e, f = (
         face[slot.R0],
@@ -106,7 +125,7 @@ def _turn_out(face: Floats, s: Floats, m: int) -> None:
 @fused
 def _refract_quadric(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
     """Second loop of a face: Snell's law; the normal must be of the apex half."""
-    x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[L], s[M], s[N], s[R], s[GOOD]
+    x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[GOOD]
     gxs, gys, gzs = s[GX], s[GY], s[GZ]
     sx, sy, sk = (
         -face[slot.SIDE] * face[slot.CX],
@@ -136,12 +155,12 @@ def _meet_biconic(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
         t, x, y, z, gx, gy, gz, root = meet(
-            face, s[X, i] - face[slot.VX], s[Y, i] - face[slot.VY], s[Z, i] - face[slot.VZ], s[L, i], s[M, i], s[N, i]
+            face, s[X, i] - face[slot.VX], s[Y, i] - face[slot.VY], s[Z, i] - face[slot.VZ], s[DX, i], s[DY, i], s[DZ, i]
         )  # fmt: skip
         incident = mu * root
         g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
-        s[X, i], s[Y, i], s[Z, i], s[R, i] = x, y, z, root
-        s[L, i], s[M, i], s[N, i] = mu * s[L, i] + g * gx, mu * s[M, i] + g * gy, mu * s[N, i] + g * gz
+        s[X, i], s[Y, i], s[Z, i], s[ROOT, i] = x, y, z, root
+        s[DX, i], s[DY, i], s[DZ, i] = mu * s[DX, i] + g * gx, mu * s[DY, i] + g * gy, mu * s[DZ, i] + g * gz
         s[GX, i], s[GY, i], s[GZ, i] = gx, gy, gz
         s[PATH, i] += n1 * t
         if not gz > 0.0:
@@ -151,7 +170,7 @@ def _meet_biconic(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None
 @fused
 def _settle(face: Floats, s: Floats, m: int, climb: float) -> None:
     """Positions from the cell's centre on; rays must stay steep, and on the lens where land could cover it."""
-    x, y, z, dz, good = s[X], s[Y], s[Z], s[N], s[GOOD]
+    x, y, z, dz, good = s[X], s[Y], s[Z], s[DZ], s[GOOD]
     vx, vy, vz, land, side = face[slot.VX], face[slot.VY], face[slot.VZ], face[slot.LAND], face[slot.SIDE]
     for i in range(m):
         x[i] += vx
@@ -182,7 +201,7 @@ def _in_zone(lat: Floats, s: Floats, m: int, margin: float) -> None:
 @fused
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float) -> None:
     """Rays must be in their cell where they cross a level; everything times N, so no division."""
-    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[L], s[M], s[N], s[GOOD]
+    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
     half, half_y, slant = lat[slot.HALF], lat[slot.HALF + 1], lat[slot.NORMAL + 3]
     if lat[slot.HEXAGONAL] == 0.0:
         for i in range(m):
@@ -203,7 +222,7 @@ def _carry(lat: Floats, s: Floats, m: int, rise: float, level: float, index: flo
 
     rise : what the level adds to heights over the old one; change : +1 array 0 → 1, −1 back, 0 neither
     """
-    x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[L], s[M], s[N], s[PATH], s[CI], s[CJ]
+    x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[PATH], s[CI], s[CJ]
     rx, ry = change * lat[slot.RESIDUAL], change * lat[slot.RESIDUAL + 1]
     wi, wj = change * lat[slot.WHOLE_STEPS], change * lat[slot.WHOLE_STEPS + 1]
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
@@ -240,9 +259,15 @@ def _carry(lat: Floats, s: Floats, m: int, rise: float, level: float, index: flo
 
 
 @exact
-def _keep(rows: Ints, s: Floats, m: int) -> None:
+def _keep(lat: Floats, rows: Ints, s: Floats, m: int) -> None:
     """Rays must be over a kept cell."""
     ci, cj, good = s[CI], s[CJ], s[GOOD]
+    if lat[slot.PLAIN] != 0.0:
+        n1, n2 = lat[slot.N1], lat[slot.N2]
+        for i in range(m):
+            inside = (ci[i] >= 0.0) & (ci[i] < n1) & (cj[i] >= 0.0) & (cj[i] < n2)
+            good[i] = good[i] if inside else 0.0
+        return
     last = len(rows) - 1
     for i in range(m):
         j = min(max(cj[i], 0.0), float(last))
@@ -339,7 +364,7 @@ def _store_hit(
         if s[GOOD, i] != 0.0:
             row = chosen[i]
             hit[row, 0], hit[row, 1], hit[row, 2] = px[i], py[i], s[Z, i] + level
-            turn[row, 0], turn[row, 1], turn[row, 2] = s[L, i], s[M, i], s[N, i]
+            turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
 
 
 @exact
@@ -373,7 +398,7 @@ def straight(
             climb = face[slot.CLIMB] if not columnar else max(face[slot.CLIMB], other[slot.CLIMB])
             if entering:
                 _in_zone(lat, s, m, 0.0)
-                _keep(rows, s, m)
+                _keep(lat, rows, s, m)
                 _steep(s, m, face[slot.CLIMB])
                 if met == 0:
                     s[CI0, :m], s[CJ0, :m] = s[CI, :m], s[CJ, :m]
@@ -402,50 +427,93 @@ def straight(
 
 @fused
 def _steep(s: Floats, m: int, climb: float) -> None:
-    dz, good = s[N], s[GOOD]
+    dz, good = s[DZ], s[GOOD]
     for i in range(m):
         good[i] = good[i] if dz[i] >= climb else 0.0
 
 
 @exact
-def trace_chunk(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows,
-    position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
-    hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
-    """Trace the launched rays `chosen` and write their rows; return how many had to be walked.
+def _load(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
+    """Copy a block of starts and directions into the scratch rows."""
+    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    for k in range(len(chosen)):
+        row = chosen[k]
+        x[k], y[k], z[k] = position[row, 0], position[row, 1], position[row, 2]
+        dx[k], dy[k], dz[k] = direction[row, 0], direction[row, 1], direction[row, 2]
 
-    `position` and `direction` hold the rays as launched and receive the result.
-    """
+
+@exact
+def _store(
+    lat: Floats, s: Floats, chosen: Rows, array: int, top: float, last: int, position: Floats, direction: Floats,
+    fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells, flux: Floats,
+) -> None:  # fmt: skip
+    """Write the rows of rays whose straight trace holds."""
+    m = len(chosen)
+    px, py, z, dx, dy, dz, good, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
+    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
+    _centres(lat, s, m, array, px, py)
+    for k in range(m):
+        if good[k] == 0.0:
+            continue
+        row = chosen[k]
+        position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k] + top
+        direction[row, 0], direction[row, 1], direction[row, 2] = dx[k], dy[k], dz[k]
+        path[row], surface[row], flux[row] = length[k], last, 1.0
+        i, j = np.int32(ci0[k]), np.int32(cj0[k])
+        di, dj = np.int32(ci[k]) - i, np.int32(cj[k]) - j
+        cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = i, j, di, dj
+        fate[row] = ALIVE if di == 0 and dj == 0 else GHOST
+
+
+@exact
+def _blank(
+    row: int, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
+    cell: Cells, order: Cells, surface: Cells, flux: Floats, hits: Floats, turns: Floats,
+) -> bool:  # fmt: skip
+    """Write a row as launched, MISSED or INVALID; tell whether the ray can be launched."""
+    finite, zero = True, True
+    for c in range(3):
+        position[row, c], direction[row, c] = start[row, c], ray[row, c]
+        finite &= isfinite(start[row, c]) and isfinite(ray[row, c])
+        zero &= ray[row, c] == 0.0
+        for face in range(len(hits)):
+            hits[face, row, c], turns[face, row, c] = start[row, c], ray[row, c]
+    cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = NO_CELL, NO_CELL, NO_CELL, NO_CELL
+    path[row], surface[row], flux[row] = 0.0, NO_CELL, 1.0
+    sound = finite and not zero
+    fate[row] = MISSED if sound else INVALID
+    return sound and ray[row, 2] > 0.0
+
+
+@exact
+def trace_chunk(
+    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
+    ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
+    surface: Cells, flux: Floats, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    walked, last = 0, len(faces) - 1
-    top = bodies[len(bodies) - 1, slot.LEVEL]
+    walked, last, top = 0, len(faces) - 1, bodies[len(bodies) - 1, slot.LEVEL]
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
-        launch_block(
-            lat, bodies[0], position, direction, block, s[X], s[Y], s[Z], s[L], s[M], s[N], s[CI], s[CJ], s[PATH],
-            s[GOOD],
-        )  # fmt: skip
+        _load(block, start, ray, s)
+        launch_block(lat, bodies[0], s, m)
         carried[:m] = s[PATH, :m]
         array = straight(faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
-        _centres(lat, s, m, array, s[GX], s[GY])
+        _store(
+            lat, s, block, array, top, last, position, direction, fate, path, cell, order, surface, flux
+        )  # fmt: skip
         for k in range(m):
-            row = block[k]
             if s[GOOD, k] != 0.0:
-                position[row, 0], position[row, 1], position[row, 2] = s[GX, k], s[GY, k], s[Z, k] + top
-                direction[row, 0], direction[row, 1], direction[row, 2] = s[L, k], s[M, k], s[N, k]
-                path[row], surface[row] = s[PATH, k], last
-                cell[row, 0], cell[row, 1] = int(s[CI0, k]), int(s[CJ0, k])
-                di, dj = int(s[CI, k] - s[CI0, k]), int(s[CJ, k] - s[CJ0, k])
-                order[row, 0], order[row, 1] = di, dj
-                fate[row] = ALIVE if di == 0 and dj == 0 else GHOST
                 continue
+            row = block[k]
             walked += 1
-            for face in range(len(hits)):
-                for c in range(3):
-                    hits[face, row, c], turns[face, row, c] = position[row, c], direction[row, c]
-            reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies[0], position, direction, row)
+            if not _blank(
+                row, start, ray, position, direction, fate, path, cell, order, surface, flux, hits, turns
+            ):
+                continue
+            reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies[0], start, ray, row)
             if reaches:
                 walk_ray(
                     faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,

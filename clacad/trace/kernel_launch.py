@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from math import floor, frexp, isfinite, ldexp, nan, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.trace import packing as slot
-from clacad.trace.compiled import exact
+from clacad.trace.compiled import exact, multiply_add
+from clacad.trace.kernel_block_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z
 from clacad.trace.kernel_column import box_span
 from clacad.trace.kernel_scalar import pair_product, pair_sum, two_product, two_sum
 from clacad.trace.layout import Floats
 from clacad.trace.sequence import UNIT
-
-Rows = NDArray[np.intp]
 
 SANE = 1e100
 """Directions with components beyond this, or all below its inverse, are scaled before use."""
@@ -125,22 +121,69 @@ def launch_ray(
 
 
 @exact
-def launch_block(
-    lat: Floats, body: Floats, position: Floats, direction: Floats, chosen: Rows,
-    x: Floats, y: Floats, z: Floats, L: Floats, M: Floats, N: Floats, i: Floats, j: Floats, path: Floats,
-    good: Floats,
-) -> None:  # fmt: skip
-    """Launch a block of rays that cross the reference plane over the sheet; tell which are of sane scale."""
-    plane = body[slot.LEVEL] + body[slot.BODY_LOW]
-    low = body[slot.BODY_LOW]
-    for k in range(len(chosen)):
-        row = chosen[k]
-        a, b, c = direction[row, 0], direction[row, 1], direction[row, 2]
+def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
+    """Launch a block of rays whose starts and directions are in the scratch rows; see `launch_ray`.
+
+    Rays of insane scale, and those that are not over a cell on the reference plane, lose their mark GOOD.
+    """
+    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    path, good, xl, yl = s[PATH], s[GOOD], s[GX], s[GY]
+    plane, low = body[slot.LEVEL] + body[slot.BODY_LOW], body[slot.BODY_LOW]
+    for k in range(m):
+        a, b, c = dx[k], dy[k], dz[k]
         square = a * a + b * b + c * c
         length = 1.0 if abs(square - 1.0) <= UNIT else sqrt(square)
-        L[k], M[k], N[k] = a / length, b / length, c / length
-        step, i[k], j[k], x[k], y[k] = carried_to(
-            lat, plane, position[row, 0], position[row, 1], position[row, 2], a, b, c
-        )  # fmt: skip
+        per_length, per_c = 1.0 / length, 1.0 / c
+        top, bottom = two_sum(plane, -z[k])
+        step = top * per_c
+        rest = (multiply_add(-step, c, top) + bottom) * per_c
+        h = step * a
+        x[k], e = two_sum(h, x[k])
+        xl[k] = e + (multiply_add(step, a, -h) + rest * a)
+        h = step * b
+        y[k], e = two_sum(h, y[k])
+        yl[k] = e + (multiply_add(step, b, -h) + rest * b)
         z[k], path[k] = low, step * length
-        good[k] = 1.0 if 1.0 / SANE < square < SANE else 0.0
+        dx[k], dy[k], dz[k] = a * per_length, b * per_length, c * per_length
+        good[k] = 1.0 if (square > 1.0 / SANE) & (square < SANE) & (c > 0.0) else 0.0
+    if lat[slot.HEXAGONAL] == 0.0:
+        _cells_of_axis(x, xl, s[CI], lat[slot.PITCH], lat[slot.N1], m)
+        _cells_of_axis(y, yl, s[CJ], lat[slot.ROW], lat[slot.N2], m)
+    else:
+        _hexagons(lat, x, xl, y, yl, s[CI], s[CJ], m)
+
+
+@exact
+def _cells_of_axis(x: Floats, xl: Floats, cell: Floats, pitch: float, count: float, m: int) -> None:
+    per_pitch, middle, half, last = 1.0 / pitch, 0.5 * count, 0.5 * pitch, count - 1.0
+    for k in range(m):
+        cell[k] = floor(x[k] * per_pitch + middle)
+        x[k] = multiply_add(last - 2.0 * cell[k], half, x[k]) + xl[k]
+
+
+@exact
+def _hexagons(
+    lat: Floats, x: Floats, xl: Floats, y: Floats, yl: Floats, ci: Floats, cj: Floats, m: int
+) -> None:
+    p, row, x0, y0 = lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0]
+    per_p, per_row, half, slant = 1.0 / p, 1.0 / row, 0.5 * p, row / p
+    for k in range(m):
+        j = floor((y[k] - y0) * per_row + 0.5)
+        i = floor((x[k] - x0) * per_p - 0.5 * j + 0.5)
+        u, v = x[k] - x0 - (i + 0.5 * j) * p, y[k] - y0 - j * row
+        two, three = 0.5 * u + slant * v, -0.5 * u + slant * v
+        second = (1.0 if two >= half else 0.0) - (1.0 if two < -half else 0.0)
+        third = ((1.0 if three >= half else 0.0) - (1.0 if three < -half else 0.0)) * (1.0 - abs(second))
+        ci[k], cj[k] = i - third, j + second + third
+    for k in range(m):
+        x[k] = _less_origin_fast(x[k], xl[k], ci[k] + 0.5 * cj[k], p, x0)
+        y[k] = _less_origin_fast(y[k], yl[k], cj[k], row, y0)
+
+
+@exact
+def _less_origin_fast(x: float, low: float, k: float, step: float, origin: float) -> float:
+    """Give x + low − k·step − origin, rounded once, by multiply-adds."""
+    high = k * step
+    a, e = two_sum(x, -high)
+    b, f = two_sum(a, -origin)
+    return b + ((e + f) + (low - multiply_add(k, step, -high)))

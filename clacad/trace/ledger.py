@@ -49,6 +49,22 @@ class Ledger:
         ledger.directions[:] = ledger.direction
         return ledger
 
+    @classmethod
+    def blank(cls, n: int, recorded: int) -> Ledger:
+        """Columns without contents, for a tracer that writes every row itself."""
+        return cls(
+            position=np.empty((n, 3)),
+            direction=np.empty((n, 3)),
+            fate=np.empty(n, dtype=np.uint8),
+            optical_path=np.empty(n),
+            cell=np.empty((n, 2), dtype=np.int32),
+            order=np.empty((n, 2), dtype=np.int32),
+            surface=np.empty(n, dtype=np.int32),
+            flux=np.empty(n),
+            hits=np.empty((recorded, n, 3)),
+            directions=np.empty((recorded, n, 3)),
+        )
+
     def launchable(self) -> Rows:
         """Rays that go forwards at the start; the others are MISSED or INVALID already."""
         with np.errstate(invalid="ignore"):

@@ -21,7 +21,17 @@ MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, BODY_NUMB
 
 # The lattice's numbers.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
-NORMAL, HALF, RESIDUAL, WHOLE_STEPS, SHIFT, OPAQUE, BAFFLE, LATTICE_NUMBERS = 11, 17, 20, 22, 24, 28, 29, 30
+NORMAL, HALF, RESIDUAL, WHOLE_STEPS, SHIFT, OPAQUE, BAFFLE, PLAIN, LATTICE_NUMBERS = (
+    11,
+    17,
+    20,
+    22,
+    24,
+    28,
+    29,
+    30,
+    31,
+)
 
 NO_BAFFLE = -1.0
 
@@ -102,6 +112,7 @@ def _lattice(layout: Layout) -> Floats:
     row[WHOLE_STEPS : WHOLE_STEPS + 2] = layout.whole_steps
     row[SHIFT : SHIFT + 4] = np.ravel(layout.window.shifts)
     row[OPAQUE] = float(layout.window.land.opaque)
+    row[PLAIN] = float(not lattice.hexagonal and lattice.outline is None)
     row[BAFFLE] = NO_BAFFLE if layout.window.baffle is None else layout.window.baffle.wall
     return row
 
