@@ -1,0 +1,28 @@
+"""Watertight meshes of a sheet: one cell's triangles, repeated; expanded only when asked."""
+
+from __future__ import annotations
+
+from clacad.mesh.body import BodyMesh
+from clacad.mesh.nouns import Mesh
+from clacad.mesh.tessellate import (
+    count_facets,
+    forecast_bytes,
+    forecast_quads,
+    mesh_body,
+    slope_error_at,
+    tessellate,
+)
+from clacad.mesh.volume import exact_volume, mesh_volume
+
+__all__ = [
+    "BodyMesh",
+    "Mesh",
+    "count_facets",
+    "exact_volume",
+    "forecast_bytes",
+    "forecast_quads",
+    "mesh_body",
+    "mesh_volume",
+    "slope_error_at",
+    "tessellate",
+]
