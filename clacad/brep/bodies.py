@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from math import sqrt
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -12,9 +13,10 @@ from clacad.brep.cell import UP, Cell, CellFace, make_cell, open_face, plane_fac
 from clacad.brep.columns import Columns
 from clacad.brep.conics import Arc, line, ruled_wall
 from clacad.brep.edges import Plane
-from clacad.brep.pattern import Floats, Kind
+from clacad.brep.pattern import SNAP, Floats, Kind
 from clacad.brep.segments import TOLERANCE, Column
 from clacad.brep.shell import MERGE, V_HIGH, V_LOW, Loop, LoopEdge, Shells, Writer, reverse
+from clacad.cell_complex.build import cell_complex
 from clacad.lattice import Circle, Lattice, Outline
 from clacad.sheet import Body, Face, Window
 
@@ -31,11 +33,14 @@ class Layer:
     shift : (2,), mm
     outside : Column or None
         The land between the cells and the outline.
+    breaks : tuple of (n,) parameters, or None
+        Per class of borders between two cells: where anything changes, from the cell complex.
     """
 
     cell: Cell
     shift: Floats
     outside: Column | None
+    breaks: tuple[Floats, ...] | None = None
 
 
 def millimetres(window: Window) -> float:
@@ -123,7 +128,35 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
     parts = layers(window, body)
     if len(parts) == 2 and window.outline is None:
         raise ValueError("a slab whose arrays are displaced needs an outline")
+    parts = tuple(
+        replace(part, breaks=breaks) for part, breaks in zip(parts, _breaks(window, body, merge), strict=True)
+    )
     return describe_layers(parts, window.lattice, window.outline, millimetres(window), writer, merge)
+
+
+_known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ...], ...]]] = (
+    WeakKeyDictionary()
+)
+
+
+def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...], ...]:
+    """Where anything changes on the borders of each tiling; kept, for it is the same for any number of cells."""
+    scale = millimetres(window)
+    lattice = window.lattice
+    key = (
+        lattice.kind,
+        lattice.pitch,
+        window.shifts,
+        window.land,
+        window.unit,
+        window.outline is None,
+        merge,
+    )
+    if body not in _known or _known[body][0] != key:
+        complex_ = cell_complex(window, body, merge / scale, SNAP / scale)
+        found = tuple(tuple(border.breaks for border in tiling.borders) for tiling in complex_.tilings)
+        _known[body] = (key, found)
+    return _known[body][1]
 
 
 def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline | None, scale: float, writer: Writer,
@@ -133,7 +166,15 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
     rim = None if outline is None else shells.owner()
     for part in parts:
         Columns(
-            shells, part.cell, lattice, scale, part.shift, part.outside, -1 if rim is None else rim, hollow
+            shells,
+            part.cell,
+            lattice,
+            scale,
+            part.shift,
+            part.outside,
+            -1 if rim is None else rim,
+            hollow,
+            part.breaks,
         ).describe()
     if rim is None:
         for part in parts:

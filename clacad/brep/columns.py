@@ -99,13 +99,16 @@ class Columns:
         Whose faces the walls of that land are.
     hollow : bool
         Describe only the land round the cells, the cells themselves left out.
+    breaks : tuple of (n,) parameters, or None
+        Per class of borders between two cells: where anything changes, from the cell complex.
     """
 
     def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, scale: float, shift: Floats,
-                 outside: Column | None = None, outside_owner: int = -1, hollow: bool = False) -> None:  # fmt: skip
+                 outside: Column | None = None, outside_owner: int = -1, hollow: bool = False, breaks: tuple[Floats, ...] | None = None) -> None:  # fmt: skip
         self.shells, self.cell, self.lattice = shells, cell, lattice
         self._scale, self._shift = scale, shift
         self._outside, self._outside_owner, self._hollow = outside, outside_owner, hollow
+        self._breaks = breaks
         self._sides = len(cell.tile)
         self._rings = rings(lattice)
         self._levels: dict[tuple[int, tuple[State, ...]], Levels] = {}
@@ -219,7 +222,9 @@ class Columns:
             self._column(states[1], opposite, offset, True),
         )
         a, b = self.cell.tile[k], self.cell.tile[(k + 1) % self._sides]
-        shape = segment_shape(a, b, columns, self.shells.merge)
+        shared = states == ("cell", "cell") and self._breaks is not None
+        breaks = self._breaks[k] if shared and self._breaks is not None else None
+        shape = segment_shape(a, b, columns, self.shells.merge, breaks)
         return segment_class(shape, columns, start, end, self.shells.merge)
 
     # -- islands: the zone inside a seam -----------------------------------------------------------

@@ -148,7 +148,9 @@ def zone_columns(cell: Cell, k: int) -> tuple[Column, Column]:
     return Column(cell.faces, (inner[0], inner[1]), zero), Column(cell.faces, (outer[0], outer[1]), zero)
 
 
-def segment_shape(a: Floats, b: Floats, columns: Sequence[Column | None], merge: float) -> SegmentShape:
+def segment_shape(
+    a: Floats, b: Floats, columns: Sequence[Column | None], merge: float, breaks: Floats | None = None
+) -> SegmentShape:
     """Analyse one class of segments.
 
     Parameters
@@ -158,6 +160,8 @@ def segment_shape(a: Floats, b: Floats, columns: Sequence[Column | None], merge:
         None where there is nothing.
     merge : float, mm
         Merge height h.
+    breaks : (n,) parameters or None
+        Where faces cross, from the cell complex; None: find them here (borders of land, sides of islands).
 
     Raises
     ------
@@ -170,10 +174,12 @@ def segment_shape(a: Floats, b: Floats, columns: Sequence[Column | None], merge:
         if column is not None:
             stops += [t for runs in column.runs for t0, t1, _ in runs for t in (t0, t1)]
     stops = _distinct(stops, SNAP / length)
-    crossings = [
-        t for low, high in zip(stops[:-1], stops[1:]) for t in _crossings(a, b, columns, low, high, merge)
-    ]
     before = len(stops)
+    if breaks is None:
+        spans = zip(stops[:-1], stops[1:])
+        crossings = [t for low, high in spans for t in _crossings(a, b, columns, low, high, merge)]
+    else:
+        crossings = breaks.tolist()
     stops = _distinct([*stops, *crossings], SNAP / length)
     pieces = tuple(_piece(a, b, columns, low, high, merge) for low, high in zip(stops[:-1], stops[1:]))
     t = np.array(stops)
