@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.lattice import Lattice, Outline
+from clacad.lattice import Lattice, Outline, Rectangle
 from clacad.surface import Biconic, Quadric, meet
 
 if TYPE_CHECKING:
@@ -217,8 +217,28 @@ class Window:
         return tuple(face for body in self.bodies for face in (body.front, body.back))
 
     def with_cells(self, count: tuple[int, int]) -> Window:
-        """Give the same design with another cell count, centred on the origin."""
-        return replace(self, lattice=self.lattice.with_count(count))
+        """Give the same design with another cell count, centred on the origin, without a cut outline."""
+        small = replace(self, lattice=self.lattice.with_count(count))
+        return replace(small, outline=side_outline(small))
+
+
+def side_outline(window: Window) -> Outline | None:
+    """Side outline of the bodies where it is not the boundary of their cells; see `Window.outline`.
+
+    The lattice's own outline; else a rectangle where there is a border, or a slab whose arrays are displaced
+    against one another.
+    """
+    if window.lattice.outline is not None:
+        return window.lattice.outline
+    border, shift = window.land.border, window.shifts[1]
+    displaced = window.form == "slab" and shift != (0.0, 0.0)
+    if border == 0.0 and not displaced:
+        return None
+    x0, x1, y0, y1 = window.lattice.extent()
+    reach_x, reach_y = max(-x0, x1) + border, max(-y0, y1) + border
+    if window.form == "slab":
+        reach_x, reach_y = reach_x + abs(shift[0]), reach_y + abs(shift[1])
+    return Rectangle(2.0 * reach_x, 2.0 * reach_y)
 
 
 def optical_tile(window: Window) -> Floats:

@@ -27,7 +27,7 @@ from clacad.prescription.radii import (
 from clacad.prescription.shape import Pose, Shape, biconvex_body, plano_body, slab_body
 from clacad.prescription.thickness import auto_thickness
 from clacad.process import profile
-from clacad.sheet import Baffle, Body, Land, ThinPair, Window
+from clacad.sheet import Baffle, Body, Land, ThinPair, Window, side_outline
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -345,27 +345,12 @@ def _finish(
         recipe=_recipe(intent, lenses, offset, separation),
         name=design.name,
     )
-    window = replace(window, outline=_outline(window))
+    window = replace(window, outline=side_outline(window))
     return window if design.pair.form == "biconvex" else _with_land(window, intent)
 
 
 def _triple(v: Floats) -> tuple[float, float, float]:
     return float(v[0]), float(v[1]), float(v[2])
-
-
-def _outline(window: Window) -> Circle | Rectangle | None:
-    """Side outline of the bodies where it is not the boundary of the cells; see `Window.outline`."""
-    if window.lattice.outline is not None:
-        return window.lattice.outline
-    slab_displaced = window.form == "slab" and window.shifts[1] != (0.0, 0.0)
-    if window.land.border == 0.0 and not slab_displaced:
-        return None
-    x0, x1, y0, y1 = window.lattice.extent()
-    reach_x, reach_y = max(-x0, x1), max(-y0, y1)
-    if window.form == "slab":
-        reach_x, reach_y = reach_x + abs(window.shifts[1][0]), reach_y + abs(window.shifts[1][1])
-    border = window.land.border
-    return Rectangle(2.0 * (reach_x + border), 2.0 * (reach_y + border))
 
 
 def _with_land(window: Window, intent: Intent) -> Window:
