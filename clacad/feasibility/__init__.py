@@ -24,7 +24,7 @@ from clacad.sheet import Window
 from clacad.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, thin_cells
 
 __all__ = [
-    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_of", "components", "connectedness",
+    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "components", "connectedness",
     "describe", "feasibility", "least_thickness", "lens_margin",
 ]  # fmt: skip
 

@@ -25,7 +25,7 @@ CODES: Mapping[str, str] = {
     "graph": "CL324", "edge": "CL331", "neck": "CL332", "radius": "CL333", "sag": "CL334", "pitch": "CL335",
     "integrity": "CL341", "closed": "CL342", "pieces": "CL343", "volume": "CL344", "shape": "CL345",
     "file_rms": "CL346", "file_eta": "CL347", "file_delta": "CL348", "file_law_rms": "CL349", "scale": "CL350",
-    "pose": "CL351", "handedness": "CL352", "convergence": "CL353", "solids": "CL354",
+    "pose": "CL351", "handedness": "CL352", "convergence": "CL353", "solids": "CL354", "design": "CL340", "readable": "CL339",
 }  # fmt: skip
 """Stable code of each check; a design may accept a warning by its code."""
 

@@ -1,0 +1,117 @@
+"""Does light through facets approach the exact surfaces as the facets shrink, at the rate physics predicts?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.law import Law, angle_between
+from clacad.rays import Fate
+from clacad.sheet import Window
+from clacad.sobol import sobol
+from clacad.trace import trace
+from clacad.verify.bundle import Bundle, cone, launched, middle_direction, over_cell
+from clacad.verify.checks import Check, not_run
+from clacad.verify.facets import Floats, trace_facets
+from clacad.verify.gather import Gatherer, Progress, telescopelet
+from clacad.vignetting import half_field, thin_cells
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+QUADS = (8, 16, 32, 64)
+RAYS = 32768
+DIRECTIONS = 16
+FIT_FIELD = 0.35
+ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
+"""Allowed orders: the direction error falls as the facet size, the mean slope and with it eta as its square."""
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """Errors against the exact surfaces at several refinements, same rays.
+
+    quads : (k,) ints
+    direction : (k,) radians, rms
+    eta : (k,), relative
+    order_direction, order_eta : float
+        Fitted exponents of the facet size.
+    """
+
+    quads: Floats
+    direction: Floats
+    eta: Floats
+    order_direction: float
+    order_eta: float
+
+
+def converge(
+    design: Design, window: Window, progress: Progress, quads: tuple[int, ...] = QUADS
+) -> Convergence:
+    """Tessellate one telescopelet at several refinements and send the same rays through each."""
+    from clacad.mesh import tessellate
+
+    one = window.with_cells((1, 1))
+    angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
+    lit = _balanced(one, angle, design.check.field_centre)
+    truth = trace(one, lit.rays)
+    good = truth.fate == Fate.ALIVE
+    into = lit.rays.direction
+    errors, etas = [], []
+    for k, number in enumerate(quads):
+        progress("refining facets", k / len(quads))
+        gatherer = Gatherer(one, [(0, 0)])
+        for body in tessellate(one, quads=number).bodies:
+            for rows in body.rows():
+                gatherer.look(np.asarray(rows, dtype=np.float64))
+        seen = trace_facets(telescopelet(one, gatherer.result, 0), lit.rays)
+        both = good & (seen.fate == Fate.ALIVE)
+        errors.append(
+            float(np.sqrt(np.mean(angle_between(seen.direction[both], truth.direction[both]) ** 2)))
+        )
+        law = Law.fit(into[both], seen.direction[both], axes=window.law).law
+        exact = Law.fit(into[both], truth.direction[both], axes=window.law).law
+        etas.append(max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0)))
+    size = np.log(1.0 / np.array(quads, dtype=np.float64))
+    slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
+    return Convergence(np.array(quads), np.array(errors), np.array(etas), *slopes)
+
+
+def _balanced(window: Window, angle: float, centre: str) -> Bundle:
+    """Every place of the cell lit from the same few directions, each with its mirror image about the middle:
+    the error of a facet of lens 1 then does not correlate with the direction, and the fit is quiet.
+    """
+    middle = middle_direction(window, centre)
+    places = over_cell(window, sobol(RAYS // DIRECTIONS, 2))
+    half = cone(middle, angle, sobol(DIRECTIONS // 2, 2))
+    mirrored = 2.0 * (half @ middle)[:, None] * middle - half
+    directions = np.concatenate([half, mirrored])
+    local = np.repeat(places, DIRECTIONS, axis=0)
+    return launched(window, local, np.tile(directions, (len(places), 1)), (0, 0), middle, angle)
+
+
+def convergence_check(found: Convergence | None, why: str = "") -> Check:
+    """Judge the fitted order of the direction error; that of η is told beside it."""
+    common: dict[str, Any] = {
+        "where": "mesh", "unit": "order", "relation": "in", "required": False,
+        "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "source": "facet slopes err as their size",
+    }  # fmt: skip
+    if found is None:
+        return not_run("convergence", why, **common)
+    low, high = ORDERS["direction"]
+    row = ", ".join(
+        f"{int(q)}: {1e3 * d:.3g} mrad, eta {100 * e:.2g} %"
+        for q, d, e in zip(found.quads, found.direction, found.eta, strict=True)
+    )
+    sentence = (
+        f"quads a side: {row}; the direction error falls as the facet size to the power {found.order_direction:.2f}, "
+        f"that of eta to the power {found.order_eta:.2f}"
+    )
+    good = low <= found.order_direction <= high and found.eta[-1] <= found.eta[0]
+    return Check(
+        "convergence", "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
+        detail={"quads": found.quads, "direction": found.direction, "eta": found.eta, "order_eta": found.order_eta},
+        **common,
+    )  # fmt: skip

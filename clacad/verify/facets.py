@@ -1,0 +1,260 @@
+"""Light through the very triangles of a file, one telescopelet at a time, in double precision.
+
+A file is known here only as triangles. Those over one cell are gathered, and rays meet in each body the
+first facet that faces outward against them, then the first that faces outward along them; walls (facets
+nearly parallel to z) let nothing through. Nothing of the mesher or of the exact surfaces is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet import Face
+from clacad.surface import meet, refract
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WALL = 0.05
+"""Facets whose |n_z| is below this are walls."""
+
+BLOCK = 8192
+"""Rays at a time: bounds the memory of ray–facet pairs."""
+
+SLACK = 1e-10
+"""Part of a facet's area by which a hit on its edge may lie outside: no ray slips between two facets."""
+
+
+@dataclass(frozen=True, eq=False)
+class FacetFace:
+    """The facets of one side of one body over one cell, binned in x and y.
+
+    corners : (t, 3, 3) lengths
+        Relative to `origin`; wound counter-clockwise seen from outside.
+    normals : (t, 3)
+        Outward, length twice the facet's area.
+    origin : (3,) lengths
+        Sheet frame.
+    low, size : (2,) lengths; bins : (2,) ints
+        The grid of bins.
+    start : (bins + 1,) ints, member : ints
+        Facets of bin b are member[start[b] : start[b + 1]].
+    z_range : (low, high), lengths, relative to origin
+    """
+
+    corners: Floats
+    normals: Floats
+    origin: Floats
+    low: Floats
+    size: Floats
+    bins: tuple[int, int]
+    start: Ints
+    member: Ints
+    z_range: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ExactFace:
+    """A face of the design in place of facets, where a file holds only one of two bodies.
+
+    face : Face
+    origin : (3,) lengths
+        Centre of the face's cell in the sheet frame, z = 0.
+    """
+
+    face: Face
+    origin: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FacetBody:
+    """Front and back of one body over one cell, and its refractive index."""
+
+    front: FacetFace | ExactFace
+    back: FacetFace | ExactFace
+    index: float
+
+
+def facet_face(corners: Floats, origin: Floats) -> FacetFace:
+    """Bin facets (t, 3, 3), given in the sheet frame, about `origin` (3,)."""
+    local = np.asarray(corners, dtype=np.float64) - origin
+    normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
+    if len(local) == 0:
+        return FacetFace(
+            local, normals, origin, np.zeros(2), np.ones(2), (1, 1), np.zeros(2, dtype=np.int64),
+            np.empty(0, dtype=np.int64), (0.0, 0.0),
+        )  # fmt: skip
+    flat = local[..., :2]
+    least, most = flat.min(axis=1), flat.max(axis=1)
+    low, high = least.min(axis=0), most.max(axis=0)
+    count = max(1, int(np.sqrt(0.5 * len(local))))
+    size = np.maximum((high - low) / count, 1e-300)
+    first = _bin(least, low, size, count)
+    last = _bin(most, low, size, count)
+    facet, bin_x, bin_y = _spread(first, last)
+    number = bin_x * count + bin_y
+    order = np.argsort(number, kind="stable")
+    start = np.searchsorted(number[order], np.arange(count * count + 1))
+    return FacetFace(
+        local, normals, origin, low, size, (count, count), start.astype(np.int64), facet[order],
+        (float(local[..., 2].min()), float(local[..., 2].max())),
+    )  # fmt: skip
+
+
+def _bin(points: Floats, low: Floats, size: Floats, count: int) -> Ints:
+    # a hair of overlap, so that a facet on a bin's border is in both bins
+    return np.clip(np.floor((points - low) / size), 0, count - 1).astype(np.int64)
+
+
+def _spread(first: Ints, last: Ints) -> tuple[Ints, Ints, Ints]:
+    """Row numbers and every (x, y) of the boxes of bins first … last, (n, 2) each."""
+    wide = last - first + 1
+    many = wide[:, 0] * wide[:, 1]
+    row = np.repeat(np.arange(len(first)), many)
+    within = np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many)
+    return row, first[row, 0] + within // wide[row, 1], first[row, 1] + within % wide[row, 1]
+
+
+def first_crossing(
+    face: FacetFace, position: Floats, direction: Floats, entering: bool
+) -> tuple[Floats, Ints]:
+    """Distance to the first facet that light enters (or leaves) through, and its number.
+
+    Parameters
+    ----------
+    face : FacetFace
+    position, direction : (n, 3) arrays
+        Sheet frame; unit directions with d_z > 0.
+    entering : bool
+        Facets facing the light (outward normal against it), else those facing along it.
+
+    Returns
+    -------
+    distance : (n,) array
+        NaN where no facet is met ahead.
+    facet : (n,) ints
+        −1 there.
+    """
+    distance = np.full(len(position), np.nan)
+    facet = np.full(len(position), -1, dtype=np.int64)
+    if len(face.corners):
+        for k in range(0, len(position), BLOCK):
+            part = slice(k, k + BLOCK)
+            distance[part], facet[part] = _crossing(
+                face, position[part] - face.origin, direction[part], entering
+            )
+    return distance, facet
+
+
+def _meet(
+    face: FacetFace | ExactFace, position: Floats, direction: Floats, entering: bool
+) -> tuple[Floats, Floats]:
+    """Distance (n,) along each ray, NaN for none, and the normal (n, 3) turned the way the light goes."""
+    if isinstance(face, FacetFace):
+        distance, facet = first_crossing(face, position, direction, entering)
+        return distance, face.normals[facet] * (-1.0 if entering else 1.0) if len(face.normals) else position
+    turn = face.face.rotation
+    apex = face.origin + np.asarray(face.face.vertex)
+    met = meet(face.face.surface, (position - apex) @ turn, direction @ turn)
+    return np.where(met.distance >= 0.0, met.distance, np.nan), met.gradient @ turn.T
+
+
+def _crossing(face: FacetFace, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Ints]:
+    ray, candidate = _candidates(face, position, direction)
+    corners, normal = face.corners[candidate], face.normals[candidate]
+    p, d = position[ray], direction[ray]
+    facing = np.einsum("ij,ij->i", normal, d)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.einsum("ij,ij->i", normal, corners[:, 0] - p) / facing
+    hit = p + t[:, None] * d
+    inside = (facing < 0.0) if entering else (facing > 0.0)
+    inside &= t >= 0.0
+    turn = np.sign(normal[:, 2])
+    room = -SLACK * np.abs(normal[:, 2])
+    for k in range(3):
+        a, b = corners[:, k, :2], corners[:, (k + 1) % 3, :2]
+        edge = b - a
+        inside &= turn * (edge[:, 0] * (hit[:, 1] - a[:, 1]) - edge[:, 1] * (hit[:, 0] - a[:, 0])) >= room
+    ray, candidate, t = ray[inside], candidate[inside], t[inside]
+    order = np.lexsort((candidate, t, ray))
+    ray, candidate, t = ray[order], candidate[order], t[order]
+    rows, first = np.unique(ray, return_index=True)
+    distance = np.full(len(position), np.nan)
+    facet = np.full(len(position), -1, dtype=np.int64)
+    distance[rows], facet[rows] = t[first], candidate[first]
+    return distance, facet
+
+
+def _candidates(face: FacetFace, position: Floats, direction: Floats) -> tuple[Ints, Ints]:
+    """Pairs (ray, facet) whose bins the ray passes between the lowest and the highest point of the face."""
+    slope = direction[:, :2] / direction[:, 2:]
+    ends = [position[:, :2] + slope * (z - position[:, 2:]) for z in face.z_range]
+    count = face.bins[0]
+    margin = 1e-9 * face.size
+    low, high = np.minimum(*ends) - margin, np.maximum(*ends) + margin
+    top = face.low + count * face.size
+    met = (high >= face.low).all(axis=1) & (low <= top).all(axis=1)
+    rows = np.flatnonzero(met)
+    which, bin_x, bin_y = _spread(
+        _bin(low[rows], face.low, face.size, count), _bin(high[rows], face.low, face.size, count)
+    )
+    number = bin_x * count + bin_y
+    many = face.start[number + 1] - face.start[number]
+    ray = np.repeat(rows[which], many)
+    within = np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many)
+    return ray, face.member[np.repeat(face.start[number], many) + within]
+
+
+def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
+    """Send rays through the facets over one telescopelet.
+
+    Parameters
+    ----------
+    bodies : tuple of FacetBody
+        In the order of the light.
+    rays : Rays
+        Sheet frame.
+
+    Returns
+    -------
+    TraceResult
+        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards; TIR,
+        BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
+    """
+    n = len(rays)
+    position = rays.position.copy()
+    direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
+    fate = np.full(n, Fate.ALIVE, dtype=np.uint8)
+    surface = np.full(n, NO_CELL, dtype=np.int32)
+    path = np.zeros(n)
+    live = np.arange(n)
+    before = 1.0
+    steps = [
+        (f, body.index if k == 0 else 1.0, k == 0)
+        for body in bodies
+        for k, f in ((0, body.front), (1, body.back))
+    ]
+    for number, (face, after, entering) in enumerate(steps):
+        distance, normal = _meet(face, position[live], direction[live], entering)
+        met = np.isfinite(distance)
+        fate[live[~met]] = Fate.WALL
+        live, distance, normal = live[met], distance[met], normal[met]
+        position[live] += distance[:, None] * direction[live]
+        path[live] += before * distance
+        surface[live] = number
+        root = np.einsum("ij,ij->i", normal, direction[live])
+        out, _ = refract(direction[live], normal, root, before, after)
+        reflected = np.isnan(out[:, 0])
+        fate[live[reflected]] = Fate.TIR
+        live, out = live[~reflected], out[~reflected]
+        direction[live] = out
+        back = out[:, 2] <= 0.0
+        fate[live[back]] = Fate.BACKWARD
+        live = live[~back]
+        before = after
+    unknown = np.full((n, 2), NO_CELL, dtype=np.int32)
+    return TraceResult(position, direction, fate, path, unknown, unknown, surface, np.ones(n))

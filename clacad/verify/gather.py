@@ -1,0 +1,166 @@
+"""Pick the triangles of a few cells out of a file of any size, in one pass and bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clacad.feasibility import body_facts
+from clacad.sheet import Body, Face, Window, face_height
+from clacad.verify.bundle import central_cell
+from clacad.verify.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face
+
+RANDOM_CELLS = 4
+Cell = tuple[int, int]
+Key = tuple[int, int, int]
+"""Body, side (0 front, 1 back), number of the chosen cell."""
+
+
+def chosen_cells(window: Window) -> tuple[Cell, ...]:
+    """Cells of the sheet that are looked at: the middle, the four corners, the middles of the four sides, and a
+    few at random (seed 0); the middle first, none twice.
+    """
+    lattice = window.lattice
+    middle = central_cell(window)
+    cells = lattice.cells() if lattice.cell_count <= 4_000_000 else lattice.row(middle[1])
+    centres = lattice.centres(cells)
+    towards = [(x, y) for x in (-1, 1) for y in (-1, 1)] + [(1, 0), (-1, 0), (0, 1), (0, -1)]
+    picked = [middle]
+    for x, y in towards:
+        # corners: farthest along the diagonal; sides: farthest along the axis, nearest its middle
+        reach = centres @ np.array([x, y], dtype=np.float64)
+        aside = np.abs(centres @ np.array([-y, x], dtype=np.float64))
+        best = cells[int(np.lexsort((aside, -np.round(reach / lattice.circumradius, 6)))[0])]
+        picked.append((int(best[0]), int(best[1])))
+    for row in np.random.default_rng(0).integers(0, len(cells), RANDOM_CELLS):
+        picked.append((int(cells[row, 0]), int(cells[row, 1])))
+    return tuple(dict.fromkeys(picked))
+
+
+@dataclass
+class Gathered:
+    """Facets of the chosen cells, by body, side and cell, and what was counted on the way.
+
+    Attributes
+    ----------
+    cells : tuple of (i, j)
+    facets : mapping
+        Key → list of (k, 3, 3) arrays, sheet frame, design units.
+    optical, walls, degenerate : int
+        Facets of each kind in the whole file; degenerate ones have no area.
+    """
+
+    cells: tuple[Cell, ...]
+    facets: dict[Key, list[Floats]] = field(default_factory=dict)
+    optical: int = 0
+    walls: int = 0
+    degenerate: int = 0
+
+    def corners(self, body: int, side: int, cell: int) -> Floats:
+        """Facets (k, 3, 3) of one side of one body over one of the chosen cells."""
+        found = self.facets.get((body, side, cell), [])
+        return np.concatenate(found) if found else np.empty((0, 3, 3))
+
+
+class Gatherer:
+    """Looks at chunks of a file and keeps the facets of the chosen cells.
+
+    A facet belongs to the body whose height range holds its centroid, to the front if its outward normal
+    points to −z and to the back if to +z, and to the cell its centroid lies over, in the grid of that face's
+    own array.
+    """
+
+    def __init__(self, window: Window, cells: Iterable[Cell]) -> None:
+        self.window = window
+        self.result = Gathered(tuple(cells))
+        self._levels = levels(window)
+        index = np.array(self.result.cells, dtype=np.int64)
+        self._first = index.min(axis=0)
+        self._table = np.full(tuple(np.ptp(index, axis=0) + 1), -1, dtype=np.int64)
+        for number, (i, j) in enumerate(self.result.cells):
+            self._table[i - self._first[0], j - self._first[1]] = number
+
+    def look(self, corners: Floats) -> None:
+        """Take a chunk (k, 3, 3) in design units."""
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        optical = np.abs(normal[:, 2]) > WALL * length
+        self.result.degenerate += int((length == 0.0).sum())
+        self.result.optical += int(optical.sum())
+        self.result.walls += int((~optical).sum())
+        middle = corners.mean(axis=1)
+        body = np.searchsorted(self._levels, middle[:, 2])
+        back = normal[:, 2] > 0.0
+        for number, piece in enumerate(self.window.bodies):
+            for side, face in enumerate((piece.front, piece.back)):
+                rows = np.flatnonzero(optical & (body == number) & (back == bool(side)))
+                if len(rows):
+                    self._keep(number, side, owner(piece, face), corners[rows], middle[rows])
+
+    def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
+        shift = self.window.shifts[array]
+        index, _, _ = self.window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
+        place = index - self._first
+        known = ((place >= 0) & (place < self._table.shape)).all(axis=1)
+        number = np.full(len(place), -1, dtype=np.int64)
+        number[known] = self._table[place[known, 0], place[known, 1]]
+        for cell in np.unique(number[number >= 0]):
+            self.result.facets.setdefault((body, side, int(cell)), []).append(corners[number == cell].copy())
+
+
+def owner(body: Body, face: Face) -> int:
+    """Array whose grid a face is looked at in: its own, or its body's other face's for a plane."""
+    if face.array is not None:
+        return face.array
+    other = body.back if face is body.front else body.front
+    assert other.array is not None
+    return other.array
+
+
+def levels(window: Window) -> Floats:
+    """Heights (bodies − 1,) midway between the bodies of a window."""
+    bodies = [body_facts(window, body) for body in window.bodies]
+    return np.array([0.5 * (a.high + b.low) for a, b in zip(bodies, bodies[1:], strict=False)])
+
+
+def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[str] | None = None,
+                 onto_design: bool = False) -> tuple[FacetBody, ...]:  # fmt: skip
+    """Facets over one chosen telescopelet: cell i, j of each array, ready to be traced.
+
+    Parameters
+    ----------
+    present : names of the bodies the file holds, or None for all
+        The others are taken from the design.
+    onto_design : bool
+        Move every corner along z onto the design's own face: the design, faceted as the file is.
+    """
+    index = np.array([found.cells[cell]], dtype=np.int64)
+    centre = window.lattice.centres(index)[0]
+    bodies = []
+    for number, body in enumerate(window.bodies):
+        faces: list[FacetFace | ExactFace] = []
+        for side, face in enumerate((body.front, body.back)):
+            shift = window.shifts[owner(body, face)]
+            place = centre + np.asarray(shift)
+            if present is None or body.name in present:
+                corners = found.corners(number, side, cell)
+                corners = onto_face(window, face, corners, place) if onto_design else corners
+                faces.append(facet_face(corners, np.array([*place, body.front.vertex[2]])))
+            else:
+                faces.append(ExactFace(face, np.array([*place, 0.0])))
+        bodies.append(FacetBody(faces[0], faces[1], body.index))
+    return tuple(bodies)
+
+
+def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Floats:
+    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; kept where it has none."""
+    moved = corners.copy()
+    local = corners[..., :2] - place
+    z = face_height(window, face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:2])
+    moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])
+    return moved
+
+
+Progress = Callable[[str, float], None]

@@ -1,0 +1,315 @@
+"""The whole verification of a design, and of the files made from it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.export.errors import UnreadableFile
+from clacad.feasibility import Feasibility, describe, feasibility
+from clacad.prescription import prescribe
+from clacad.sheet import Window
+from clacad.trace import trace
+from clacad.verify import checks as judging
+from clacad.verify.checks import Check, not_run, plain
+from clacad.verify.convergence import Convergence, converge, convergence_check
+from clacad.verify.files import (
+    Delivery,
+    Subject,
+    find_files,
+    integrity,
+    present_bodies,
+    register,
+    same_design,
+    unit_of,
+    written_window,
+)
+from clacad.verify.gather import Progress
+from clacad.verify.geometry import design_checks
+from clacad.verify.meshfile import MeshEvidence, judge_mesh
+from clacad.verify.optics import Optics, confocality_check, law_checks, measure, throughput_check
+from clacad.verify.solidfile import judge_solid
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class FileReport:
+    """One file that was judged: what it is, and the evidence gathered on it."""
+
+    subject: Subject
+    note: str = ""
+    mesh: MeshEvidence | None = None
+    solid: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a verification found.
+
+    Attributes
+    ----------
+    design : Design
+    window : Window
+    facts : Feasibility
+    checks : tuple of Check
+        In the order of the report.
+    optics : Optics
+        Through the exact surfaces.
+    convergence : Convergence or None
+    files : tuple of FileReport
+    versions : mapping
+    """
+
+    design: Design
+    window: Window
+    facts: Feasibility
+    checks: tuple[Check, ...]
+    optics: Optics
+    convergence: Convergence | None = None
+    files: tuple[FileReport, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed and everything required ran."""
+        return judging.passed(self.checks)
+
+    @property
+    def exit_status(self) -> int:
+        """0 if passed, else 1."""
+        return 0 if self.passed else 1
+
+    def counts(self) -> dict[str, int]:
+        """Number of checks in each state."""
+        return {
+            state: sum(c.state == state for c in self.checks) for state in ("pass", "fail", "warn", "not run")
+        }
+
+    def verdict(self) -> str:
+        """One sentence for the head of the page and the last line of the command."""
+        counts = self.counts()
+        failed = [c for c in self.checks if c.state == "fail"]
+        missing = [c for c in self.checks if c.state == "not run" and c.required]
+        if self.passed:
+            warned = f", {counts['warn']} with a warning" if counts["warn"] else ""
+            return f"passed: {counts['pass'] + counts['warn']} checks{warned}"
+        parts = []
+        if failed:
+            parts.append("failed: " + ", ".join(dict.fromkeys(c.id for c in failed)))
+        if missing:
+            parts.append("did not run: " + ", ".join(dict.fromkeys(c.id for c in missing)))
+        return "; ".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content: no times, no host, no paths."""
+        return {
+            "format": FORMAT,
+            "passed": self.passed,
+            "verdict": self.verdict(),
+            "counts": self.counts(),
+            "design": {"name": self.design.name, "sha256": self.design.sha256, "toml": self.design.toml},
+            "window": {
+                "form": self.window.form, "unit_m": self.window.unit, "count": list(self.window.lattice.count),
+                "recipe": plain(dict(self.window.recipe)), "residual": plain(dict(self.window.residual)),
+            },
+            "derived": [list(row) for row in describe(self.window, self.facts)],
+            "checks": [check.to_dict() for check in self.checks],
+            "field": [_field_row(p) for p in self.optics.points],
+            "files": [_file_row(f) for f in self.files],
+            "notes": list(self.design.notes),
+            "versions": dict(self.versions),
+        }  # fmt: skip
+
+    def to_json(self) -> str:
+        """Same numbers as the page, keys sorted: the same bytes for the same design, files and versions."""
+        return (
+            json.dumps(self.to_dict(), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+        )
+
+
+def _field_row(point: Any) -> dict[str, Any]:
+    row = {
+        "direction": point.direction, "expected": point.expected, "bias": point.bias, "spread": point.spread,
+        "rms": point.rms, "worst": point.worst, "share": point.share, "closed_form": point.closed_form,
+        "counts": point.counts,
+    }  # fmt: skip
+    return dict(plain(row))
+
+
+def _file_row(found: FileReport) -> dict[str, Any]:
+    subject = found.subject
+    row: dict[str, Any] = {
+        "name": subject.name, "format": subject.format, "bytes": subject.bytes, "sha256": subject.sha256,
+        "note": found.note, "stated": dict(subject.entry),
+    }  # fmt: skip
+    if found.mesh is not None:
+        row["triangles"] = found.mesh.measure.facets
+    if found.solid:
+        row["solids"] = found.solid.get("kernel_solids", found.solid.get("solids"))
+    return dict(plain(row))
+
+
+def verify(
+    design: Design,
+    files: str | os.PathLike[str] | None = None,
+    cells: tuple[int, int] | None = None,
+    rays: int = 65536,
+    progress: Progress | None = None,
+) -> Report:
+    """Verify a design, and the files that were made from it.
+
+    Parameters
+    ----------
+    design : Design
+        What is asked, and the limits.
+    files : path or None
+        A folder with a manifest, or one STL, 3MF, PLY, GLB, OBJ or STEP file; None judges the design alone.
+    cells : (a, b) or None
+        Cells the files hold, where no manifest says.
+    rays : int
+        Rays of the main bundle.
+    progress : callable or None
+        Called with a stage's name and the part done, 0 … 1.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    DesignError
+        The design cannot be built.
+    FileNotFoundError
+        `files` names nothing that can be judged.
+    CannotRegister
+        A file's unit or cells cannot be told.
+    """
+    report = progress if progress is not None else _silent
+    report("building the window", 0.0)
+    window = prescribe(design)
+    facts = feasibility(window)
+    report("tracing the exact surfaces", 0.0)
+    optics = measure(design, window, lambda lit: trace(window, lit.rays), rays)
+    found = law_checks(design, optics)
+    found += [throughput_check(design, window, optics), confocality_check(design, window)]
+    found += design_checks(design, window, facts)
+    convergence = None
+    judged: list[FileReport] = []
+    if files is not None:
+        delivery = find_files(Path(files))
+        file_checks, judged = _judge_files(design, delivery, cells, rays, report)
+        found += file_checks
+        if any(f.subject.is_mesh for f in judged):
+            convergence, check = _convergence(design, window, report)
+            found.append(check)
+    report("done", 1.0)
+    return Report(
+        design, window, facts, judging.accepted(found, design), optics, convergence, tuple(judged), versions()
+    )
+
+
+def _silent(_stage: str, _done: float) -> None:
+    return
+
+
+def versions() -> dict[str, str]:
+    """Versions the numbers depend on."""
+    import numpy as np
+
+    from clacad import __version__
+
+    return {"clacad": __version__, "numpy": np.__version__}
+
+
+def _convergence(design: Design, window: Window, progress: Progress) -> tuple[Convergence | None, Check]:
+    try:
+        found = converge(design, window, progress)
+    except ValueError as error:  # too little light gets through one telescopelet to fit a law
+        return None, convergence_check(None, str(error))
+    return found, convergence_check(found)
+
+
+def _judge_files(
+    design: Design, delivery: Delivery, cells: tuple[int, int] | None, rays: int, progress: Progress
+) -> tuple[list[Check], list[FileReport]]:
+    checks: list[Check] = []
+    judged: list[FileReport] = []
+    if delivery.manifest is not None:
+        checks.append(same_design(design, delivery.manifest))
+    window = written_window(design, delivery.manifest, cells)
+    for subject in delivery.subjects:
+        checks.append(integrity(subject))
+        if not subject.sha256:
+            judged.append(FileReport(subject, "missing"))
+            continue
+        more, one = _judge_one(design, window, subject, rays, progress)
+        checks += more
+        judged.append(one)
+    return checks, judged
+
+
+def _judge_one(
+    design: Design, window: Window | None, subject: Subject, rays: int, progress: Progress
+) -> tuple[list[Check], FileReport]:
+    if subject.is_solid:
+        whole = prescribe(design) if window is None else window
+        found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
+        return found, FileReport(subject, solid=facts)
+    if subject.is_mesh:
+        return _judge_triangles(design, window, subject, rays, progress)
+    if subject.entry:
+        return [], FileReport(subject, "judged by its bytes alone")
+    check = not_run(
+        "readable", f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
+    )
+    return [check], FileReport(subject, "unknown format")
+
+
+def _judge_triangles(
+    design: Design, window: Window | None, subject: Subject, rays: int, progress: Progress
+) -> tuple[list[Check], FileReport]:
+    from clacad.export.readers import read_mesh
+
+    common: dict[str, Any] = {"where": "file", "subject": subject.name}
+    try:
+        mesh = read_mesh(subject.path)
+        note = ""
+        metres = unit_of(subject, mesh) if subject.entry else None
+        if window is not None and metres is not None:
+            factor = metres / design.unit_m
+        else:
+            window, factor, note = register(design, subject, mesh, window)
+        low, high = (float(v[2]) * factor for v in mesh.box()) if not subject.entry else (0.0, 0.0)
+        present = present_bodies(window, subject, high - low)
+        found, evidence = judge_mesh(
+            design, window, mesh, factor, subject.name, subject.entry, rays, progress, present
+        )
+    except UnreadableFile as error:
+        failed = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
+        later = ("closed", "volume", "shape", "file_rms", "file_eta", "file_delta")
+        return failed + [not_run(name, "the file cannot be read", **common) for name in later], FileReport(
+            subject
+        )
+    missing = [body.name for body in window.bodies if body.name not in present]
+    if missing:
+        note = "; ".join(
+            [
+                *([note] if note else []),
+                f"it holds {', '.join(present)}; {', '.join(missing)} taken from the design",
+            ]
+        )
+    readable = Check(
+        "readable",
+        "pass",
+        f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else ""),
+        **common,
+    )
+    return [readable, *found], FileReport(subject, note, evidence)
