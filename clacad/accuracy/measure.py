@@ -84,13 +84,17 @@ def row(ladder: Ladder, rung: str, setting: str, run: Callable[[], TraceResult],
     disagree = result.fate != ladder.truth.fate
     if rung != "law":  # the homogeneous law has no cells: every ray is of order 0
         disagree |= (result.order != ladder.truth.order).any(axis=1)
-    model = angle_between(result.direction[both], ladder.truth.direction[both])
-    law = angle_between(result.direction[both], ladder.asked[both])
-    law = law[np.isfinite(law)]
+    numbers = statistics(result.direction[both], ladder.truth.direction[both], ladder.asked[both])
     return Row(
-        rung, setting, _rms(model), _part(model, 95.0), _part(model, 100.0), _rms(law), _part(law, 100.0),
-        float(disagree.mean()), seconds, prepare + compiling, len(ladder.rays), int(both.sum()), memory=memory,
+        rung, setting, *numbers, float(disagree.mean()), seconds, prepare + compiling, len(ladder.rays), int(both.sum()), memory=memory,
     )  # fmt: skip
+
+
+def statistics(found: Floats, truth: Floats, asked: Floats) -> tuple[float, float, float, float, float]:
+    """Angles (radians) of directions (n, 3) to the truth, rms, 95 % and max, and to the law, rms and max."""
+    model, law = angle_between(found, truth), angle_between(found, asked)
+    law = law[np.isfinite(law)]
+    return _rms(model), _part(model, 95.0), _part(model, 100.0), _rms(law), _part(law, 100.0)
 
 
 def _rms(values: Floats) -> float:
