@@ -42,6 +42,7 @@ SIDEWAYS = {
     ("feasibility", "vignetting"): "field of view and ghost onset are vignetting's",
     ("feasibility", "cell_complex"): "pieces and holes in closed form",
     ("effects", "trace"): "effects are passes over the tracer's blocks",
+    ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
     ("export", "effects"): "the plan travels with what is written",
     ("accuracy", "verify"): "both judge by the same bundle of rays",
     ("render", "report"): "pictures carry the plan the report prints",

@@ -67,6 +67,10 @@ def trace(
     if rung not in ("law", "thin", "surfaces", "mesh"):
         raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
     faces = {"law": 1, "thin": 2}.get(rung, 2 * len(window.bodies))
+    if effects:
+        from clacad.effects import trace_with  # passes over the blocks of a trace without them
+
+        return trace_with(window, rays, rung, effects, record, threads=threads, path=path)
     recorded = faces if record else 0
     layout = lay_out(window)
     if rung == "surfaces" and (path == "numba" or (path is None and len(rays) * faces > SMALL_JOB)):

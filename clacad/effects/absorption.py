@@ -1,0 +1,108 @@
+"""Absorption in the material.
+
+*Model.* Beer and Lambert: flux × exp(−Σ α L), α = 4πk/λ, one exponential a ray. k comes from the material's
+data at the ray's wavelength, or from `Setting.extinction`; a wavelength outside the data is an error. On rungs law
+and thin L is the body's mean thickness along the axis over the cosine inside.
+*Law.* Flux falls exponentially with thickness; two sheets multiply; nothing is lost at k = 0.
+*On when* 1 − exp(−α L) at the largest L exceeds the radiance that matters. Where k is not known the loss is not
+bounded: the plan says so and the effect stays off.
+"""
+
+from __future__ import annotations
+
+from math import exp, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.passes import Block, Crossing, Effect, Stage, inside_of, unit_rows
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import Fate
+from clacad.sheet import Body, Window
+
+NAME = "absorption"
+Floats = NDArray[np.float64]
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """One exponential a ray."""
+
+    def apply(block: Block, _: Crossing | None) -> None:
+        rates = attenuations(window, setting, block.wavelength)
+        if not any(rates):
+            return
+        depth = optical_depth(block, rates)
+        np.exp(-depth, out=depth)
+        block.result.flux[:] *= depth
+
+    return Effect(NAME, Stage.EXIT, needs=("hits",), apply=apply)
+
+
+def attenuations(window: Window, setting: Setting, wavelength: float | None) -> tuple[float, ...]:
+    """Attenuation α of each body, 1/length; 0 where nothing is known of it."""
+    return tuple(attenuation(window, body, setting, wavelength) or 0.0 for body in window.bodies)
+
+
+def attenuation(window: Window, body: Body, setting: Setting, wavelength: float | None) -> float | None:
+    """Attenuation α of a body, 1/length; None where nothing is known of it.
+
+    Raises
+    ------
+    ValueError
+        The material was measured, but not at this wavelength.
+    """
+    wave = wavelength if wavelength is not None else window.wavelength
+    if wave is None:
+        return None
+    if setting.extinction is not None:
+        return 4.0 * pi * setting.extinction / wave * window.unit
+    alpha = None if body.material is None else body.material.attenuation(wave)
+    return None if alpha is None else alpha * window.unit
+
+
+def optical_depth(block: Block, rates: tuple[float, ...]) -> Floats:
+    """Σ α L of each ray (m,)."""
+    depth = np.zeros(len(block.result))
+    for number, (body, rate) in enumerate(zip(block.window.bodies, rates, strict=True)):
+        if rate:
+            depth += rate * path_in(block, number, body)
+    return depth
+
+
+def path_in(block: Block, number: int, body: Body) -> Floats:
+    """Length of each ray inside a body (m,)."""
+    result = block.result
+    if block.rung in ("law", "thin"):
+        from clacad.effects.shape import mean_thickness
+
+        ray = unit_rows(block.rays.direction) if number == 0 else result.direction
+        axis = block.window.thin.rotation[:, 2]
+        cos = inside_of(body, block, ray, axis) @ axis
+        return np.where(block.emerging(), mean_thickness(block.window, body) / cos, 0.0)
+    assert result.hits is not None
+    step = result.hits[2 * number + 1] - result.hits[2 * number]
+    x, y, z = step[:, 0], step[:, 1], step[:, 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    return np.asarray(np.sqrt(x * x + y * y + z * z))  # 0 where the body was not entered: points repeat
+
+
+def bound(situation: Situation) -> Bound:
+    """1 − exp(−α L) at the longest path of the probe in each body, at the worst wavelength."""
+    window, setting = situation.window, situation.setting
+    lines = situation.wavelengths
+    known = [[attenuation(window, body, setting, w) for body in window.bodies] for w in lines]
+    if not lines or any(rate is None for rates in known for rate in rates):
+        why = "nothing is known of the material's absorption: not bounded"
+        return Bound(0.0, 0.0, why, 1.1, known=False)
+    block = Block(window, situation.rays, situation.probe, "surfaces", None)
+    passing = situation.probe.fate <= Fate.LAND
+    lengths = [
+        float(path_in(block, k, body)[passing].max(initial=0.0)) for k, body in enumerate(window.bodies)
+    ]
+    depth = max(
+        sum((rate or 0.0) * length for rate, length in zip(rates, lengths, strict=True)) for rates in known
+    )
+    total = sum(lengths) * window.unit
+    lost = 1.0 - exp(-depth)
+    return Bound(0.0, lost, f"at most {lost:.2g} of the light is absorbed over {total * 1e3:.3g} mm", 1.15)

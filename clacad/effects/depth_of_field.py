@@ -1,0 +1,51 @@
+"""Depth of field of the camera.
+
+*Model.* Rays start from points of a disc of diameter `Setting.aperture` across the camera's axis and pass through
+the point of the sharp plane, `Setting.focus` away along the axis, that the pinhole's ray would meet.
+*Law.* Points of the sharp plane stay sharp; étendue is kept (the disc is filled evenly).
+*On* if and only if the aperture is not 0; what a pinhole leaves out is A |1/z − 1/z_f|.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.effects.draws import disc
+from clacad.effects.passes import Effect, Stage
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import Rays
+from clacad.sheet import Window
+
+NAME = "depth_of_field"
+SALT = 4
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """Move the starts of camera rays over the entrance and aim them at the sharp plane."""
+
+    def launch(_: Window, rays: Rays) -> Rays:
+        if setting.aperture == 0.0:
+            return rays
+        axis = np.array(setting.axis) / np.linalg.norm(setting.axis)
+        across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        points = 0.5 * setting.aperture * disc(rays, setting.seed, SALT)
+        offset = points[:, :1] * across + points[:, 1:] * np.cross(axis, across)
+        reach = setting.focus / (rays.direction @ axis)
+        sharp = rays.position + reach[:, None] * rays.direction
+        start = rays.position + offset
+        aim = (sharp - start) * np.sign(setting.focus)
+        return Rays(start, aim / np.linalg.norm(aim, axis=1)[:, None], rays.wavelength)
+
+    return Effect(NAME, Stage.LAUNCH, launch=launch)
+
+
+def bound(situation: Situation) -> Bound:
+    """A |1/z − 1/z_f| for the nearest and the farthest thing seen."""
+    setting = situation.setting
+    if setting.aperture == 0.0:
+        return Bound(0.0, 0.0, "the camera is a pinhole", 1.0)
+    angle = setting.aperture * max(abs(1.0 / z - 1.0 / setting.focus) for z in (situation.near, situation.far))
+    why = f"an entrance of {setting.aperture:g} blurs what is not at {setting.focus:g} by up to {angle:.2g} rad"
+    return Bound(angle, 0.0, why, 1.0)

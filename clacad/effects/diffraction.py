@@ -1,0 +1,121 @@
+"""Diffraction at the lenslets, incoherent between cells.
+
+*Model.* The light of one telescopelet leaves through a slit in each lens axis, as wide as what is lit: the overlap of
+lens 1's image with the lens 2 it meets. Each ray's exit direction cosines are changed by a draw from Fraunhofer's
+sinc²(π w Δ/λ). Draws are deterministic.
+*Law.* Draws follow the slit's pattern; the change vanishes as λ → 0.
+*On when* λ/w (first zero), axes in quadrature, exceeds the angle that matters. Below Fresnel number 1 the ray picture
+itself is void (design error CL311).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.draws import uniform
+from clacad.effects.passes import Block, Crossing, Effect, Stage
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import NO_CELL, Fate
+from clacad.sheet import Window
+from clacad.vignetting import ThinCells, thin_cells
+
+NAME = "diffraction"
+SALT = 2
+LOBES = 64
+"""Lobes of sinc² tabulated; the tail beyond holds 0.3 % and follows 1/x."""
+
+Floats = NDArray[np.float64]
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """Turn emerging rays."""
+    cells = thin_cells(window)
+
+    def apply(block: Block, _: Crossing | None) -> None:
+        wave = block.air_wavelength / window.unit
+        rows = np.flatnonzero(block.emerging())
+        widths = lit_widths(cells, block.rays.direction[rows], block.result.order[rows])
+        u = uniform(block.rays, 2, setting.seed, SALT)[rows]
+        turned = block.result.direction[rows] @ window.thin.rotation
+        lateral = turned[:, :2] + wave / (np.pi * np.maximum(widths, wave)) * sinc_squared(u)
+        beyond = (lateral * lateral).sum(axis=1)
+        real = beyond < 1.0  # evanescent orders carry nothing; such rays keep their direction
+        turned[real, :2] = lateral[real]
+        turned[real, 2] = np.sqrt(1.0 - beyond[real])
+        out = turned @ window.thin.rotation.T
+        forwards = real & (out[:, 2] > 0.0)
+        block.result.direction[rows[forwards]] = out[forwards]
+
+    return Effect(NAME, Stage.EXIT, apply=apply)
+
+
+def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) -> Floats:
+    """Width (m, 2) along the lens axes of what is lit of lens 2, lengths.
+
+    Overlap of the boxes round lens 1's image and the lenslet met, scaled for cells whose sides are not along the
+    lens axes by how much of their box they fill.
+    """
+    image, zone = cells.image, cells.zone
+    known = (order != NO_CELL).all(axis=1)
+    steps = np.array([cells.neighbour((1, 0)), cells.neighbour((0, 1))]) - cells.centre
+    middle = cells.centre + np.where(known[:, None], order, 0).astype(np.float64) @ steps
+    shift = cells.separation * cells.slopes(direction) - middle
+    near = np.maximum(zone.min(axis=0), image.min(axis=0) + shift)
+    far = np.minimum(zone.max(axis=0), image.max(axis=0) + shift)
+    whole = np.minimum(np.ptp(zone, axis=0), np.ptp(image, axis=0))
+    overlap = np.where(known[:, None], np.clip(far - near, 0.0, None), whole)
+    return np.asarray(overlap * np.sqrt(_filled(zone)))
+
+
+def _filled(polygon: Floats) -> float:
+    x, y = polygon.T
+    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+    return area / float(np.prod(np.ptp(polygon, axis=0)))
+
+
+def sinc_squared(u: Floats) -> Floats:
+    """Numbers distributed as sinc²(x)/π, (sin x/x)², from uniform ones in (0, 1); any shape."""
+    known, share = _table()
+    p = np.abs(u - 0.5)
+    inner = np.interp(p, share, known)
+    with np.errstate(divide="ignore"):
+        tail = 1.0 / (2.0 * np.pi * np.maximum(0.5 - p, 1e-300))  # ∫ sin²/x² from X on → 1/(2X)
+    return np.asarray(np.copysign(np.where(p > share[-1], tail, inner), u - 0.5))
+
+
+@cache
+def _table() -> tuple[Floats, Floats]:
+    """x ≥ 0 and the share of sinc²/π between 0 and x."""
+    x = np.linspace(0.0, LOBES * np.pi, 64 * LOBES + 1)
+    middle = 0.5 * (x[1:] + x[:-1])
+    values = [np.sinc(points / np.pi) ** 2 for points in (x[:-1], middle, x[1:])]
+    area = (values[0] + 4.0 * values[1] + values[2]) / 6.0 * (x[1] - x[0])  # Simpson's rule
+    share = np.concatenate([[0.0], np.cumsum(area)]) / np.pi
+    # the tail beyond the table holds 1/(2πX): meet it exactly
+    return x, np.asarray(share * ((0.5 - 1.0 / (2.0 * np.pi * x[-1])) / share[-1]))
+
+
+def bound(situation: Situation) -> Bound:
+    """λ over the lit width (first zero of the slit), for the mean lit width of the rays that pass."""
+    lines = situation.wavelengths
+    if not lines:
+        return Bound(0.0, 0.0, "neither design nor scene has a wavelength: not bounded", 1.3, known=False)
+    window = situation.window
+    passing = situation.probe.fate <= Fate.GHOST
+    if not passing.any():
+        return Bound(0.0, 0.0, "no light passes the sheet", 1.3)
+    cells = thin_cells(window)
+    widths = lit_widths(cells, situation.rays.direction[passing], situation.probe.order[passing])
+    mean = widths.mean(axis=0)
+    wave = max(lines)
+    angle = hypot(*(wave / (mean * window.unit)))
+    why = (
+        f"lit slits of {mean[0] * window.unit * 1e3:.3g} by {mean[1] * window.unit * 1e3:.3g} mm spread "
+        f"{wave * 1e9:.0f} nm light by {angle:.2g} rad"
+    )
+    return Bound(angle, 0.0, why, 1.3)

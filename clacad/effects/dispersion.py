@@ -1,0 +1,112 @@
+"""Dispersion: the light's lines each with their own refractive index.
+
+*Model.* One pass a wavelength of the scene's spectrum (`Setting.wavelengths`), n(λ) of each body's material; no index
+outside the material's data. In a trace, one row a ray, rays without a wavelength take the lines in turn.
+*Law.* Nothing happens for a constant index, and to light of the design wavelength.
+*On when* there is more than one line and the growth of the largest direction error exceeds the angle that matters:
+per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light meets lens 1 and 2, ε = max |n(λ) − n0|/(n0 − 1)
+(derivative of the thin pair; m = −f2/f1). *Cost* the number of lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import hypot
+
+import numpy as np
+
+from clacad.effects.passes import Effect, Stage
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import Fate, Rays
+from clacad.sheet import Window
+from clacad.vignetting import aperture_slope, focal_ratio, thin_cells
+
+NAME = "dispersion"
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """Give rays without a wavelength the lines of the light in turn."""
+    lines = setting.wavelengths
+
+    def launch(_: Window, rays: Rays) -> Rays:
+        if not lines or rays.wavelength is not None:
+            return rays
+        turn = np.arange(len(rays)) % len(lines)
+        return Rays(rays.position, rays.direction, np.array(lines)[turn])
+
+    return Effect(NAME, Stage.LAUNCH, launch=launch)
+
+
+def passes(rays: Rays, wavelengths: Sequence[float]) -> Iterator[Rays]:
+    """The same rays once in each wavelength (metres)."""
+    for wave in wavelengths:
+        yield Rays(rays.position, rays.direction, np.full(len(rays), wave))
+
+
+def spread(window: Window, wavelengths: Sequence[float]) -> float:
+    """Largest relative change of power, ε = max |n(λ) − n0|/(n0 − 1) over lines and bodies."""
+    changes = [
+        abs(body.index_at(wave) - body.index) / (body.index - 1.0)
+        for body in window.bodies
+        for wave in wavelengths
+    ]
+    return max(changes, default=0.0)
+
+
+def bound(situation: Situation) -> Bound:
+    """First-order growth of the direction error over the rays of the scene."""
+    window, lines = situation.window, situation.wavelengths
+    if len(lines) < 2:
+        return Bound(0.0, 0.0, "the light has one wavelength", 1.0)
+    epsilon = spread(window, lines)
+    if epsilon == 0.0:
+        return Bound(0.0, 0.0, f"the index is the same at all {len(lines)} wavelengths", float(len(lines)))
+    cells = thin_cells(window)
+    centre = cells.slopes(np.array([[*aperture_slope(window), 1.0]]))[0]
+    ghosts = situation.share(Fate.GHOST) > 0.0
+    turns = []
+    for axis, m in enumerate(focal_ratio(window.thin)):
+        width = float(np.ptp(cells.zone[:, axis]))
+        reach = float(np.abs(situation.slopes[:, axis] - centre[axis]).max(initial=0.0))
+        aim = offset_slope(window, axis, m, centre[axis])
+        turns.append(epsilon * largest_turn(width / cells.separation, m, reach, aim, ghosts))
+    tilt = tilt_term(window, epsilon)
+    angle = 1.05 * hypot(*turns) + tilt
+    why = f"n changes by {epsilon:.2%} of n − 1 over {len(lines)} lines, which turns light by up to {angle:.2g} rad"
+    return Bound(angle, 0.0, why, float(len(lines)))
+
+
+def largest_turn(ratio: float, m: float, reach: float, aim: float, ghosts: bool) -> float:
+    """Largest |1 − m|/|m| |x − u|/s for light within `reach` of the field's middle.
+
+    x − u = (1 − m) x − s τ, |x| ≤ p/2, τ the slope off the pair's own undeviated slope t0; for light that stays with
+    its partner |u − u0| ≤ p/2 too.
+    """
+    half = 0.5 * ratio
+    x = half if ghosts else min(half, (half + reach) / abs(m))
+    most = abs(1.0 - m) * x + reach
+    if not ghosts:
+        most = min(most, ratio)
+    return abs(1.0 - m) / abs(m) * (most + aim)
+
+
+def offset_slope(window: Window, axis: int, m: float, centre: float) -> float:
+    """How far the field's middle lies from the slope that both lens centres pass undeviated."""
+    if m == 1.0:
+        return 0.0
+    offset = np.asarray(window.thin.offset) @ window.thin.rotation
+    return abs(centre - float(offset[axis]) / window.thin.separation)
+
+
+def tilt_term(window: Window, epsilon: float) -> float:
+    """Plane faces turn the tilted axis of a plano pair with the index: Δn θ s/(f1 |m|)."""
+    if window.form == "biconvex":
+        return 0.0
+    theta = float(np.arccos(np.clip(window.thin.rotation[2, 2], -1.0, 1.0)))
+    index = max(body.index for body in window.bodies)
+    power = max(
+        window.thin.separation / abs(f1 * m)
+        for f1, m in zip(window.thin.focal_length[0], focal_ratio(window.thin), strict=True)
+    )
+    return epsilon * (index - 1.0) * theta * power

@@ -1,0 +1,68 @@
+"""Fresnel losses of unpolarised light.
+
+*Model.* Flux × (T_s + T_p)/2 at every face; bare, or under a quarter-wave layer of index √n made for the design
+wavelength (`Setting.coating`). The polarisation that the faces themselves give the light is left out here and
+kept by `polarisation`. On rungs law and thin a lens stands as a plane plate across its axis.
+*Law.* R + T = 1; the same both ways; 1 − r0 at normal incidence; nothing of p at Brewster's angle.
+*On when* the light lost on the probe exceeds the radiance that matters. *Cost* about 1.2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.interface import deviation, normal_loss, reflected, transmission
+from clacad.effects.passes import Block, Crossing, Effect, Stage, trace_with
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import Fate
+from clacad.sheet import Window
+
+NAME = "fresnel"
+Floats = NDArray[np.float64]
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """One multiplication of the flux a face."""
+
+    def apply(block: Block, crossing: Crossing | None) -> None:
+        if crossing is None or crossing.n1 == crossing.n2:
+            return
+        turn = deviation(crossing.before, crossing.after)
+        if setting.coating == "none":
+            passed = transmission(turn, crossing.n1, crossing.n2)
+        else:
+            ratio = 1.0
+            if window.wavelength is not None:
+                ratio = window.wavelength / block.air_wavelength
+            s, p = reflected(turn, crossing.n1, crossing.n2, setting.coating, ratio)
+            passed = 1.0 - 0.5 * (s + p)
+        flux = block.result.flux
+        if crossing.through is None:
+            flux *= passed
+        else:
+            np.multiply(flux, passed, out=flux, where=crossing.through)
+
+    return Effect(NAME, Stage.HIT, needs=("hits",), apply=apply)
+
+
+def losses(situation: Situation) -> Floats:
+    """Share lost by each probe ray that passes the sheet."""
+    own = effect(situation.window, situation.setting)
+    result = trace_with(situation.window, situation.rays, "surfaces", (own,))
+    return np.asarray(1.0 - result.flux[result.fate <= Fate.LAND])
+
+
+def bound(situation: Situation) -> Bound:
+    """Light lost at the faces: 1 − (1 − r0)^N, or the mean measured on the probe where that is more."""
+    whole = 1.0
+    for body in situation.window.bodies:
+        whole *= (1.0 - normal_loss(body.index)) ** 2
+    lost = losses(situation)
+    measured = float(lost.mean()) if len(lost) else 0.0
+    coated = situation.setting.coating != "none"
+    radiance = measured if coated else max(1.0 - whole, measured)
+    kind = "coated" if coated else "bare"
+    why = f"{situation.faces} {kind} faces lose {measured:.1%} of the light"
+    return Bound(0.0, radiance * 1.01, why, 1.2)

@@ -1,0 +1,390 @@
+"""Effects as passes over a block of rays, and the driver that runs them.
+
+A trace without effects never comes here. With effects, rays are traced a block at a time with their hits kept,
+every pass goes over the block once, and the block's rows are written to the result; the channels a pass needs
+(the hits) exist for one block at a time and only if some pass asks for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.setting import Setting
+from clacad.rays import Fate, Rays, TraceResult
+from clacad.sheet import Body, Window
+
+if TYPE_CHECKING:
+    from clacad.effects.situation import Bound, Situation
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rung = Literal["law", "thin", "surfaces", "mesh"]
+
+NAMES = (
+    "ghosts", "walls", "fresnel", "absorption", "dispersion", "reflections", "tir_paths", "diffraction",
+    "scatter", "polarisation", "depth_of_field", "facets",
+)  # fmt: skip
+"""Every effect, in the order in which plans list them."""
+
+FOLLOWED = ("walls", "tir_paths")
+"""Effects that trace ended rays anew, with every loss: they run last and have the last word on those rows."""
+
+BLOCK = 65536
+"""Rays at a time: the hits of four faces are then 12 MB, and preparing the window costs nothing."""
+
+
+class Stage(Enum):
+    """When a pass runs."""
+
+    LAUNCH = 0  # on the rays, before the trace
+    HIT = 1  # once for every face the rays crossed
+    EXIT = 2  # once after the trace
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """One face and the rays of a block that went through it.
+
+    Attributes
+    ----------
+    before, after : (m, 3) unit directions
+    n1, n2 : float
+    through : (m,) bool or None
+        Rays that crossed it; None: all of them.
+    """
+
+    before: Floats
+    after: Floats
+    n1: float
+    n2: float
+    through: Mask | None
+
+
+@dataclass(eq=False)
+class Block:
+    """A block of traced rays under the passes: columns are changed in place.
+
+    Attributes
+    ----------
+    window : Window
+    rays : Rays
+        As launched.
+    result : TraceResult
+        Its direction, position, optical_path and flux may be written; fate, cell, order and surface are
+        geometry and stay.
+    rung : str
+    wavelength : float or None, metres
+        Of all rays of the block; None: the design wavelength.
+    """
+
+    window: Window
+    rays: Rays
+    result: TraceResult
+    rung: Rung
+    wavelength: float | None
+    state: dict[str, Any] = field(default_factory=dict)
+    """What passes of one effect keep from face to face."""
+
+    def index(self, body: Body) -> float:
+        """Refractive index of a body for this block."""
+        return body.index_at(self.wavelength)
+
+    def emerging(self) -> Mask:
+        """Rays that go on behind the sheet."""
+        return np.asarray(self.result.fate <= Fate.LAND)
+
+    @property
+    def air_wavelength(self) -> float:
+        """Wavelength in metres, the window's where the block has none.
+
+        Raises
+        ------
+        ValueError
+            Neither has one.
+        """
+        wavelength = self.wavelength if self.wavelength is not None else self.window.wavelength
+        if wavelength is None:
+            raise ValueError("this effect needs a wavelength, and neither the rays nor the design have one")
+        return wavelength
+
+
+Pass = Callable[[Block, Crossing | None], None]
+Launch = Callable[[Window, Rays], Rays]
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """An effect ready to run.
+
+    Attributes
+    ----------
+    name : str
+    stage : Stage
+    needs : tuple of str
+        Channels: "hits" (points and directions at every face).
+    apply : callable
+        `apply(block, crossing)` at HIT, `apply(block, None)` at EXIT: changes the block's columns in place.
+    finish : callable or None
+        `finish(block)` after the last face, for effects at HIT that gather over the faces.
+    launch : callable or None
+        `launch(window, rays)` → rays, at LAUNCH.
+    rung : str or None
+        The rung the effect stands for (facets: mesh).
+    options : mapping
+        Keyword arguments of `trace` on that rung.
+    colours : bool
+        Whether the pass depends on the wavelength, so that a block may hold only one.
+    """
+
+    name: str
+    stage: Stage
+    needs: tuple[str, ...] = ()
+    apply: Pass | None = None
+    finish: Callable[[Block], None] | None = None
+    launch: Launch | None = None
+    rung: Rung | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    colours: bool = True
+
+
+class EffectModule(Protocol):
+    """What a module of this package with an effect's name offers."""
+
+    def effect(self, window: Window, setting: Setting) -> Effect:
+        """Make the effect's pass."""
+
+    def bound(self, situation: Situation) -> Bound:
+        """Bound what is left out when the effect is off."""
+
+
+def resolve(names: Sequence[str | Effect], window: Window, setting: Setting | None = None) -> list[Effect]:
+    """Effects of given names, in the order in which they must run; modules not named are not imported.
+
+    Raises
+    ------
+    ValueError
+        An unknown name.
+    """
+    named = tuple(name if isinstance(name, str) else name.name for name in names)
+    setting = replace(setting or Setting(), active=named)
+    found: dict[str, Effect] = {}
+    for name in names:
+        if isinstance(name, str):
+            found[name] = module_of(name).effect(window, setting)
+        else:
+            found[name.name] = name
+    if "polarisation" in found or "reflections" in found:
+        found.pop("fresnel", None)  # they hold it
+    if "polarisation" in found:
+        found.pop("reflections", None)  # its losses on the straight path
+    return sorted(found.values(), key=lambda e: (e.stage.value, e.name in FOLLOWED, NAMES.index(e.name)))
+
+
+def module_of(name: str) -> EffectModule:
+    """Import the module of an effect.
+
+    Raises
+    ------
+    ValueError
+        An unknown name.
+    """
+    if name not in NAMES:
+        raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
+    return cast("EffectModule", import_module(f"clacad.effects.{name}"))
+
+
+def trace_with(
+    window: Window,
+    rays: Rays,
+    rung: Rung,
+    effects: Sequence[str | Effect],
+    record: bool = False,
+    setting: Setting | None = None,
+    **options: Any,
+) -> TraceResult:
+    """Trace rays with effects; see `clacad.trace.trace`.
+
+    Parameters
+    ----------
+    effects : names or `Effect`
+    setting : Setting
+        Parameters of effects given by name.
+    options
+        Passed on to `trace`.
+
+    Returns
+    -------
+    TraceResult
+        One row a ray, as without effects; fate, cell, order and surface are the same.
+    """
+    from clacad.trace import trace
+
+    passes = resolve(effects, window, setting)
+    for effect in passes:
+        if effect.rung is not None and rung != "mesh":
+            rung, options = effect.rung, {**options, **effect.options}
+        if effect.launch is not None:
+            rays = effect.launch(window, rays)
+    passes = [effect for effect in passes if effect.apply is not None]
+    if not passes:
+        return trace(window, rays, rung, record=record, **options)
+    keep = record or any("hits" in effect.needs for effect in passes)
+    by_colour = any(effect.colours for effect in passes)
+    parts: list[TraceResult] = []
+    places: list[NDArray[np.intp]] = []
+    for rows, wavelength in blocks(rays, by_colour):
+        part = rays if len(rows) == len(rays) and not places else take_rays(rays, rows)
+        result = trace(window, part, rung, record=keep, **options)
+        block = Block(window, part, result, rung, wavelength)
+        run(passes, block)
+        parts.append(result if record else replace(result, hits=None, directions=None))
+        places.append(rows)
+    return gather(parts, places)
+
+
+def run(passes: Sequence[Effect], block: Block) -> None:
+    """Run the passes over one block."""
+    at_hits = [e.apply for e in passes if e.stage is Stage.HIT and e.apply is not None]
+    if at_hits:
+        for crossing in crossings(block):
+            for apply in at_hits:
+                apply(block, crossing)
+    for effect in passes:
+        if effect.finish is not None:
+            effect.finish(block)
+        if effect.stage is Stage.EXIT and effect.apply is not None:
+            effect.apply(block, None)
+
+
+def blocks(rays: Rays, by_colour: bool) -> Iterator[tuple[NDArray[np.intp], float | None]]:
+    """Rows of rays a block at a time, each of one wavelength where that matters."""
+    if rays.wavelength is None or not by_colour:
+        for first in range(0, max(len(rays), 1), BLOCK):
+            yield np.arange(first, min(first + BLOCK, len(rays))), None
+        return
+    waves, which = np.unique(rays.wavelength, return_inverse=True)
+    if len(waves) == 1:
+        for first in range(0, len(rays), BLOCK):
+            yield np.arange(first, min(first + BLOCK, len(rays))), float(waves[0])
+        return
+    for k, wave in enumerate(waves):
+        rows = np.flatnonzero(which == k)
+        for first in range(0, len(rows), BLOCK):
+            yield rows[first : first + BLOCK], float(wave) if np.isfinite(wave) and wave > 0 else None
+
+
+def take_rays(rays: Rays, rows: NDArray[np.intp]) -> Rays:
+    """Chosen rays."""
+    waves = None if rays.wavelength is None else rays.wavelength[rows]
+    return Rays(rays.position[rows], rays.direction[rows], waves)
+
+
+def gather(parts: Sequence[TraceResult], places: Sequence[NDArray[np.intp]]) -> TraceResult:
+    """Put blocks back in the order of launch."""
+    if len(parts) == 1:
+        return parts[0]
+    order = np.argsort(np.concatenate(places), kind="stable")
+    columns: dict[str, Any] = {}
+    for name in TraceResult.__dataclass_fields__:
+        values = [getattr(part, name) for part in parts]
+        if values[0] is None:
+            columns[name] = None
+        elif name in ("hits", "directions"):
+            columns[name] = np.concatenate(values, axis=1)[:, order]
+        else:
+            columns[name] = np.concatenate(values)[order]
+    return TraceResult(**columns)
+
+
+# -- what faces did to the rays --------------------------------------------------------------------
+
+
+def crossings(block: Block) -> Iterator[Crossing]:
+    """Every face the block's rays went through, in the order of the light.
+
+    On rungs surfaces and mesh these are the faces. Law and thin have none: there each lens stands as a plane
+    plate across the lens axis, met as the ray arrives at lens 1 and as it leaves lens 2, which is exact for
+    light through the lens centres.
+    """
+    if block.rung in ("law", "thin"):
+        yield from plate_crossings(block)
+        return
+    result, bodies = block.result, block.window.bodies
+    assert result.hits is not None and result.directions is not None
+    everywhere = bool((result.fate <= Fate.GHOST).all())
+    before, point = unit_rows(block.rays.direction), block.rays.position
+    for face, after in enumerate(result.directions):
+        index = block.index(bodies[face // 2])
+        n1, n2 = (1.0, index) if face % 2 == 0 else (index, 1.0)
+        through = None if everywhere else crossed(result, face, point)
+        yield Crossing(before, after, n1, n2, through)
+        before, point = after, result.hits[face]
+
+
+def crossed(result: TraceResult, face: int, point: Floats) -> Mask:
+    """Which rays went through a face: they met it, at another place than the one before, and did not end there."""
+    assert result.hits is not None
+    ended = (result.fate >= Fate.TIR) & (result.surface == face)
+    met = (result.surface >= face) & (result.fate < Fate.MISSED)
+    moved = np.any(result.hits[face] != point, axis=1)
+    return np.asarray(met & moved & ~ended)
+
+
+def plate_crossings(block: Block) -> Iterator[Crossing]:
+    """Crossings of the plates that stand for the lenses on rungs law and thin."""
+    result = block.result
+    through = None if bool((result.fate <= Fate.GHOST).all()) else block.emerging()
+    start, end = unit_rows(block.rays.direction), result.direction
+    axis = block.window.thin.rotation[:, 2]
+    first, last = block.window.bodies[0], block.window.bodies[-1]
+    if first is last:
+        inside, index = inside_of(first, block, start, axis), block.index(first)
+        outside = inside_of(first, block, end, axis)
+        yield Crossing(start, inside, 1.0, index, through)
+        yield Crossing(inside, outside, index, index, through)
+        yield Crossing(outside, end, index, 1.0, through)
+        return
+    for body, ray in ((first, start), (last, end)):
+        inside, index = inside_of(body, block, ray, axis), block.index(body)
+        if body is last:
+            yield Crossing(start, end, 1.0, 1.0, through)  # the lenses' turn costs nothing
+        yield Crossing(ray, inside, 1.0, index, through)
+        yield Crossing(inside, ray, index, 1.0, through)
+
+
+def inside_of(body: Body, block: Block, ray: Floats, axis: Floats) -> Floats:
+    """Directions inside the plate that stands for a body's lens."""
+    from clacad.effects.interface import inside_plate
+
+    return inside_plate(ray, axis, block.index(body))
+
+
+def unit_rows(direction: Floats) -> Floats:
+    """Unit directions (m, 3) of rows of any length."""
+    from clacad.trace.sequence import unit
+
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return unit(direction)[0]
+
+
+def lens_slopes(block: Block) -> tuple[Floats, Floats]:
+    """Exit slopes (m, 2) in the lens frame, and the lens-frame directions (m, 3) themselves."""
+    turned = block.result.direction @ block.window.thin.rotation
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return turned[:, :2] / turned[:, 2:], turned
+
+
+def bend(block: Block, slopes: Floats, rows: Mask) -> None:
+    """Set the exit direction of some rays from their lens-frame slopes; those turned back keep theirs."""
+    out = np.column_stack([slopes[rows], np.ones(int(rows.sum()))]) @ block.window.thin.rotation.T
+    out /= np.sqrt((out * out).sum(axis=1))[:, None]
+    chosen = np.flatnonzero(rows)
+    forwards = out[:, 2] > 0.0
+    block.result.direction[chosen[forwards]] = out[forwards]

@@ -1,0 +1,78 @@
+"""Scatter at rough faces: a small Gaussian blur of directions, and light lost to wide angles.
+
+*Model.* Facet normals with independent Gaussian slopes of rms σ_s turn the light by (n − 1)σ_s a face and meridian;
+lens 1's turns arrive magnified by 1/|m|, m = −f2/f1. Roughness of rms height σ takes exp(−(2π(n − 1)σ/λ)²) a face
+from the direct light (total integrated scatter, transmission: Bennett and Porteus, J. Opt. Soc. Am. 51, 123
+(1961), with the wavefront step (n − 1)σ for 2σ); what it takes goes into a haze that no picture point keeps.
+*Law.* Direct light and haze sum to 1; no roughness, no change.
+*On when* the haze exceeds the radiance, or (n − 1) σ_s sqrt(2(1 + 1/m²)) the angle, that matters.
+"""
+
+from __future__ import annotations
+
+from math import expm1, hypot, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.draws import normal
+from clacad.effects.passes import Block, Crossing, Effect, Stage, bend, lens_slopes
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.sheet import Window
+from clacad.vignetting import focal_ratio
+
+NAME = "scatter"
+SALT = 3
+
+Floats = NDArray[np.float64]
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """Turn emerging rays and take the haze from their flux."""
+    width = np.array(blur(window, setting.slope_rms))
+
+    def apply(block: Block, _: Crossing | None) -> None:
+        rows = block.emerging()
+        if setting.roughness > 0.0:
+            block.result.flux[rows] *= 1.0 - haze(window, setting.roughness, block.air_wavelength)
+        if setting.slope_rms > 0.0:
+            slopes = lens_slopes(block)[0] + normal(block.rays, 1, setting.seed, SALT) * width
+            bend(block, slopes, rows)
+
+    return Effect(NAME, Stage.EXIT, apply=apply)
+
+
+def blur(window: Window, slope_rms: float) -> tuple[float, float]:
+    """Rms slope by which light is turned along lens x and y."""
+    index = max(body.index for body in window.bodies)
+    each = len(window.bodies)  # faces a lens: two each in air, one on a slab
+    x, y = (
+        (index - 1.0) * slope_rms * sqrt(each * (1.0 + 1.0 / (m * m))) for m in focal_ratio(window.thin)
+    )
+    return x, y
+
+
+def haze(window: Window, roughness: float, wavelength: float) -> float:
+    """Share of the light that rough faces take from the direct beam (roughness and wavelength in metres)."""
+    depth = sum(
+        2.0 * (2.0 * pi * (body.index - 1.0) * roughness / wavelength) ** 2 for body in window.bodies
+    )
+    return -expm1(-depth)
+
+
+def bound(situation: Situation) -> Bound:
+    """Haze at the shortest wavelength, blur of both meridians in quadrature."""
+    setting, window = situation.setting, situation.window
+    if setting.roughness == 0.0 and setting.slope_rms == 0.0:
+        return Bound(0.0, 0.0, "the design states neither roughness nor slope error", 1.3)
+    lines = situation.wavelengths
+    if setting.roughness > 0.0 and not lines:
+        return Bound(0.0, 0.0, "no wavelength to judge the roughness by: not bounded", 1.3, known=False)
+    lost = haze(window, setting.roughness, min(lines)) if lines else 0.0
+    angle = hypot(*blur(window, setting.slope_rms))
+    why = (
+        f"{setting.roughness * 1e9:.3g} nm of roughness take {lost:.2g} of the light, "
+        f"{setting.slope_rms:.2g} rad of slope error blur by {angle:.2g} rad"
+    )
+    return Bound(angle, lost, why, 1.3)

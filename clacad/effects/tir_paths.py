@@ -1,0 +1,35 @@
+"""Paths after total internal reflection.
+
+*Model.* Rays that a face reflects totally (fate TIR) go on inside the body, up to `Setting.faces` faces, until
+they leave. Off: they end, black.
+*Law.* No light is lost at total reflection: shares of a followed ray sum to 1.
+*On when* the share of TIR light exceeds the radiance that matters.
+"""
+
+from __future__ import annotations
+
+from clacad.effects.passes import Block, Crossing, Effect, Stage
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import Fate
+from clacad.sheet import Window
+
+NAME = "tir_paths"
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """Follow what was reflected totally; see `clacad.effects.walls.effect`."""
+
+    def apply(block: Block, _: Crossing | None) -> None:
+        from clacad.effects.followed import carry_on
+
+        carry_on(block, setting, Fate.TIR)
+
+    return Effect(NAME, Stage.EXIT, apply=apply)
+
+
+def bound(situation: Situation) -> Bound:
+    """Share of light that ends in fate TIR on the probe."""
+    counted = situation.share(Fate.TIR)
+    radiance = situation.most(counted) if counted > 0.0 else 0.0
+    return Bound(0.0, radiance, f"{counted:.2%} of the light is reflected totally", 1.0 + 30.0 * counted)

@@ -1,0 +1,49 @@
+"""Walls: light that meets a bare step, a side wall, or a face from its wrong side.
+
+*Model.* Such rays (fate WALL) are followed face by face: Snell's law at the wall, total reflection there
+included, up to `Setting.faces` further faces. Off: they end, black. Light through land, web and holes (fate LAND)
+goes on with or without the effect; it is a label of geometry.
+*Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.follow`).
+*On when* the share of WALL light exceeds the radiance that matters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.effects.passes import Block, Crossing, Effect, Stage
+from clacad.effects.setting import Setting
+from clacad.effects.situation import Bound, Situation
+from clacad.rays import Fate
+from clacad.sheet import Window
+
+NAME = "walls"
+
+
+def effect(window: Window, setting: Setting) -> Effect:
+    """Follow what ended at walls; rows that leave get their last point, direction and flux, the others flux 0."""
+
+    def apply(block: Block, _: Crossing | None) -> None:
+        from clacad.effects.followed import carry_on
+
+        carry_on(block, setting, Fate.WALL)
+
+    return Effect(NAME, Stage.EXIT, apply=apply)
+
+
+def bound(situation: Situation) -> Bound:
+    """Share of WALL light: Σ (mean step / pitch)·slope plus what the lenses do not cover, or as counted."""
+    counted = situation.share(Fate.WALL)
+    t = float(np.abs(situation.slopes).max(initial=0.0))
+    estimate = step_share(situation.window) * t
+    radiance = situation.most(counted) if counted > 0.0 else min(estimate, situation.most(0.0))
+    land = situation.share(Fate.LAND)
+    why = f"{counted:.2%} of the light meets a wall" + (f"; {land:.2%} passes land and is shown" if land else "")
+    return Bound(0.0, radiance, why, 1.0 + 30.0 * counted)
+
+
+def step_share(window: Window) -> float:
+    """Σ over borders of mean step height over pitch, summed over the faces: WALL share per unit of slope."""
+    from clacad.effects.shape import mean_steps
+
+    return mean_steps(window)
