@@ -25,7 +25,7 @@ LAYER = {
     # 4 verbs
     "trace": 4, "effects": 4, "export": 4,
     # 5 judgement
-    "verify": 5, "accuracy": 5,
+    "verify": 5, "accuracy": 5, "stability": 5,
     # 6 presentation
     "report": 6, "render": 6,
     # 7 surface

@@ -3,62 +3,24 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hard.measure import FATE_OF, assert_whole, error, interfaces, rotation
+from hard.rays import GLASS, oq, pair, turned
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mpmath import mp, mpf
-from oracle import trace as oracle
+from mpmath import mpf
 
-from clacad.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.rays import NO_CELL, Fate, Rays
 from clacad.surface import Biconic, Quadric
 from clacad.trace.sequence import Interface, trace_sequence
 
 ULP = 2.0**-52
-KM = 1e3
 
 SAMPLE = json.loads((Path(__file__).parent / "data" / "trace-sample.json").read_text())["cases"]
-FATE_OF = {"ok": Fate.ALIVE, "missed": Fate.MISSED, "tir": Fate.TIR}
-
-
-def rotation(phi, theta, psi):
-    """Rz(psi) Rx(theta) Rz(phi), rounded once from the oracle's digits."""
-    with mp.workdps(60):
-        return np.array([[float(v) for v in row] for row in oracle.euler_matrix(phi, theta, psi)])
-
-
-def interfaces(faces):
-    """The oracle's faces as clacad's."""
-    kinds = {"quadric": lambda a, b, c, _, s: Quadric(a, b, c, s), "biconic": Biconic}
-    return [
-        Interface(
-            kinds[f.kind](*f.shape),
-            f.vertex,
-            f.before,
-            f.after,
-            f.rotation if f.euler is None else rotation(*f.euler),
-        )
-        for f in faces
-    ]
-
-
-def assert_whole(result: TraceResult, launched: int) -> None:
-    """Every ray has one fate, and only INVALID rows hold NaN."""
-    assert sum(result.counts().values()) == launched == len(result)
-    good = result.fate != Fate.INVALID
-    for column in (result.position, result.direction, result.optical_path, result.flux):
-        assert np.isfinite(column[good]).all()
-    for record in (result.hits, result.directions):
-        assert record is None or np.isfinite(record[:, good]).all()
-
-
-def error(value, exact):
-    """Largest component of the difference from digits."""
-    with mp.workdps(60):
-        return max(float(abs(mpf(float(u)) - mpf(v))) for u, v in zip(value, exact))
 
 
 @pytest.mark.parametrize("case", SAMPLE, ids=[f"{c['id']} {c['group']}" for c in SAMPLE])
@@ -86,138 +48,6 @@ def test_the_sample_traces_are_met_within_their_tolerance(case):
     assert error(result.optical_path, [path]) <= case["tolerance"] * abs(float(path)) + 16 * ULP * 0.02
 
 
-@dataclass(frozen=True)
-class Hard:
-    """A ray that a textbook tracer gets wrong, and why."""
-
-    name: str
-    why: str
-    faces: list
-    start: tuple
-    direction: tuple
-
-
-def lens(cx, cy, kappa, thickness=0.0005, z=0.0, n=1.5, centre=(0.0, 0.0)):
-    """Biconvex lens of two equal quadrics round z."""
-    low, high = (*centre, z - thickness / 2), (*centre, z + thickness / 2)
-    return [
-        oracle.quadric(cx, cy, kappa, 1, vertex=low, before=1.0, after=n),
-        oracle.quadric(cx, cy, kappa, -1, vertex=high, before=n, after=1.0),
-    ]
-
-
-def pair(centre=(0.0, 0.0)):
-    """The paper's confocal pair, η = (-1/4, -1), thin recipe."""
-    first = lens(25.0, 40.0, 31.622776601683796, centre=centre)
-    return [*first, *lens(100.0, 40.0, 63.24555320336759, z=0.05, centre=centre)]
-
-
-def turned(faces, *euler):
-    """The same faces, each turned about its vertex."""
-    return [replace(face, euler=euler) for face in faces]
-
-
-def critical(sign):
-    """Incidence 1e-9 of itself from the critical angle of a plane, n = 1.5."""
-    sine = (1 - sign * 1e-9) / 1.5
-    return (sine, 0.0, float(np.sqrt(1 - sine * sine)))
-
-
-def tangent(nudge):
-    """A ray that passes the unit sphere round (0, 0, 1) below its equator, `nudge` from touching it."""
-    d, up = np.array([0.6, 0.8, 0.25]), np.array([0.0, 0.0, 1.0])
-    below = d * 0.25 - up * (d @ d) + 0.5 * np.cross(d, up)
-    start = up + (1 + nudge) * below / np.linalg.norm(below) - 0.4 * d
-    return tuple(start.tolist()), tuple(d.tolist())
-
-
-oq, ob = oracle.quadric, oracle.biconic
-GLASS = {"before": 1.5, "after": 1.0}
-FAR = 5000.0
-HARD = [
-    Hard("plane", "divides by curvature 0", [oq(0, 0, 0)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
-    Hard("R = 1e9", "R - sqrt(R² - r²) cancels", [oq(1e-9, 1e-9, 1e-9)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
-    Hard("R = 1e12", "sag is 1e-26 of R", [oq(1e-12, 1e-12, 1e-12)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
-    Hard("paraboloid", "1/(1 + K) is infinite", [oq(0.1, 0.1, 0.0)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
-    Hard("paraboloid, axial", "A = 0 as well", [oq(0.1, 0.1, 0.0)], (0.3, 0.1, -5), (0, 0, 1)),
-    Hard("K = -1 + 1e-12", "A is rounding only", [oq(0.1, 0.1, 1e-13)], (0.3, 0.1, -5), (0, 0, 1)),
-    Hard("K = -1 - 1e-12", "A has the other sign", [oq(0.1, 0.1, -1e-13)], (0.3, 0.1, -5), (0, 0, 1)),
-    Hard("hyperboloid", "the second sheet is met too", [oq(0.1, 0.1, -0.2)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
-    Hard("saddle", "Q changes sign across the cell", [oq(1, -1.1, 0)], (0.3, 0.3, -1), (0.02, -0.03, 1)),
-    Hard("flank of a hyperboloid", "σr - B cancels: the other form of the root is due",
-         [oq(0.00646, 1.82, -15.0, -1)], (1.39, -20.1, 6.89), (0.99, -0.038, -0.13)),
-    Hard("flank of a saddle", "the same on a steep ray", [oq(22.4, -17.2, -0.009)], (45.3, -37.4, 22.9), (-0.5, 0.033, -0.86)),
-    Hard("biconic near its equator", "Newton settles nowhere, yet there is a hit",
-         [ob(-0.29, -0.88, 2.5, 1.5)], (-0.68, 0, -3), (-0.42, 0.11, 1)),
-    Hard("saddle biconic near its equator", "the same where κ of the azimuth is singular",
-         [ob(-0.56, 0.89, 3.0, -0.8, -1)], (-0.35, 1, -3), (0.47, 0.17, 1)),
-    Hard("biconic's other half", "Newton settles on the half that does not belong",
-         [ob(-0.2, -0.73, 0.2, 0.6)], (-0.56, -0.16, -3), (0.17, -0.44, 1)),
-    Hard("saddle biconic", "κ of the azimuth is singular", [ob(1, -1, -2, 0.5)], (0.3, 0.3, -1), (0.02, 0.03, 1)),
-    Hard("steep saddle biconic", "Newton from the quadric leaves the surface",
-         [ob(0.9, -0.8, 2.0, 1.2, before=1.0, after=1.5)], (-0.55, 0.6, -0.6), (0.1, 0.1, 1)),
-    Hard("sag 5e-9 of R", "sag from a difference keeps 8 digits", [oq(1, 1, 1)], (1e-4, 0, -1), (0, 0, 1)),
-    Hard("sag 5e-201 of R", "squares are 1e-200", [oq(1, 1, 1)], (1e-100, 0, -1), (0, 0, 1)),
-    Hard("radii 1 : 1000", "one meridian is flat beside the other", [oq(1, 1e3, 31.6)], (3e-2, 2e-4, -0.1), (0.01, 0.01, 1)),
-    Hard("radii 1 : 1e6", "the same, to the limit", [oq(1, 1e6, 1e3)], (3e-4, 3e-7, -1e-3), (0.01, 1e-4, 1)),
-    Hard("needle", "semi-axis 1000 times the apex radius", [oq(1, 1, 1e-3)], (0.7, 0.2, -3), (0.05, -0.1, 1)),
-    Hard("disc", "semi-axis a thousandth of the apex radius", [oq(1, 1, 1e3)], (0.02, 0.01, -3), (1e-3, -2e-3, 1)),
-    Hard("source at 1 km", "B² - AC of the start is 1e12", lens(40, 40, 40), (1e-3, -5e-4, -KM), (0, 0, 1)),
-    Hard("source at 1 km, oblique", "x + tL cancels 1e5 times",
-         lens(40, 40, 40), (1e-3 - 0.25 * KM, -5e-4 + 0.5 * KM, -KM), (0.25, -0.5, 1)),
-    Hard("source at 1 km, tilted lens", "turning first rounds the kilometre",
-         turned(lens(40, 40, 40, 0.0), 0.3, 0.2, -0.7), (1e-3 - 0.25 * KM, 0.5 * KM, -KM), (0.25, -0.5, 1)),
-    Hard("source at 1e9", "only the ratios of the direction may count",
-         [oq(40, 40, 40)], (0.25e9, 0, -1e9), (-0.25, 0, 1)),
-    Hard("start on the apex", "t is 0 and C is 0", [oq(1, 2, 1.4)], (0, 0, 0), (0.1, 0.2, 1)),
-    Hard("on the axis", "x = y = 0 everywhere", pair(), (0, 0, -0.01), (0, 0, 1)),
-    Hard("negative zeros", "the sign of -0 must not choose a root", pair(), (-0.0, -0.0, -0.01), (-0.0, -0.0, 1)),
-    Hard("direction of length 1e-300", "its square underflows", pair(), (1e-3, -5e-4, -0.01), (1e-302, 2e-302, 1e-300)),
-    Hard("direction of length 1e300", "its square overflows", pair(), (1e-3, -5e-4, -0.01), (1e298, 2e298, 1e300)),
-    Hard("touching just inside", "double root: 1e-13 from a miss", [oq(1, 1, 1)], *tangent(-1e-13)),
-    Hard("touching just outside", "the naive discriminant is 0 or positive", [oq(1, 1, 1)], *tangent(1e-13)),
-    Hard("touching at rounding", "one unit in the last place decides", [oq(1, 1, 1)], *tangent(-4e-16)),
-    Hard("below critical", "cos t = sqrt of a cancelled difference", [oq(0, 0, 0, **GLASS)], (0, 0, -1), critical(1)),
-    Hard("above critical", "the same difference, negative", [oq(0, 0, 0, **GLASS)], (0, 0, -1), critical(-1)),
-    Hard("89.9 degrees, glass to air side", "cos i = 0.0017",
-         [oq(1, 0.5, 0.7, before=1.0, after=1.5)], (-0.9999984769, 0, -0.00174532836), (0.99999847691, 0, 0.00174532837)),
-    Hard("89.999 degrees, off the apex", "misses the bowl by its slope", [oq(1, 1, 1)], (-0.999, 0, -1.745e-5), (1, 0, 1.745e-5)),
-    Hard("along the vertex plane", "N = 0: the plane is never reached", [oq(1, 1, 1)], (-2, 0, 0.5), (1, 0.1, 0)),
-    Hard("index ratio 1 + 1e-10", "cos t - µ cos i cancels", lens(40, 30, 35, n=1 + 1e-10), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
-    Hard("equal indices", "must be the identity", lens(40, 30, 35, n=1.0), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
-    Hard("index 4", "strong bending, 36 % reflected", lens(40, 30, 35, n=4.0), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
-    Hard("outside the rim", "the faces cross before the ray: distance < 0", lens(40, 40, 40), (4.2e-3, 3e-3, -0.01), (0, 0, 1)),
-    Hard("far half only", "both roots are beyond the equator", [oq(1, 1, 1)], (2, 0, 1.5), (-1, 0, 0.01)),
-    Hard("start beyond the cap", "the apex lies behind", [oq(1, 1, 1)], (0, 0, 1.9), (0, 0, 1)),
-    Hard("tilt 60 degrees", "the local ray is steep", turned(lens(40, 30, 35), 0.4, 1.047, 0.2), (1e-4, 2e-4, -0.01), (0, 0.02, 1)),
-    Hard("tilt 120 degrees", "the local ray runs backwards", [replace(oq(4, 3, 3.5), euler=(0.4, 2.094, 0.2))], (1e-2, 2e-2, -1), (0, 0.02, 1)),
-    Hard("cell (199, 199)", "x² of sheet coordinates drowns the sag", pair((0.4975, 0.4975)), (0.4988, 0.4991, -0.01), (-0.02, 0.01, 1)),
-    Hard("cell 1e6", "sheet coordinates keep 1e-12", pair((FAR, -FAR)), (FAR + 0.0013, -FAR - 0.0007, -0.01), (0.01, 0.02, 1)),
-    Hard("cell 1e9", "sheet coordinates keep 1e-9", pair((1e3 * FAR, 0.0025)), (1e3 * FAR + 0.0013, 0.003, -0.01), (0.01, 0.02, 1)),
-    Hard("scale 1e-9", "absolute tolerances bite", lens(4e10, 4e10, 4e10, 5e-13), (1e-12, 5e-13, -1e-11), (0.1, 0.2, 1)),
-    Hard("scale 1e9", "the same from the other end", lens(4e-8, 4e-8, 4e-8, 5e5), (1e6, 5e5, -1e7), (0.1, 0.2, 1)),
-    Hard("slab, biconic", "needs iteration", [ob(75, 120, -4 / 9, -4 / 9), ob(60, 60, -4 / 9, -4 / 9, -1, vertex=(0, 0, 0.02), **GLASS)], (-0.0025, 0.0012, -0.01), (0.05, -0.02, 1)),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("case", HARD, ids=[h.name for h in HARD])
-def test_a_hard_ray_keeps_the_accuracy_its_condition_allows(case):
-    exact = oracle.trace(case.faces, case.start, case.direction)
-    result = trace_sequence(interfaces(case.faces), Rays([case.start], [case.direction]), record=True)
-    assert_whole(result, 1)
-    expected = FATE_OF[exact.status]
-    if exact.status == "ok" and exact.directions[-1][2] <= 0:
-        expected = Fate.BACKWARD
-    assert result.fate[0] == expected, case.why
-    if exact.status != "ok":
-        return
-    condition = float(oracle.condition(case.faces, case.start, case.direction))
-    assert error(result.direction[0], exact.directions[-1]) <= 4 * ULP * max(1.0, condition), case.why
-    assert error(result.optical_path, exact.optical_path[-1:]) <= 4 * ULP * max(1.0, condition) * float(
-        abs(exact.optical_path[-1])
-    )
-
-
 @pytest.mark.parametrize("turn", [None, (0.3, 0.2, -0.7)], ids=["upright", "tilted"])
 @pytest.mark.parametrize("power", [10, 20, 30, 38])
 def test_the_distance_of_the_source_costs_nothing(power, turn):
@@ -232,21 +62,6 @@ def test_the_distance_of_the_source_costs_nothing(power, turn):
     assert far.optical_path[0] == pytest.approx(
         one.optical_path[0] + 2.0**power * np.linalg.norm(ray), rel=2 * ULP
     )
-
-
-@pytest.mark.parametrize("case", [h for h in HARD if len(h.faces) == 1], ids=lambda h: h.name)
-def test_the_sag_of_a_hit_keeps_sixteen_ulp_of_itself(case):
-    digits = 450  # a sag of 1e-200 beside a start at distance 1
-    exact = oracle.trace(case.faces, case.start, case.direction, digits)
-    if exact.status != "ok" or case.faces[0].euler:
-        return
-    result = trace_sequence(interfaces(case.faces), Rays([case.start], [case.direction]))
-    if exact.hits[0][2] == 0 or not any(case.faces[0].shape[:2]):
-        assert result.position[0, 2] == 0
-        return
-    with mp.workdps(digits):
-        off = float(abs(mpf(float(result.position[0, 2])) / exact.hits[0][2] - 1)) / ULP
-    assert off <= 16 * max(1.0, float(oracle.sag_condition(case.faces, case.start, case.direction, digits)))
 
 
 def test_rows_that_cannot_be_traced_are_invalid_and_kept_as_given():
