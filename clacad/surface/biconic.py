@@ -89,9 +89,15 @@ def _azimuth_kappa(surface: Biconic, x: FloatArray, y: FloatArray) -> FloatArray
 
 
 def _near_half(surface: Biconic, x: FloatArray, y: FloatArray, z: FloatArray) -> NDArray[np.bool_]:
-    """Whether points of the full biconic lie on the half side Q/(1 + w), at most Q high, not side Q/(1 − w)."""
+    """Whether points of the full biconic lie on the half side Q/(1 + w), not on side Q/(1 − w).
+
+    The half that belongs is at most Q high and on Q's side. The other is higher than Q where w < 1, and on the
+    wrong side where w > 1 (a hyperbolic azimuth, where it may well be lower than Q).
+    """
+    q = lateral_square(surface, x, y)
     rounding = 8 * ULP * (np.abs(surface.curvature_x) * x * x + np.abs(surface.curvature_y) * y * y)
-    return np.asarray(np.abs(z) <= np.abs(lateral_square(surface, x, y)) + rounding)
+    height = surface.side * np.where(q < 0, -z, z)
+    return np.asarray((height >= -rounding) & (height <= np.abs(q) + rounding))
 
 
 def _quartic_root(surface: Biconic, base: Columns, ray: Columns) -> FloatArray:
