@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clacad.law.exact import two_product, two_sum
 from clacad.law.model import Law
 
 Floats = NDArray[np.float64]
@@ -157,7 +158,9 @@ def stretch_on_sheet(law: Law, z: ArrayLike, camera_distance: float) -> Floats:
 
 
 def _over(numerator: Floats, camera_distance: float, z: Floats, law: Law) -> Floats:
-    """numerator/(D + z/η), with η multiplied through: at z = −ηD the zero is then exact."""
+    """numerator/(D + z/η), with η multiplied through and Dη + z rounded once: near the pole it is all there is."""
     eta = np.array([law.eta_x, law.eta_y])
+    product, low = two_product(camera_distance, eta)
+    total, rest = two_sum(product, z)
     with np.errstate(divide="ignore"):  # the pole itself is a value here: infinity
-        return np.asarray(numerator * eta / (camera_distance * eta + z))
+        return np.asarray(numerator * eta / (total + (rest + low)))
