@@ -30,7 +30,7 @@ def trace_compiled(
         return trace_chunk(
             packed.faces, packed.bodies, packed.lattice, packed.rows, each, chosen, position, direction,
             ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order,
-            ledger.surface, ledger.flux, ledger.hits, ledger.directions,
+            ledger.surface, ledger.hits, ledger.directions,
         )  # fmt: skip
 
     chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]

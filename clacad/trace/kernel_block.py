@@ -11,7 +11,7 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 
 from __future__ import annotations
 
-from math import floor, isfinite, sqrt
+from math import floor, inf, isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,15 +57,14 @@ BEHIND_START = -8 * 2.0**-52
 
 
 @fused
-def _meet_quadric(face: Floats, s: Floats, m: int, n1: float) -> None:
-    """First loop of a face: to the hit, in the lens frame, from the vertex on."""
+def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: float, oz: float) -> None:
+    """First loop of a face: to the hit. Positions plus (ox, oy, oz) are relative to the vertex, and are after."""
     x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
-    vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
     for i in range(m):
         u, v, w = dx[i], dy[i], dz[i]
-        down = z[i] - vz
-        px, py = w * (x[i] - vx) - down * u, w * (y[i] - vy) - down * v
+        down = z[i] + oz
+        px, py = w * (x[i] + ox) - down * u, w * (y[i] + oy) - down * v
         a = cx * u * u + cy * v * v + kappa * w * w
         b = cx * px * u + cy * py * v - side * w * w
         c = cx * px * px + cy * py * py
@@ -80,59 +79,49 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float) -> None:
 
 
 @fused
-def _turn_in(face: Floats, s: Floats, m: int) -> None:
-    """Positions and directions from sheet axes to lens axes, about the vertex."""
+def _turn_in(face: Floats, s: Floats, m: int, ox: float, oy: float, oz: float) -> None:
+    """Positions plus (ox, oy, oz), and directions, from sheet axes to lens axes."""
     x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
-    vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
-    a, b, c, d, e, f = (
-        face[slot.R0],
-        face[slot.R0 + 1],
-        face[slot.R0 + 2],
-        face[slot.R0 + 3],
-        face[slot.R0 + 4],
-        face[slot.R0 + 5],
-    )
+    a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
+    d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
     for i in range(m):
-        u, v, w = x[i] - vx, y[i] - vy, z[i] - vz
-        x[i], y[i], z[i] = a * u + d * v + g * w + vx, b * u + e * v + h * w + vy, c * u + f * v + k * w + vz
+        u, v, w = x[i] + ox, y[i] + oy, z[i] + oz
+        x[i], y[i], z[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
+    for i in range(m):
         u, v, w = dx[i], dy[i], dz[i]
         dx[i], dy[i], dz[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
 
 
 @fused
-def _turn_out(face: Floats, s: Floats, m: int) -> None:
-    """Positions about the vertex, and directions, from lens axes back to sheet axes; normals must face up."""
+def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
+    """Back to sheet axes; normals must face up, rays must climb."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
     gx, gy, gz = s[GX], s[GY], s[GZ]
-    a, b, c, d, e, f = (
-        face[slot.R0],
-        face[slot.R0 + 1],
-        face[slot.R0 + 2],
-        face[slot.R0 + 3],
-        face[slot.R0 + 4],
-        face[slot.R0 + 5],
-    )
+    a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
+    d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
     for i in range(m):
         u, v, w = x[i], y[i], z[i]
         x[i], y[i], z[i] = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + k * w
+    for i in range(m):
         u, v, w = dx[i], dy[i], dz[i]
-        dx[i], dy[i], dz[i] = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + k * w
-        good[i] = good[i] if g * gx[i] + h * gy[i] + k * gz[i] > 0.0 else 0.0
+        up = g * u + h * v + k * w
+        dx[i], dy[i], dz[i] = a * u + b * v + c * w, d * u + e * v + f * w, up
+        upright = g * gx[i] + h * gy[i] + k * gz[i] > 0.0
+        good[i] = good[i] if upright & (up > 0.0) & (up >= climb) else 0.0
 
 
 @fused
-def _refract_quadric(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
-    """Second loop of a face: Snell's law; the normal must be of the apex half."""
+def _refract_quadric(
+    face: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, hx: float, hy: float
+) -> None:
+    """Second loop of a face: Snell's law. The normal must be of the apex half, the hit inside hx and hy of the
+    cell's centre, and the ray must climb on; these comparisons hide behind the divisions.
+    """
     x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[GOOD]
-    gxs, gys, gzs = s[GX], s[GY], s[GZ]
-    sx, sy, sk = (
-        -face[slot.SIDE] * face[slot.CX],
-        -face[slot.SIDE] * face[slot.CY],
-        face[slot.SIDE] * face[slot.KX],
-    )
-    turned = face[slot.TURNED] != 0.0
+    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
+    sk, vx, vy = face[slot.SIDE] * face[slot.KX], face[slot.VX], face[slot.VY]
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
@@ -141,26 +130,38 @@ def _refract_quadric(face: Floats, s: Floats, m: int, n1: float, n2: float) -> N
         g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
         dx[i] = mu * dx[i] + g * gx
         dy[i] = mu * dy[i] + g * gy
-        dz[i] = mu * dz[i] + g * gz
-        good[i] = good[i] if gz > 0.0 else 0.0
-    if turned:
-        for i in range(m):
-            gxs[i], gys[i], gzs[i] = sx * x[i], sy * y[i], 1.0 - sk * z[i]
+        up = mu * dz[i] + g * gz
+        dz[i] = up
+        inside = (abs(x[i] + vx) < hx) & (abs(y[i] + vy) < hy)
+        good[i] = good[i] if inside & (gz > 0.0) & (up > 0.0) & (up >= climb) else 0.0
+
+
+@fused
+def _normals(face: Floats, s: Floats, m: int) -> None:
+    """Normals of a quadric at the hits."""
+    x, y, z, gx, gy, gz = s[X], s[Y], s[Z], s[GX], s[GY], s[GZ]
+    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
+    sk = face[slot.SIDE] * face[slot.KX]
+    for i in range(m):
+        gx[i], gy[i], gz[i] = sx * x[i], sy * y[i], 1.0 - sk * z[i]
 
 
 @exact
-def _meet_biconic(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
+def _meet_biconic(
+    face: Floats, s: Floats, m: int, n1: float, n2: float, ox: float, oy: float, oz: float
+) -> None:
     """Both loops of a biconic face: Newton has no fixed length, so rays are taken one by one."""
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
         t, x, y, z, gx, gy, gz, root = meet(
-            face, s[X, i] - face[slot.VX], s[Y, i] - face[slot.VY], s[Z, i] - face[slot.VZ], s[DX, i], s[DY, i], s[DZ, i]
+            face, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
         )  # fmt: skip
         incident = mu * root
         g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
         s[X, i], s[Y, i], s[Z, i], s[ROOT, i] = x, y, z, root
-        s[DX, i], s[DY, i], s[DZ, i] = mu * s[DX, i] + g * gx, mu * s[DY, i] + g * gy, mu * s[DZ, i] + g * gz
+        s[DX, i], s[DY, i] = mu * s[DX, i] + g * gx, mu * s[DY, i] + g * gy
+        s[DZ, i] = mu * s[DZ, i] + g * gz
         s[GX, i], s[GY, i], s[GZ, i] = gx, gy, gz
         s[PATH, i] += n1 * t
         if not gz > 0.0:
@@ -168,82 +169,95 @@ def _meet_biconic(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None
 
 
 @fused
-def _settle(face: Floats, s: Floats, m: int, climb: float) -> None:
-    """Positions from the cell's centre on; rays must stay steep, and on the lens where land could cover it."""
-    x, y, z, dz, good = s[X], s[Y], s[Z], s[DZ], s[GOOD]
-    vx, vy, vz, land, side = face[slot.VX], face[slot.VY], face[slot.VZ], face[slot.LAND], face[slot.SIDE]
+def _proud(face: Floats, s: Floats, m: int) -> None:
+    """Hits must be on the lens where land could cover it."""
+    z, good = s[Z], s[GOOD]
+    vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
     for i in range(m):
-        x[i] += vx
-        y[i] += vy
-        z[i] += vz
-        good[i] = good[i] if (dz[i] > 0.0) & (dz[i] >= climb) else 0.0
-    if face[slot.WHOLE] == 0.0 and land == land:
-        for i in range(m):
-            good[i] = good[i] if (z[i] - land) * side <= 0.0 else 0.0
+        good[i] = good[i] if (z[i] + vz - land) * side <= 0.0 else 0.0
 
 
 @fused
-def _in_zone(lat: Floats, s: Floats, m: int, margin: float) -> None:
-    """Rays must lie inside their cell, `margin` from its borders."""
+def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
+    """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
     x, y, good = s[X], s[Y], s[GOOD]
     if lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
         for i in range(m):
-            good[i] = good[i] if (abs(x[i]) < hx) & (abs(y[i]) < hy) else 0.0
+            good[i] = good[i] if (abs(x[i] + ox) < hx) & (abs(y[i] + oy) < hy) else 0.0
         return
     half, slant = lat[slot.HALF] - margin, lat[slot.NORMAL + 3]
     for i in range(m):
-        u, v = x[i], y[i]
+        u, v = x[i] + ox, y[i] + oy
         one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
         good[i] = good[i] if (one < half) & (two < half) & (three < half) else 0.0
 
 
 @fused
-def _in_cell_at(lat: Floats, s: Floats, m: int, level: float) -> None:
+def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float) -> None:
     """Rays must be in their cell where they cross a level; everything times N, so no division."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
     half, half_y, slant = lat[slot.HALF], lat[slot.HALF + 1], lat[slot.NORMAL + 3]
     if lat[slot.HEXAGONAL] == 0.0:
         for i in range(m):
             rise = level - z[i]
-            u, v = x[i] * dz[i] + rise * dx[i], y[i] * dz[i] + rise * dy[i]
+            u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
             good[i] = good[i] if (abs(u) < half * dz[i]) & (abs(v) < half_y * dz[i]) else 0.0
         return
     for i in range(m):
         rise, edge = level - z[i], half * dz[i]
-        u, v = x[i] * dz[i] + rise * dx[i], y[i] * dz[i] + rise * dy[i]
+        u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
         one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
         good[i] = good[i] if (one < edge) & (two < edge) & (three < edge) else 0.0
 
 
 @fused
-def _carry(lat: Floats, s: Floats, m: int, rise: float, level: float, index: float, change: float) -> None:
-    """Carry rays to a level and into the cells of the array there.
+def _carry(
+    lat: Floats,
+    s: Floats,
+    m: int,
+    rise: float,
+    level: float,
+    index: float,
+    change: float,
+    ox: float,
+    oy: float,
+) -> None:
+    """Carry rays to a level and into the cells of the array there, whatever they may be.
 
-    rise : what the level adds to heights over the old one; change : +1 array 0 → 1, −1 back, 0 neither
+    Parameters
+    ----------
+    rise : float
+        From the rays' origin of heights up to the level.
+    level : float
+        What their height is then called.
+    change : float
+        +1 from array 0 to 1, −1 back, 0 neither.
+    ox, oy : float
+        The rays' origin, seen from the centre of their cell.
     """
     x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[PATH], s[CI], s[CJ]
-    rx, ry = change * lat[slot.RESIDUAL], change * lat[slot.RESIDUAL + 1]
+    rx, ry = ox - change * lat[slot.RESIDUAL], oy - change * lat[slot.RESIDUAL + 1]
     wi, wj = change * lat[slot.WHOLE_STEPS], change * lat[slot.WHOLE_STEPS + 1]
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     per_pitch, per_row = 1.0 / pitch, 1.0 / row
-    for i in range(m):
-        t = (level + rise - z[i]) / dz[i]
-        x[i] += t * dx[i] - rx
-        y[i] += t * dy[i] - ry
-        z[i] = level
-        path[i] += index * t
     if lat[slot.HEXAGONAL] == 0.0:
         for i in range(m):
-            k = floor(x[i] * per_pitch + 0.5)
-            x[i] -= k * pitch
-            ci[i] += k - wi
-        for i in range(m):
-            k = floor(y[i] * per_row + 0.5)
-            y[i] -= k * row
-            cj[i] += k - wj
+            t = (rise - z[i]) / dz[i]
+            u, v = x[i] + rx + t * dx[i], y[i] + ry + t * dy[i]
+            a, b = floor(u * per_pitch + 0.5), floor(v * per_row + 0.5)
+            x[i], y[i], z[i] = u - a * pitch, v - b * row, level
+            ci[i] += a - wi
+            cj[i] += b - wj
+            path[i] += index * t
         return
     half, slant = 0.5 * pitch, row / pitch
+    for i in range(m):
+        t = (rise - z[i]) / dz[i]
+        x[i] += rx + t * dx[i]
+        y[i] += ry + t * dy[i]
+        z[i] = level
+        path[i] += index * t
     for i in range(m):
         b = floor(y[i] * per_row + 0.5)
         a = floor(x[i] * per_pitch - 0.5 * b + 0.5)
@@ -258,46 +272,51 @@ def _carry(lat: Floats, s: Floats, m: int, rise: float, level: float, index: flo
         cj[i] += b - wj
 
 
-@exact
-def _keep(lat: Floats, rows: Ints, s: Floats, m: int) -> None:
-    """Rays must be over a kept cell."""
-    ci, cj, good = s[CI], s[CJ], s[GOOD]
+@fused
+def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
+    """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
+    x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
     if lat[slot.PLAIN] != 0.0:
-        n1, n2 = lat[slot.N1], lat[slot.N2]
+        n1, n2, hx, hy = lat[slot.N1], lat[slot.N2], lat[slot.HALF], lat[slot.HALF + 1]
         for i in range(m):
             inside = (ci[i] >= 0.0) & (ci[i] < n1) & (cj[i] >= 0.0) & (cj[i] < n2)
+            inside &= (abs(x[i]) < hx) & (abs(y[i]) < hy) & (dz[i] >= climb)
             good[i] = good[i] if inside else 0.0
         return
-    last = len(rows) - 1
+    _in_zone(lat, s, m, 0.0, 0.0, 0.0)
+    last = float(len(rows) - 1)
     for i in range(m):
-        j = min(max(cj[i], 0.0), float(last))
+        j = min(max(cj[i], 0.0), last)
         row = int(j) if j == j else 0
-        inside = (cj[i] == j) & (ci[i] >= rows[row, 0]) & (ci[i] < rows[row, 1])
+        inside = (cj[i] == j) & (ci[i] >= rows[row, 0]) & (ci[i] < rows[row, 1]) & (dz[i] >= climb)
         good[i] = good[i] if inside else 0.0
 
 
 @fused
-def _centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats) -> None:
-    """Sheet-frame x and y."""
+def _centres(
+    lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float
+) -> None:
+    """Sheet-frame x and y of points plus (ox, oy)."""
     x, y, ci, cj = s[X], s[Y], s[CI], s[CJ]
     sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     if lat[slot.HEXAGONAL] != 0.0:
+        x0, y0 = lat[slot.X0], lat[slot.Y0]
         for i in range(m):
-            px[i] = (lat[slot.X0] + (ci[i] + 0.5 * cj[i]) * pitch + sx) + x[i]
-            py[i] = (lat[slot.Y0] + cj[i] * row + sy) + y[i]
+            px[i] = (x0 + (ci[i] + 0.5 * cj[i]) * pitch + sx) + (x[i] + ox)
+            py[i] = (y0 + cj[i] * row + sy) + (y[i] + oy)
         return
     across, along = lat[slot.N1] - 1.0, lat[slot.N2] - 1.0
     for i in range(m):
-        px[i] = ((2.0 * ci[i] - across) * (0.5 * pitch) + sx) + x[i]
-        py[i] = ((2.0 * cj[i] - along) * (0.5 * row) + sy) + y[i]
+        px[i] = ((2.0 * ci[i] - across) * (0.5 * pitch) + sx) + (x[i] + ox)
+        py[i] = ((2.0 * cj[i] - along) * (0.5 * row) + sy) + (y[i] + oy)
 
 
 @fused
-def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int) -> None:
+def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
     """Rays must be certainly over the body."""
     px, py, good = s[GX], s[GY], s[GOOD]
-    _centres(lat, s, m, array, px, py)
+    _centres(lat, s, m, array, px, py, ox, oy)
     mx, my, hx, hy, radius = (
         body[slot.MID_X],
         body[slot.MID_Y],
@@ -312,58 +331,96 @@ def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int) -> None:
 
 
 @exact
-def _thick(face: Floats, s: Floats, m: int, sign: float) -> None:
-    """Rays on one face must lie on the right side of the body's other face."""
+def _thick(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
+    """Hits on one face must lie on the right side of the body's other face."""
+    vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
     for i in range(m):
-        if s[GOOD, i] != 0.0 and not sign * (height(face, s[X, i], s[Y, i]) - s[Z, i]) >= 0.0:
-            s[GOOD, i] = 0.0
+        if s[GOOD, i] != 0.0:
+            gap = height(other, s[X, i] + vx, s[Y, i] + vy) - (s[Z, i] + vz)
+            s[GOOD, i] = 1.0 if sign * gap >= 0.0 else 0.0
 
 
 @exact
-def _cross(face: Floats, s: Floats, m: int, n1: float, n2: float, climb: float) -> None:
-    """Cross one face."""
-    turned = face[slot.TURNED] != 0.0
+def _cross(
+    face: Floats, lat: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, within: bool, ox: float,
+    oy: float, oz: float,
+) -> None:  # fmt: skip
+    """Cross one face; positions plus (ox, oy, oz) are relative to its vertex, and are after.
+
+    within : the hit must lie in the optical zone of the cell
+    """
+    turned, quadric = face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
+    hx, hy, least = inf, inf, climb
+    plain = quadric and not turned
+    margin = lat[slot.MARGIN]
+    if within and plain and lat[slot.HEXAGONAL] == 0.0:
+        hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
     if turned:
-        _turn_in(face, s, m)
-    if face[slot.BICONIC] == 0.0:
-        _meet_quadric(face, s, m, n1)
-        _refract_quadric(face, s, m, n1, n2)
+        _turn_in(face, s, m, ox, oy, oz)
+        ox, oy, oz, least = 0.0, 0.0, 0.0, -1.0
+    if quadric:
+        _meet_quadric(face, s, m, n1, ox, oy, oz)
+        _refract_quadric(face, s, m, n1, n2, least, hx, hy)
     else:
-        _meet_biconic(face, s, m, n1, n2)
+        _meet_biconic(face, s, m, n1, n2, ox, oy, oz)
     if turned:
-        _turn_out(face, s, m)
-    _settle(face, s, m, climb)
+        if quadric:
+            _normals(face, s, m)
+        _turn_out(face, s, m, climb)
+    elif not quadric:
+        _climbing(s, m, climb)
+    if within and not (plain and lat[slot.HEXAGONAL] == 0.0):
+        _in_zone(lat, s, m, margin, face[slot.VX], face[slot.VY])
+    if face[slot.WHOLE] == 0.0 and face[slot.LAND] == face[slot.LAND]:
+        _proud(face, s, m)
 
 
-@exact
+@fused
+def _climbing(s: Floats, m: int, climb: float) -> None:
+    """Rays must climb faster than a face does."""
+    dz, good = s[DZ], s[GOOD]
+    for i in range(m):
+        good[i] = good[i] if (dz[i] > 0.0) & (dz[i] >= climb) else 0.0
+
+
+@fused
 def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
     """The first face must not lie behind the start."""
+    path, good = s[PATH], s[GOOD]
     for i in range(m):
-        slack = BEHIND_START * (abs(carried[i]) + abs(s[PATH, i] - carried[i]))
-        if not s[PATH, i] >= slack:
-            s[GOOD, i] = 0.0
+        slack = BEHIND_START * (abs(carried[i]) + abs(path[i] - carried[i]))
+        good[i] = good[i] if path[i] >= slack else 0.0
 
 
 @exact
-def _open_baffle(lat: Floats, s: Floats, m: int, cells: Floats) -> None:
+def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
     """Rays must pass the honeycomb between the arrays."""
     for i in range(m):
-        di, dj = s[CI, i] - cells[0, i], s[CJ, i] - cells[1, i]
-        if s[GOOD, i] != 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], s[X, i], s[Y, i], di, dj) <= 1.0:
+        di, dj = s[CI, i] - s[CI0, i], s[CJ, i] - s[CJ0, i]
+        x, y = s[X, i] + face[slot.VX], s[Y, i] + face[slot.VY]
+        if s[GOOD, i] != 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
             s[GOOD, i] = 0.0
 
 
 @exact
 def _store_hit(
-    lat: Floats, level: float, s: Floats, m: int, array: int, chosen: Rows, hit: Floats, turn: Floats
+    lat: Floats,
+    face: Floats,
+    level: float,
+    s: Floats,
+    m: int,
+    array: int,
+    chosen: Rows,
+    hit: Floats,
+    turn: Floats,
 ) -> None:
     """Note hits and directions at one face."""
-    px, py = s[GX], s[GY]
-    _centres(lat, s, m, array, px, py)
+    px, py, base = s[GX], s[GY], level + face[slot.VZ]
+    _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
         if s[GOOD, i] != 0.0:
             row = chosen[i]
-            hit[row, 0], hit[row, 1], hit[row, 2] = px[i], py[i], s[Z, i] + level
+            hit[row, 0], hit[row, 1], hit[row, 2] = px[i], py[i], s[Z, i] + base
             turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
 
 
@@ -372,64 +429,61 @@ def straight(
     faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
     hits: Floats, turns: Floats, carried: Floats,
 ) -> int:  # fmt: skip
-    """Trace a launched block straight through every face; return the array its cells refer to at the end."""
+    """Trace a launched block straight through every face; return the array its cells refer to at the end.
+
+    Positions are relative to the vertex of the last face, whatever was last crossed.
+    """
     m = len(chosen)
     array, met = 0, 0
+    ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
         if not columnar and body[slot.COVERED] == 0.0:
             s[GOOD, :m] = 0.0
             return array
+        if b:
+            oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
+            if lat[slot.BAFFLE] != slot.NO_BAFFLE:
+                s[LEFT_X, :m], s[LEFT_Y, :m] = s[X, :m] + ox, s[Y, :m] + oy
         for side in range(2):
             face, other = faces[2 * b + side], faces[2 * b + 1 - side]
             n1, n2 = (1.0, index) if side == 0 else (index, 1.0)
             structured = face[slot.ARRAY] >= 0.0
-            rise = 0.0
-            if b and side == 0:
-                rise = body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
-                s[LEFT_X, :m], s[LEFT_Y, :m] = s[X, :m], s[Y, :m]
-            entering = structured and (side == 0 or not columnar)
-            if entering and met + b + side > 0:
-                change = face[slot.ARRAY] - array
-                array = int(face[slot.ARRAY])
-                _carry(lat, s, m, rise, body[slot.BODY_LOW] if columnar else face[slot.LOW], n1, change)
-            elif rise != 0.0:
-                s[Z, :m] -= rise
-            climb = face[slot.CLIMB] if not columnar else max(face[slot.CLIMB], other[slot.CLIMB])
-            if entering:
-                _in_zone(lat, s, m, 0.0)
-                _keep(lat, rows, s, m)
-                _steep(s, m, face[slot.CLIMB])
+            if structured and (side == 0 or not columnar):
+                if b or side:
+                    change = face[slot.ARRAY] - array
+                    array = int(face[slot.ARRAY])
+                    level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
+                    _carry(lat, s, m, level - oz, level, n1, change, ox, oy)
+                    ox, oy, oz = 0.0, 0.0, 0.0
+                _arrive(lat, rows, s, m, face[slot.CLIMB])
                 if met == 0:
                     s[CI0, :m], s[CJ0, :m] = s[CI, :m], s[CJ, :m]
-            _cross(face, s, m, n1, n2, climb if structured else 0.0)
+            climb = 0.0
             if structured:
-                _in_zone(lat, s, m, lat[slot.MARGIN])
+                climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
+            vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
+            _cross(face, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
+            ox, oy, oz = vx, vy, vz
+            if structured:
                 met += 1
                 if not columnar:
-                    _in_cell_at(lat, s, m, face[slot.HIGH])
+                    _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy)
                 elif body[slot.COVERED] == 0.0:
-                    _thick(other, s, m, 1.0 - 2.0 * side)
+                    _thick(face, other, s, m, 1.0 - 2.0 * side)
             if not columnar:
-                _in_inner(body, lat, s, m, array)
+                _in_inner(body, lat, s, m, array, ox, oy)
             if b == 0 and side == 0:
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                _open_baffle(lat, s, m, s[CI0 : CJ0 + 1])
+                _open_baffle(lat, face, s, m)
             if len(hits):
                 _store_hit(
-                    lat, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
-                )
+                    lat, face, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
+                )  # fmt: skip
         if columnar:
-            _in_cell_at(lat, s, m, body[slot.BODY_HIGH])
+            _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy)
     return array
-
-
-@fused
-def _steep(s: Floats, m: int, climb: float) -> None:
-    dz, good = s[DZ], s[GOOD]
-    for i in range(m):
-        good[i] = good[i] if dz[i] >= climb else 0.0
 
 
 @exact
@@ -444,21 +498,21 @@ def _load(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
 
 @exact
 def _store(
-    lat: Floats, s: Floats, chosen: Rows, array: int, top: float, last: int, position: Floats, direction: Floats,
-    fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells, flux: Floats,
+    lat: Floats, face: Floats, s: Floats, chosen: Rows, array: int, top: float, last: int, position: Floats, direction: Floats,
+    fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
 ) -> None:  # fmt: skip
     """Write the rows of rays whose straight trace holds."""
     m = len(chosen)
     px, py, z, dx, dy, dz, good, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
-    _centres(lat, s, m, array, px, py)
+    _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
         if good[k] == 0.0:
             continue
         row = chosen[k]
         position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k] + top
         direction[row, 0], direction[row, 1], direction[row, 2] = dx[k], dy[k], dz[k]
-        path[row], surface[row], flux[row] = length[k], last, 1.0
+        path[row], surface[row] = length[k], last
         i, j = np.int32(ci0[k]), np.int32(cj0[k])
         di, dj = np.int32(ci[k]) - i, np.int32(cj[k]) - j
         cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = i, j, di, dj
@@ -468,7 +522,7 @@ def _store(
 @exact
 def _blank(
     row: int, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
-    cell: Cells, order: Cells, surface: Cells, flux: Floats, hits: Floats, turns: Floats,
+    cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
 ) -> bool:  # fmt: skip
     """Write a row as launched, MISSED or INVALID; tell whether the ray can be launched."""
     finite, zero = True, True
@@ -479,7 +533,7 @@ def _blank(
         for face in range(len(hits)):
             hits[face, row, c], turns[face, row, c] = start[row, c], ray[row, c]
     cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = NO_CELL, NO_CELL, NO_CELL, NO_CELL
-    path[row], surface[row], flux[row] = 0.0, NO_CELL, 1.0
+    path[row], surface[row] = 0.0, NO_CELL
     sound = finite and not zero
     fate[row] = MISSED if sound else INVALID
     return sound and ray[row, 2] > 0.0
@@ -489,11 +543,12 @@ def _blank(
 def trace_chunk(
     faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
     ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
-    surface: Cells, flux: Floats, hits: Floats, turns: Floats,
+    surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    walked, last, top = 0, len(faces) - 1, bodies[len(bodies) - 1, slot.LEVEL]
+    walked, last = 0, len(faces) - 1
+    base = bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
@@ -502,7 +557,7 @@ def trace_chunk(
         carried[:m] = s[PATH, :m]
         array = straight(faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
         _store(
-            lat, s, block, array, top, last, position, direction, fate, path, cell, order, surface, flux
+            lat, faces[last], s, block, array, base, last, position, direction, fate, path, cell, order, surface
         )  # fmt: skip
         for k in range(m):
             if s[GOOD, k] != 0.0:
@@ -510,7 +565,7 @@ def trace_chunk(
             row = block[k]
             walked += 1
             if not _blank(
-                row, start, ray, position, direction, fate, path, cell, order, surface, flux, hits, turns
+                row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns
             ):
                 continue
             reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies[0], start, ray, row)

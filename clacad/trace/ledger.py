@@ -60,7 +60,7 @@ class Ledger:
             cell=np.empty((n, 2), dtype=np.int32),
             order=np.empty((n, 2), dtype=np.int32),
             surface=np.empty(n, dtype=np.int32),
-            flux=np.empty(n),
+            flux=np.broadcast_to(np.float64(1.0), (n,)),  # no effect ran: nothing to store
             hits=np.empty((recorded, n, 3)),
             directions=np.empty((recorded, n, 3)),
         )
