@@ -1,0 +1,50 @@
+"""Frames of an animation: the values moved keys take at a time, and the still of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from clacad.scene.model import Animation, Move, Scene
+
+
+def value_at(move: Move, time: float) -> Any:
+    """Value of a moved key at a time 0 … 1: straight lines between the given ones."""
+    if move.ease == "smooth":
+        time = time * time * (3.0 - 2.0 * time)
+    times, values = move.times, move.values
+    last = len(times) - 1
+    k = next((k for k in range(last) if time <= times[k + 1]), last - 1)
+    span = times[k + 1] - times[k]
+    share = min(1.0, max(0.0, (time - times[k]) / span))
+    here, there = values[k], values[k + 1]
+    if share in (0.0, 1.0):  # the written value itself, not one an ulp beside it
+        return _plain(there if share == 1.0 else here)
+    if isinstance(here, tuple):
+        return [a + (b - a) * share for a, b in zip(here, there, strict=True)]
+    return here + (there - here) * share
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def time_of(animation: Animation, frame: int) -> float:
+    """Time 0 … 1 of a frame; the first frame is at 0, the last at 1."""
+    if not 0 <= frame < animation.frames:
+        raise ValueError(f"frame {frame} of {animation.frames}: frames are numbered from 0")
+    return frame / (animation.frames - 1)
+
+
+def values_at(animation: Animation, frame: int) -> dict[str, Any]:
+    """Moved key → value in a frame."""
+    time = time_of(animation, frame)
+    return {move.key: value_at(move, time) for move in animation.moves}
+
+
+def still(scene: Scene, frame: int) -> Scene:
+    """The still of one frame; see `Scene.at`."""
+    if scene.animation is None:
+        raise ValueError(f"the scene {scene.name} has no animation")
+    made = scene.replace(values_at(scene.animation, frame))
+    return replace(made, animation=None)

@@ -1,0 +1,302 @@
+"""From a file, a dictionary or a changed scene to a checked `Scene`; every mistake at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clacad.design import override, units
+from clacad.design.errors import DesignError, Mistake, in_order
+from clacad.design.keys import REQUIRED, Key
+from clacad.design.kinds import Refusal, kind_of, not_this, shown
+from clacad.design.places import located, split_key
+from clacad.design.text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.design.units import Unit
+from clacad.scene import keys
+from clacad.scene.errors import SceneError
+from clacad.scene.model import (
+    Animation,
+    Background,
+    Camera,
+    EffectsSpec,
+    Light,
+    Move,
+    Scene,
+    SceneObject,
+    SheetSpec,
+)
+from clacad.scene.rules import broken
+from clacad.scene.table import Reader
+
+
+def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : path
+        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
+    overrides : sequence of str
+        "key.path=value" each, as with --set; an object is named by its id ("object.knight.size=0.3").
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        With every mistake, each with path, line and column.
+    """
+    name = os.fspath(path)
+    try:
+        text = read_text(name, "scene")
+        data = parse(text, name, "scene")
+    except DesignError as error:
+        raise SceneError(error.mistakes) from None
+    return _made(data, tuple(overrides), text, name)
+
+
+def from_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> Scene:
+    """Read a scene from nested dictionaries; see `Scene.from_dict`."""
+    given = plain(data)
+    if not isinstance(given, dict):
+        raise SceneError([Mistake("CL104", f"a scene is a table, not {kind_of(given)}")])
+    if too_deep(given):
+        raise SceneError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
+    return _made(given, tuple(overrides), None, os.path.join(folder, ""))
+
+
+def replaced(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """Return a scene with some keys changed; see `Scene.replace`."""
+    data: Any = scene.given
+    mistakes = []
+    for key, value in changes.items():
+        try:
+            data = put(data, key, plain(value))
+        except LookupError as problem:
+            mistakes.append(Mistake("CL118", str(problem.args[0]), key=key, path=scene.path))
+    if mistakes:
+        raise SceneError(mistakes)
+    return _made(data, (), None, scene.path)
+
+
+def put(data: Any, key: str, value: Any) -> Any:
+    """Return the data with one key replaced; objects are found by id, design keys go into [sheet] set.
+
+    Raises
+    ------
+    LookupError
+        With a sentence, if there is no such part.
+    """
+    steps = key.split(".")
+    if steps[:2] == ["sheet", "set"] and len(steps) > 2:
+        return override.put(data, ("sheet", "set", ".".join(steps[2:])), value)
+    if steps[0] == "object" and len(steps) > 2:
+        objects = data.get("object") if isinstance(data, Mapping) else None
+        listed = objects if isinstance(objects, list) else []
+        names = [o.get("id") if isinstance(o, dict) else None for o in listed]
+        if steps[1] in names:
+            steps[1] = str(names.index(steps[1]))
+        elif not steps[1].isdigit():
+            known = ", ".join(str(name) for name in names if name) or "none has an id"
+            raise LookupError(f"there is no object {steps[1]}; objects: {known}")
+    return override.put(data, split_key(".".join(steps)), value)
+
+
+def _made(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> Scene:
+    mistakes: list[Mistake] = []
+    for text in texts:
+        parsed = override.parse(text)
+        if isinstance(parsed, Mistake):
+            mistakes.append(parsed)
+            continue
+        try:
+            data = put(data, *parsed)
+        except LookupError as problem:
+            mistakes.append(Mistake("CL118", str(problem.args[0]), key=parsed[0], path="--set", source_line=text,
+                                    column=1, width=len(parsed[0])))  # fmt: skip
+    scene, found = _checked(data, None if texts else source, path)
+    mistakes += found
+    if mistakes or scene is None:
+        raise SceneError(in_order(located(mistakes, None if texts else source, path, ())))
+    return scene
+
+
+def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[Scene | None, list[Mistake]]:
+    word = data.get("unit")
+    unit = (units.design_unit(word) if isinstance(word, str) else None) or Unit("1", units.LENGTHS["m"])
+    reader = Reader(unit)
+    top = {name: value for name, value in data.items() if name not in keys.SECTIONS and name != "object"}
+    root = reader.table("", top, keys.ROOT)
+    parts = {name: _section(reader, data, name) for name in keys.SECTIONS}
+    objects = _objects(reader, data.get("object", []), "object", path)
+    moves = _moves(reader, parts.get("animation", {}).pop("move", None), data)
+    if reader.mistakes:
+        return None, reader.mistakes
+    sheet = parts["sheet"]
+    sheet["set"] = _flat(sheet["set"])
+    effects = parts["effects"]
+    effects["angle"] = None if effects["angle"] == "auto" else effects["angle"]
+    animation = Animation(**parts["animation"], moves=moves) if "animation" in data else None
+    scene = Scene(
+        root["name"], root["unit"], float(unit.metres), SheetSpec(**sheet), Camera(**parts["camera"]),
+        Light(**parts["light"]), Background(**parts["background"]), objects, EffectsSpec(**effects), animation,
+        root["notes"], data, source, path,
+    )  # fmt: skip
+    return scene, broken(scene)
+
+
+def _section(reader: Reader, data: dict[str, Any], name: str) -> dict[str, Any]:
+    """One section's values; {} where it is missing or no table."""
+    table = data.get(name)
+    if table is None and name in keys.OPTIONAL:
+        return reader.table(name, {}, keys.SECTIONS[name]) if name != "animation" else {}
+    if table is None:
+        needed = [key for key, one in keys.SECTIONS[name].items() if one.default is REQUIRED]
+        text = f"a table with at least {', '.join(needed)}"
+        reader.mistakes.append(Mistake("CL103", f"missing section [{name}]", name, allowed=text))
+        return {}
+    if not isinstance(table, dict):
+        reader.mistakes.append(
+            Mistake("CL104", f"{name} {not_this(table, 'a table')}", name, found=shown(table))
+        )
+        return {}
+    values = reader.table(name, table, keys.SECTIONS[name])
+    if name == "sheet" and not (table.get("set") is None or isinstance(table["set"], dict)):
+        reader.refused("sheet.set", Refusal("CL104", not_this(table["set"], "a table"), table["set"],
+                                            keys.SHEET["set"].kind.allowed(reader.unit)))  # fmt: skip
+    return values
+
+
+def _flat(table: Mapping[str, Any] | None, prefix: str = "") -> dict[str, Any]:
+    """Dotted keys of nested tables: {law: {eta: …}} and {"law.eta": …} are the same."""
+    found: dict[str, Any] = {}
+    for key, value in (table or {}).items():
+        if isinstance(value, dict) and prefix + key in ("law", "pair", "lattice", "body", "check"):
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[prefix + key] = value
+    return found
+
+
+def _objects(reader: Reader, listed: Any, where: str, path: str) -> tuple[SceneObject, ...]:
+    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+        complaint = (
+            "is not a list of tables" if isinstance(listed, list) else not_this(listed, "a list of tables")
+        )
+        mistake = Mistake("CL104", f"{where} {complaint}", where, allowed=f"[[{where}]] for each")
+        reader.mistakes.append(mistake)
+        return ()
+    if len(listed) > 1000:
+        reader.mistakes.append(
+            Mistake("CL108", f"{where} has {len(listed)} tables", where, allowed="at most 1000")
+        )
+        return ()
+    found = [_object(reader, one, f"{where}.{k}", path) for k, one in enumerate(listed)]
+    return tuple(one for one in found if one is not None)
+
+
+def _object(reader: Reader, table: dict[str, Any], where: str, path: str) -> SceneObject | None:
+    kind = table.get("kind")
+    taken = keys.KEYS_OF.get(kind) if isinstance(kind, str) else None
+    known: dict[str, Key] = keys.OBJECT
+    if taken is not None:
+        known = {name: keys.OBJECT[name] for name in ("id", "kind", *taken)}
+    before = len(reader.mistakes)
+    parts: tuple[SceneObject, ...] = ()
+    if kind == "group":
+        parts = _objects(reader, table.get("parts", []), f"{where}.parts", path)
+        for k, part in enumerate(parts):
+            if part.kind in ("checker", "group"):
+                what = "floor" if part.kind == "checker" else "group"
+                reader.mistakes.append(
+                    Mistake("CL114", f"{where}.parts.{k}: a group holds no {what}", f"{where}.parts.{k}.kind")
+                )
+        if not table.get("parts"):
+            reader.mistakes.append(Mistake("CL103", f"{where} is a group without parts", where))
+    values = reader.table(where, {k: v for k, v in table.items() if kind != "group" or k != "parts"}, known)
+    if taken is not None:
+        _refuse_size(reader, values, where, kind)
+    if len(reader.mistakes) > before:
+        return None
+    every = {name: values.get(name, key.default) for name, key in keys.OBJECT.items() if name != "parts"}
+    every["id"] = every["id"] or where.rsplit(".", 1)[-1]
+    every["size"] = every["size"] or ()
+    return SceneObject(**every, parts=parts)
+
+
+def _refuse_size(reader: Reader, values: dict[str, Any], where: str, kind: Any) -> None:
+    """A size must have as many lengths as its kind needs; a box may be a cube, said with one."""
+    if kind not in keys.SIZES:
+        return
+    count, words = keys.SIZES[kind]
+    size = values.get("size")
+    if size is None:
+        if not any(m.key.startswith(f"{where}.size") for m in reader.mistakes):
+            reader.mistakes.append(
+                Mistake("CL103", f"missing key {where}.size", where, allowed=f"a {kind}'s size: {words}")
+            )
+        return
+    if len(size) == 1 and kind == "box":
+        values["size"] = size * 3
+    elif len(size) != count:
+        reader.mistakes.append(Mistake("CL108", f"{where}.size has {len(size)} values", f"{where}.size",
+                                       allowed=f"a {kind}'s size: {words}"))  # fmt: skip
+    elif kind != "cone" and not all(size):
+        reader.mistakes.append(
+            Mistake(
+                "CL106", f"{where}.size is out of range", f"{where}.size", allowed=f"lengths > 0: {words}"
+            )
+        )
+
+
+def _moves(reader: Reader, listed: Any, data: dict[str, Any]) -> tuple[Move, ...]:
+    if listed is None:
+        return ()
+    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
+        reader.mistakes.append(Mistake("CL104", "animation.move is not a list of tables", "animation.move",
+                                       allowed="[[animation.move]] for each moved key"))  # fmt: skip
+        return ()
+    found = [_move(reader, one, f"animation.move.{k}", data) for k, one in enumerate(listed)]
+    return tuple(one for one in found if one is not None)
+
+
+def _move(reader: Reader, table: dict[str, Any], where: str, data: dict[str, Any]) -> Move | None:
+    before = len(reader.mistakes)
+    values = reader.table(where, table, keys.MOVE)
+    if len(reader.mistakes) > before:
+        return None
+
+    def refuse(code: str, message: str, key: str = "") -> None:
+        reader.mistakes.append(Mistake(code, f"{where}{message}", f"{where}.{key}" if key else where))
+
+    ends = values["from"] is not None, values["to"] is not None
+    if values["values"] is not None and any(ends):
+        refuse("CL112", " has values as well as from and to", "values")
+    elif values["values"] is None and not all(ends):
+        refuse("CL103", " needs from and to, or values and times")
+    elif values["times"] is not None and values["values"] is None:
+        refuse("CL113", ".times needs values", "times")
+    steps = values["values"] or (values["from"], values["to"])
+    times = values["times"] or tuple(k / (len(steps) - 1) for k in range(len(steps)))
+    if len(times) != len(steps):
+        refuse("CL108", f".times has {len(times)} values, .values has {len(steps)}", "times")
+    elif any(b <= a for a, b in zip(times, times[1:])) or not (times[0] >= 0.0 and times[-1] <= 1.0):
+        refuse("CL106", ".times does not rise from 0 to 1", "times")
+    if len({len(step) if isinstance(step, tuple) else 0 for step in steps}) > 1:
+        refuse("CL108", " mixes numbers and lists, or lists of different lengths")
+    root = values["key"].split(".")[0]
+    if root not in ("object", "sheet", "camera", "light", "background"):
+        refuse(
+            "CL118",
+            f".key = {shown(values['key'])} does not name an object, sheet, camera, light or background",
+            "key",
+        )
+    else:
+        try:
+            put(data, values["key"], 0.0)
+        except LookupError as problem:
+            refuse("CL118", f".key = {shown(values['key'])}: {problem.args[0]}", "key")
+    return None if len(reader.mistakes) > before else Move(values["key"], times, steps, values["ease"])

@@ -1,0 +1,94 @@
+"""What must hold between the keys of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from clacad.design.errors import Mistake
+from clacad.scene.model import Camera, Scene, SceneObject
+from clacad.scene.sheet import outside
+
+
+def broken(scene: Scene) -> list[Mistake]:
+    """Return the rules a scene breaks."""
+    return [*_camera(scene.camera), *_light(scene), *_ids(scene), *_files(scene), *_effects(scene)]
+
+
+def _camera(camera: Camera) -> Iterator[Mistake]:
+    if (camera.frame is None) == (camera.fov is None):
+        found = "neither" if camera.frame is None else "both"
+        yield Mistake("CL112", f"camera needs exactly one of frame and fov, has {found}",
+                      "camera" if camera.frame is None else "camera.fov",
+                      allowed="frame, the width at the target, or fov, the full angle")  # fmt: skip
+    if not camera.position[2] < 0.0:
+        yield Mistake("CL106", f"camera.position[2] = {camera.position[2]:g} is not before the sheet",
+                      "camera.position.2", allowed="z < 0: rays run towards +z")  # fmt: skip
+    look = [b - a for a, b in zip(camera.position, camera.target)]
+    if not any(look):
+        yield Mistake("CL106", "camera.target is the camera's own position", "camera.target")
+    elif _length(_cross(look, camera.up)) <= 1e-9 * _length(look) * _length(camera.up):
+        yield Mistake("CL106", "camera.up points along the line of sight", "camera.up")
+
+
+def _light(scene: Scene) -> Iterator[Mistake]:
+    if not any(scene.light.direction):
+        yield Mistake("CL106", "light.direction is zero", "light.direction")
+
+
+def _ids(scene: Scene) -> Iterator[Mistake]:
+    seen: dict[str, int] = {}
+    for k, thing in enumerate(scene.objects):
+        if thing.id in seen:
+            yield Mistake(
+                "CL112",
+                f"object.{k}.id = {thing.id} is also the id of object {seen[thing.id]}",
+                f"object.{k}.id",
+            )
+        seen[thing.id] = k
+
+
+def _effects(scene: Scene) -> Iterator[Mistake]:
+    effects = scene.effects
+    if effects.list and effects.mode != "list":
+        yield Mistake("CL113", 'effects.list needs mode = "list"', "effects.list")
+    for name in ("force", "without"):
+        if getattr(effects, name) and effects.mode != "auto":
+            yield Mistake("CL113", f'effects.{name} needs mode = "auto"', f"effects.{name}")
+
+
+def _files(scene: Scene) -> Iterator[Mistake]:
+    named = [("sheet.design", scene.sheet.design, 1), ("sheet.mesh", scene.sheet.mesh, 2)]
+    for key, thing in _walk(scene.objects, "object"):
+        named.append((f"{key}.file", thing.file, 1))
+        needs = thing.kind == "mesh" or (thing.kind == "screen" and thing.pattern == "image")
+        if needs and thing.file is None:
+            yield Mistake("CL113", f"{key} needs a file", key, allowed="file = a relative path")
+        if thing.kind == "screen" and thing.pattern != "image" and thing.file is not None:
+            yield Mistake("CL113", f'{key}.file needs pattern = "image"', f"{key}.file")
+        if thing.kind == "screen" and thing.pattern == "stripes" and thing.period is None:
+            yield Mistake("CL113", f"{key} shows stripes and needs a period", key)
+        if thing.kind == "cone" and not (thing.size[2] > 0.0 and max(thing.size[:2]) > 0.0):
+            yield Mistake(
+                "CL106", f"{key}.size is out of range", f"{key}.size", allowed="height > 0, one diameter > 0"
+            )
+    if scene.sheet.mesh is not None and scene.sheet.rung != "mesh":
+        yield Mistake("CL113", 'sheet.mesh needs rung = "mesh"', "sheet.mesh")
+    for key, name, levels in named:
+        why = outside(scene.folder, name, levels) if name else ""
+        if why:
+            yield Mistake("CL106", f'{key} = "{name}" {why}', key, allowed="a path relative to the scene")
+
+
+def _walk(objects: tuple[SceneObject, ...], where: str) -> Iterator[tuple[str, SceneObject]]:
+    for k, thing in enumerate(objects):
+        yield f"{where}.{k}", thing
+        yield from _walk(thing.parts, f"{where}.{k}.parts")
+
+
+def _cross(a: list[float], b: tuple[float, ...]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _length(v: list[float] | tuple[float, ...]) -> float:
+    return math.hypot(*v)
