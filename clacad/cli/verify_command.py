@@ -32,8 +32,6 @@ def verify_design(
         show_json(report.to_dict())
     else:
         show_text(f"{design.name}\n{checks_text(report.checks)}", quiet=quiet)
-        if report.convergence is not None:
-            show_text(str(report.convergence), quiet=quiet)
         show_text(report.verdict(), quiet=quiet)
     if out is not None and not quiet:
         say("report: " + ", ".join(str(p) for p in written))
