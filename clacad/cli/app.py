@@ -211,12 +211,15 @@ def trace(
 
 @app.command()
 def accuracy(
-    design: Design,
+    design: Annotated[Path | None, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON); not needed with "
+                                                  "--hard.", show_default=False)] = None,
     rays: Annotated[int, typer.Option("--rays", min=100, help="Rays sent up every rung.")] = 100_000,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Name the cheapest setting within this rms "
                                                "direction error, e.g. '0.5 mrad'.")] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write the plot here, .svg or .png.")]
     = None,
+    hard: Annotated[bool, typer.Option("--hard", help="Print the stability table instead: named hard cases, error of "
+                                       "textbook formulas and of clacad in ulp.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
     set: Set = None,
     json: Json = False,
@@ -224,6 +227,12 @@ def accuracy(
     verbose: Verbose = False,
 ) -> int:  # fmt: skip
     """Error against seconds over the rungs: table, plot, the cheapest setting for a target."""
+    if hard:
+        from clacad.cli.hard_command import show_hard
+
+        return show_hard(json=json, quiet=quiet)
+    if design is None:
+        raise typer.BadParameter("a DESIGN file is needed, unless --hard is given", param_hint="DESIGN")
     from clacad.cli.accuracy_command import measure_accuracy
 
     return measure_accuracy(design, set or [], rays, target, out, overwrite=overwrite, json=json, quiet=quiet)

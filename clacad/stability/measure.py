@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from importlib.resources import files
 from typing import Any
@@ -136,7 +136,7 @@ def _ray(given: Case, answer: Case) -> dict[str, float]:
 
 
 def _law(given: Case, answer: Case) -> dict[str, float]:
-    law = Law(*given["law"], given["axes"])
+    law = replace(Law(*given["law"]), axes=given["axes"])
     got = law.refract([given["direction"]])[0]
     if "direction" not in answer:
         return {"direction": 0.0 if np.isnan(got).all() or answer.get("undecidable") else WRONG}
