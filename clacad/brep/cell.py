@@ -23,6 +23,9 @@ from clacad.sheet import Face, Window, optical_tile
 
 UP = np.array([0.0, 0.0, 1.0])
 
+UNDERCUT = 1e-6
+"""A rim point further (mm) from the graph of its lens belongs to the other half of the surface."""
+
 FIT = 1e-10
 """Allowed error of a fitted (biconic) patch relative to the pitch."""
 
@@ -279,6 +282,9 @@ def _rim_arcs(
 ) -> tuple[Arc, ...]:
     z = plane[0] + points @ plane[1:]
     lifted = np.column_stack([points, z])
+    away = np.abs(quadric.height(points[:, 0], points[:, 1]) - z)
+    if not (away <= UNDERCUT).all():
+        raise ValueError("the lens is undercut at its rim (the tilt passes its equator); tilt it less")
     following = np.roll(lifted, -1, axis=0) if closed else lifted[1:]
     return tuple(section_arc(quadric, a, b, normal) for a, b in zip(lifted, following))
 

@@ -216,9 +216,9 @@ def _chains(zone: Floats, conic: Floats, proud: Proud, ends: list[tuple[int, flo
     for i, j, middle in _arcs(zone, conic, points):
         path = np.vstack([points[i], middle, points[j]])
         first, last = i, j
-        a, b = path[0], path[1]
-        probe = 0.5 * (a + b) if len(path) == 2 else path[len(path) // 2]
-        left = np.array([a[1] - b[1], b[0] - a[0]])
+        middle_one = len(path) // 2  # a point of the conic itself; the tangent there is along its neighbours
+        probe, way = path[middle_one], path[middle_one + 1] - path[middle_one - 1]
+        left = np.array([-way[1], way[0]])
         near = probe + 1e-3 * left
         if not bool(proud(near[:1], near[1:])[0]):
             path, first, last = path[::-1], last, first

@@ -1,0 +1,185 @@
+"""Fused solids: closed, valid, of the right volume, for every form and every border."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from brepwindows import biconvex, column_volume
+
+import clacad
+from clacad.brep import describe_body
+from clacad.brep.kernel import KernelWriter, is_valid, volume
+from clacad.cell_complex.build import cell_complex, pieces
+from clacad.lattice import Circle, Rectangle
+
+DESIGNS = Path(__file__).parents[1] / "designs"
+
+
+def built(window, body):
+    writer = KernelWriter()
+    shells = describe_body(window, body, writer)
+    return [writer.solid(faces) for faces in shells.pieces()], shells.counts
+
+
+COVERED = {
+    "flat": {},
+    "tilted": {"euler": (20.0, 3.0, 0.0)},
+    "much tilted": {"euler": (20.0, 20.0, 40.0), "thickness": 0.3},
+    "offset": {"delta": (0.05, -0.02), "euler": (0.0, 1.0, 0.0)},
+    "turned": {"euler": (45.0, 0.0, 0.0)},
+    "hexagonal": {"kind": "hexagonal", "euler": (10.0, 2.0, 0.0)},
+    "galilean": {"eta": (0.5, 0.3), "thickness": 0.3, "euler": (30.0, 1.0, 0.0)},
+    "saddle lens": {"eta": (-0.5, 0.4), "thickness": 0.2},
+    "cylinder": {"eta": (-0.5, 1.0 - 1e-15), "thickness": 0.2},
+    "flat lens": {"eta": (-0.5, -1.0), "separation": 5e6, "euler": (0.0, 2.0, 0.0)},
+    "micrometres": {"pitch": 0.005, "separation": 0.05, "thickness": 0.0015, "euler": (10.0, 2.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("name", COVERED)
+def test_a_covered_body_is_one_valid_solid_with_the_volume_of_its_columns(name):
+    window = biconvex(**COVERED[name])
+    # Lens 2 of the flat pair lies 5 km away, where doubles are a nanometre apart.
+    for body in window.bodies[: 1 if name == "flat lens" else 2]:
+        solids, counts = built(window, body)
+        assert len(solids) == 1
+        assert is_valid(solids[0])
+        # What a merged border leaves out is at most its length times the merge height.
+        merged = counts.merged_steps * 1e-6 * window.lattice.pitch[0]
+        expected = column_volume(window, body)
+        assert abs(volume(solids[0]) - expected) <= 1e-10 * expected + merged
+
+
+RIMMED = {
+    "web": {"thickness": 0.06, "web": 0.02, "euler": (30.0, 4.0, 0.0)},
+    "web untilted": {"thickness": 0.05, "web": 0.02},
+    "seam": {"seam": 0.05, "web": 0.02, "thickness": 0.12, "euler": (0.0, 1.0, 0.0)},
+    "seam and rim": {"seam": 0.05, "web": 0.03, "thickness": 0.06, "euler": (0.0, 1.0, 0.0)},
+    "rectangle": {"web": 0.03, "thickness": 0.09, "outline": Rectangle(2.0, 2.2)},
+    "circle": {"web": 0.03, "thickness": 0.09, "outline": Circle(3.0), "euler": (0.0, 2.0, 0.0)},
+    "loose strips": {"thickness": 0.05},
+    "hexagonal web": {"kind": "hexagonal", "web": 0.02, "thickness": 0.05, "euler": (0.0, 2.0, 10.0)},
+    "flat seam": {"kind": "hexagonal", "seam": 0.05, "web": 0.02, "thickness": 0.12},
+}
+
+
+@pytest.mark.parametrize("name", RIMMED)
+def test_rims_lands_seams_and_outlines_give_valid_solids_as_many_as_the_complex_counts(name):
+    window = biconvex(**RIMMED[name])
+    for body, expected in zip(window.bodies, pieces(window)):
+        solids, _ = built(window, body)
+        assert len(solids) == expected
+        assert all(is_valid(solid) for solid in solids)
+
+
+def test_a_lens_on_a_plate_has_the_volume_of_a_plate_and_two_ellipsoid_caps():
+    window = biconvex(count=(2, 2), thickness=0.012, web=0.002, eta=(-0.6, -1.0))
+    for body in window.bodies:
+        cx, cy, kappa = body.front.surface.curvature_x, body.front.surface.curvature_y, body.front.surface.kappa
+        h = 0.5 * (0.012 - 0.002)
+        a, b, c = 1.0 / np.sqrt(kappa * cx), 1.0 / np.sqrt(kappa * cy), 1.0 / kappa
+        cap = np.pi * a * b * h * h * (3.0 * c - h) / (3.0 * c * c)
+        solids, counts = built(window, body)
+        assert counts.faces["lens"] == 8
+        assert volume(solids[0]) == pytest.approx(4.0 * (0.5 * 0.5 * 0.002 + 2.0 * cap), rel=1e-12)
+
+
+def test_a_lens_without_land_is_two_caps_meeting_in_an_ellipse():
+    window = biconvex(count=(1, 1), thickness=0.006, eta=(-0.6, -1.0))
+    for body in window.bodies:
+        cx, cy, kappa = body.front.surface.curvature_x, body.front.surface.curvature_y, body.front.surface.kappa
+        h, a, b, c = 0.003, 1.0 / np.sqrt(kappa * cx), 1.0 / np.sqrt(kappa * cy), 1.0 / kappa
+        solids, counts = built(window, body)
+        assert dict(counts.faces) == {"lens": 2}
+        assert is_valid(solids[0])
+        cap = np.pi * a * b * h * h * (3.0 * c - h) / (3.0 * c * c)
+        assert volume(solids[0]) == pytest.approx(2.0 * cap, rel=1e-12)
+
+
+def test_seams_remove_steps_between_neighbours_saddles_and_wedges():
+    counts = [
+        built(window, window.bodies[0])[1]
+        for window in (
+            biconvex(euler=(45.0, 1.0, 0.0), web=0.02, thickness=0.2),
+            biconvex(euler=(45.0, 1.0, 0.0), web=0.02, thickness=0.2, seam=0.02),
+        )
+    ]
+    assert counts[0].saddles > 0
+    assert counts[0].wedges > 0
+    assert counts[1].saddles == 0
+    assert counts[1].wedges == 0
+
+
+@pytest.mark.parametrize("euler", [(45.0, 0.0, 0.0), (20.0, 3.0, 10.0), (0.0, 2.0, 0.0)])
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_saddles_and_crossings_are_those_of_the_cell_complex(euler, kind):
+    n1, n2 = 4, 3
+    window = biconvex(euler=euler, count=(n1, n2), kind=kind)
+    for body in window.bodies:
+        _, counts = built(window, body)
+        tiling = cell_complex(window, body).tilings[0]
+        cells = {tuple(index) for index in window.lattice.cells().tolist()}
+        crossings = sum(
+            len(border.breaks)
+            for border in tiling.borders
+            for i, j in cells
+            if (i + border.step[0], j + border.step[1]) in cells
+        )
+        saddles = sum(
+            int(node.saddle_front) + int(node.saddle_back)
+            for node in tiling.nodes
+            for i, j in cells
+            if all((i + di, j + dj) in cells for (di, dj), _ in node.cells)
+        )
+        assert counts.crossings == crossings
+        assert counts.saddles == saddles
+
+
+@pytest.mark.parametrize("path", sorted(DESIGNS.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_shipped_design_is_built_as_valid_solids(path):
+    window = clacad.prescribe(clacad.load(str(path)))
+    if window.lattice.cell_count > 16:
+        window = window.with_cells((3, 3))
+    for body, expected in zip(window.bodies, pieces(window)):
+        solids, _ = built(window, body)
+        assert len(solids) == expected
+        assert all(is_valid(solid) for solid in solids)
+
+
+def test_a_surface_that_ends_inside_its_cell_is_refused_in_words():
+    window = biconvex(eta=(-1.0, -1.0), separation=0.3, thickness=0.3)  # R = 0.15, half diagonal 0.35
+    plane = replace(window.bodies[0].front, array=None, surface=clacad.Quadric(0.0, 0.0, 0.0))
+    body = replace(window.bodies[0], back=plane)
+    with pytest.raises(ValueError, match="ends inside its cell"):
+        describe_body(window, body, KernelWriter())
+
+
+@pytest.mark.parametrize("tilt", np.geomspace(1e-9, 20.0, 12).tolist())
+def test_steps_of_any_height_give_valid_solids(tilt):
+    window = biconvex(euler=(33.0, tilt, 0.0), thickness=0.25, count=(2, 3))
+    solids, counts = built(window, window.bodies[1])
+    assert len(solids) == 1
+    assert is_valid(solids[0])
+    assert counts.largest_shift <= 3e-6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("family", ["tilt", "anamorphic tilt", "turn", "turned tilt", "hexagonal", "galilean"])
+def test_sweep_of_sixty_four_angles_stays_valid(family):
+    make = {
+        "tilt": lambda a: {"euler": (0.0, a, 0.0), "eta": (-0.8, -0.8)},
+        "anamorphic tilt": lambda a: {"euler": (33.0, a, 0.0)},
+        "turn": lambda a: {"euler": (a, 0.0, 0.0)},
+        "turned tilt": lambda a: {"euler": (45.0, a, 0.0)},
+        "hexagonal": lambda a: {"euler": (20.0, a, 0.0), "kind": "hexagonal"},
+        "galilean": lambda a: {"euler": (20.0, a, 0.0), "eta": (0.5, 0.3)},
+    }[family]
+    for angle in np.geomspace(1e-9, 20.0, 64):
+        window = biconvex(thickness=0.25, count=(2, 3), **make(float(angle)))
+        for body in window.bodies:
+            solids, _ = built(window, body)
+            assert len(solids) == 1
+            assert is_valid(solids[0]), angle
