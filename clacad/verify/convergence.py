@@ -10,9 +10,8 @@ import numpy as np
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window
-from clacad.sobol import sobol
 from clacad.trace import trace
-from clacad.verify.bundle import Bundle, cone, launched, middle_direction, over_cell
+from clacad.verify.bundle import bundle
 from clacad.verify.checks import Check, not_run
 from clacad.verify.facets import Floats, trace_facets
 from clacad.verify.gather import Gatherer, Progress, telescopelet
@@ -21,9 +20,8 @@ from clacad.vignetting import half_field, thin_cells
 if TYPE_CHECKING:
     from clacad.design import Design
 
-QUADS = (8, 16, 32, 64)
-RAYS = 32768
-DIRECTIONS = 16
+QUADS = (4, 8, 16, 32)
+RAYS = 65536
 FIT_FIELD = 0.35
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
 """Allowed orders: the direction error falls as the facet size, the mean slope and with it eta as its square."""
@@ -55,7 +53,7 @@ def converge(
 
     one = window.with_cells((1, 1))
     angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
-    lit = _balanced(one, angle, design.check.field_centre)
+    lit = bundle(one, RAYS, angle, design.check.field_centre)
     truth = trace(one, lit.rays)
     good = truth.fate == Fate.ALIVE
     into = lit.rays.direction
@@ -77,19 +75,6 @@ def converge(
     size = np.log(1.0 / np.array(quads, dtype=np.float64))
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
     return Convergence(np.array(quads), np.array(errors), np.array(etas), *slopes)
-
-
-def _balanced(window: Window, angle: float, centre: str) -> Bundle:
-    """Every place of the cell lit from the same few directions, each with its mirror image about the middle:
-    the error of a facet of lens 1 then does not correlate with the direction, and the fit is quiet.
-    """
-    middle = middle_direction(window, centre)
-    places = over_cell(window, sobol(RAYS // DIRECTIONS, 2))
-    half = cone(middle, angle, sobol(DIRECTIONS // 2, 2))
-    mirrored = 2.0 * (half @ middle)[:, None] * middle - half
-    directions = np.concatenate([half, mirrored])
-    local = np.repeat(places, DIRECTIONS, axis=0)
-    return launched(window, local, np.tile(directions, (len(places), 1)), (0, 0), middle, angle)
 
 
 def convergence_check(found: Convergence | None, why: str = "") -> Check:

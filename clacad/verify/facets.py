@@ -22,9 +22,6 @@ Ints = NDArray[np.int64]
 WALL = 0.05
 """Facets whose |n_z| is below this are walls."""
 
-BLOCK = 8192
-"""Rays at a time: bounds the memory of ray–facet pairs."""
-
 SLACK = 1e-10
 """Part of a facet's area by which a hit on its edge may lie outside: no ray slips between two facets."""
 
@@ -39,8 +36,8 @@ class FacetFace:
         Outward, length twice the facet's area.
     origin : (3,) lengths
         Sheet frame.
-    low, size : (2,) lengths; bins : (2,) ints
-        The grid of bins.
+    low, size : (2,) lengths; bins : int
+        The square grid of bins: its corner, the size of one, their number a side.
     start : (bins + 1,) ints, member : ints
         Facets of bin b are member[start[b] : start[b + 1]].
     z_range : (low, high), lengths, relative to origin
@@ -51,7 +48,7 @@ class FacetFace:
     origin: Floats
     low: Floats
     size: Floats
-    bins: tuple[int, int]
+    bins: int
     start: Ints
     member: Ints
     z_range: tuple[float, float]
@@ -85,7 +82,7 @@ def facet_face(corners: Floats, origin: Floats) -> FacetFace:
     normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
     if len(local) == 0:
         return FacetFace(
-            local, normals, origin, np.zeros(2), np.ones(2), (1, 1), np.zeros(2, dtype=np.int64),
+            local, normals, origin, np.zeros(2), np.ones(2), 1, np.zeros(2, dtype=np.int64),
             np.empty(0, dtype=np.int64), (0.0, 0.0),
         )  # fmt: skip
     flat = local[..., :2]
@@ -100,7 +97,7 @@ def facet_face(corners: Floats, origin: Floats) -> FacetFace:
     order = np.argsort(number, kind="stable")
     start = np.searchsorted(number[order], np.arange(count * count + 1))
     return FacetFace(
-        local, normals, origin, low, size, (count, count), start.astype(np.int64), facet[order],
+        local, normals, origin, low, size, count, start.astype(np.int64), facet[order],
         (float(local[..., 2].min()), float(local[..., 2].max())),
     )  # fmt: skip
 
@@ -141,12 +138,13 @@ def first_crossing(
     """
     distance = np.full(len(position), np.nan)
     facet = np.full(len(position), -1, dtype=np.int64)
-    if len(face.corners):
-        for k in range(0, len(position), BLOCK):
-            part = slice(k, k + BLOCK)
-            distance[part], facet[part] = _crossing(
-                face, position[part] - face.origin, direction[part], entering
-            )
+    if len(face.corners) and len(position):
+        from clacad.verify.facet_kernel import first_facet
+
+        first_facet(
+            face.corners, face.normals, face.low, face.size, face.bins, face.start, face.member, *face.z_range,
+            position - face.origin, np.ascontiguousarray(direction), -1.0 if entering else 1.0, SLACK, distance, facet,
+        )  # fmt: skip
     return distance, facet
 
 
@@ -161,52 +159,6 @@ def _meet(
     apex = face.origin + np.asarray(face.face.vertex)
     met = meet(face.face.surface, (position - apex) @ turn, direction @ turn)
     return np.where(met.distance >= 0.0, met.distance, np.nan), met.gradient @ turn.T
-
-
-def _crossing(face: FacetFace, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Ints]:
-    ray, candidate = _candidates(face, position, direction)
-    corners, normal = face.corners[candidate], face.normals[candidate]
-    p, d = position[ray], direction[ray]
-    facing = np.einsum("ij,ij->i", normal, d)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.einsum("ij,ij->i", normal, corners[:, 0] - p) / facing
-    hit = p + t[:, None] * d
-    inside = (facing < 0.0) if entering else (facing > 0.0)
-    inside &= t >= 0.0
-    turn = np.sign(normal[:, 2])
-    room = -SLACK * np.abs(normal[:, 2])
-    for k in range(3):
-        a, b = corners[:, k, :2], corners[:, (k + 1) % 3, :2]
-        edge = b - a
-        inside &= turn * (edge[:, 0] * (hit[:, 1] - a[:, 1]) - edge[:, 1] * (hit[:, 0] - a[:, 0])) >= room
-    ray, candidate, t = ray[inside], candidate[inside], t[inside]
-    order = np.lexsort((candidate, t, ray))
-    ray, candidate, t = ray[order], candidate[order], t[order]
-    rows, first = np.unique(ray, return_index=True)
-    distance = np.full(len(position), np.nan)
-    facet = np.full(len(position), -1, dtype=np.int64)
-    distance[rows], facet[rows] = t[first], candidate[first]
-    return distance, facet
-
-
-def _candidates(face: FacetFace, position: Floats, direction: Floats) -> tuple[Ints, Ints]:
-    """Pairs (ray, facet) whose bins the ray passes between the lowest and the highest point of the face."""
-    slope = direction[:, :2] / direction[:, 2:]
-    ends = [position[:, :2] + slope * (z - position[:, 2:]) for z in face.z_range]
-    count = face.bins[0]
-    margin = 1e-9 * face.size
-    low, high = np.minimum(*ends) - margin, np.maximum(*ends) + margin
-    top = face.low + count * face.size
-    met = (high >= face.low).all(axis=1) & (low <= top).all(axis=1)
-    rows = np.flatnonzero(met)
-    which, bin_x, bin_y = _spread(
-        _bin(low[rows], face.low, face.size, count), _bin(high[rows], face.low, face.size, count)
-    )
-    number = bin_x * count + bin_y
-    many = face.start[number + 1] - face.start[number]
-    ray = np.repeat(rows[which], many)
-    within = np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many)
-    return ray, face.member[np.repeat(face.start[number], many) + within]
 
 
 def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
