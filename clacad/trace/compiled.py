@@ -33,3 +33,9 @@ def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 multiply_add: Callable[[float, float, float], float] = intrinsic(_multiply_add)
 """a b + c with one rounding, so that multiply_add(a, b, −(a b)) is exactly what the product lost."""
+
+
+@exact
+def least(a: float, b: float) -> float:
+    """Give the lesser of two numbers, a where b is NaN: one machine instruction."""
+    return b if b < a else a

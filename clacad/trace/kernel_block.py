@@ -1,8 +1,11 @@
 """The straight path, compiled: blocks of rays in the first-level cache, face by face, two loops a face.
 
 The twin of `clacad.trace.surfaces.in_cell`. Each pass is a plain loop over a block that a compiler turns
-into vector instructions: no branch, no call, two square roots and two divisions a face. Rays for which a
-condition of the straight path fails are marked and walked one by one afterwards.
+into vector instructions: no branch, no call, two square roots and two divisions a face.
+
+Each condition of the straight path is a number that must be positive; the row GOOD keeps the least of them.
+A miss or a total reflection is a NaN that carries itself to the end, where it shows in the direction. Rays
+that fail are walked one by one afterwards.
 
 Positions are carried times N, so that the step to the vertex plane needs no division:
 with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r − b  the hit is
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 
 from clacad.rays import NO_CELL, Fate
 from clacad.trace import packing as slot
-from clacad.trace.compiled import exact, fused
+from clacad.trace.compiled import exact, fused, least
 from clacad.trace.kernel_block_slots import (
     BLOCK,
     CI,
@@ -108,8 +111,7 @@ def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
         u, v, w = dx[i], dy[i], dz[i]
         up = g * u + h * v + k * w
         dx[i], dy[i], dz[i] = a * u + b * v + c * w, d * u + e * v + f * w, up
-        upright = g * gx[i] + h * gy[i] + k * gz[i] > 0.0
-        good[i] = good[i] if upright & (up > 0.0) & (up >= climb) else 0.0
+        good[i] = least(good[i], least(g * gx[i] + h * gy[i] + k * gz[i], up - climb))
 
 
 @fused
@@ -132,8 +134,8 @@ def _refract_quadric(
         dy[i] = mu * dy[i] + g * gy
         up = mu * dz[i] + g * gz
         dz[i] = up
-        inside = (abs(x[i] + vx) < hx) & (abs(y[i] + vy) < hy)
-        good[i] = good[i] if inside & (gz > 0.0) & (up > 0.0) & (up >= climb) else 0.0
+        inside = least(hx - abs(x[i] + vx), hy - abs(y[i] + vy))
+        good[i] = least(least(good[i], inside), least(gz, up - climb))
 
 
 @fused
@@ -174,7 +176,7 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
     z, good = s[Z], s[GOOD]
     vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
     for i in range(m):
-        good[i] = good[i] if (z[i] + vz - land) * side <= 0.0 else 0.0
+        good[i] = least(good[i], (land - vz - z[i]) * side)
 
 
 @fused
@@ -184,13 +186,13 @@ def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float
     if lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
         for i in range(m):
-            good[i] = good[i] if (abs(x[i] + ox) < hx) & (abs(y[i] + oy) < hy) else 0.0
+            good[i] = least(good[i], least(hx - abs(x[i] + ox), hy - abs(y[i] + oy)))
         return
     half, slant = lat[slot.HALF] - margin, lat[slot.NORMAL + 3]
     for i in range(m):
         u, v = x[i] + ox, y[i] + oy
         one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
-        good[i] = good[i] if (one < half) & (two < half) & (three < half) else 0.0
+        good[i] = least(least(good[i], half - one), least(half - two, half - three))
 
 
 @fused
@@ -202,13 +204,13 @@ def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: flo
         for i in range(m):
             rise = level - z[i]
             u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
-            good[i] = good[i] if (abs(u) < half * dz[i]) & (abs(v) < half_y * dz[i]) else 0.0
+            good[i] = least(good[i], least(half * dz[i] - abs(u), half_y * dz[i] - abs(v)))
         return
     for i in range(m):
         rise, edge = level - z[i], half * dz[i]
         u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
         one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
-        good[i] = good[i] if (one < edge) & (two < edge) & (three < edge) else 0.0
+        good[i] = least(least(good[i], edge - one), least(edge - two, edge - three))
 
 
 @fused
@@ -277,11 +279,11 @@ def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
     """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
     x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
     if lat[slot.PLAIN] != 0.0:
-        n1, n2, hx, hy = lat[slot.N1], lat[slot.N2], lat[slot.HALF], lat[slot.HALF + 1]
+        n1, n2, hx, hy = lat[slot.N1] - 0.5, lat[slot.N2] - 0.5, lat[slot.HALF], lat[slot.HALF + 1]
         for i in range(m):
-            inside = (ci[i] >= 0.0) & (ci[i] < n1) & (cj[i] >= 0.0) & (cj[i] < n2)
-            inside &= (abs(x[i]) < hx) & (abs(y[i]) < hy) & (dz[i] >= climb)
-            good[i] = good[i] if inside else 0.0
+            inside = least(least(ci[i] + 0.5, n1 - ci[i]), least(cj[i] + 0.5, n2 - cj[i]))
+            local = least(hx - abs(x[i]), hy - abs(y[i]))
+            good[i] = least(least(good[i], dz[i] - climb), least(inside, local))
         return
     _in_zone(lat, s, m, 0.0, 0.0, 0.0)
     last = float(len(rows) - 1)
@@ -327,7 +329,8 @@ def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: floa
     square = radius * radius if radius > 0.0 else 0.0
     for i in range(m):
         u, v = px[i] - mx, py[i] - my
-        good[i] = good[i] if (abs(u) < hx) & (abs(v) < hy) & (u * u + v * v < square) else 0.0
+        inside = least(hx - abs(u), hy - abs(v))
+        good[i] = least(least(good[i], inside), square - (u * u + v * v))
 
 
 @exact
@@ -335,9 +338,10 @@ def _thick(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
     """Hits on one face must lie on the right side of the body's other face."""
     vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
     for i in range(m):
-        if s[GOOD, i] != 0.0:
+        if s[GOOD, i] > 0.0:
             gap = height(other, s[X, i] + vx, s[Y, i] + vy) - (s[Z, i] + vz)
-            s[GOOD, i] = 1.0 if sign * gap >= 0.0 else 0.0
+            if not sign * gap >= 0.0:
+                s[GOOD, i] = 0.0
 
 
 @exact
@@ -350,17 +354,17 @@ def _cross(
     within : the hit must lie in the optical zone of the cell
     """
     turned, quadric = face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
-    hx, hy, least = inf, inf, climb
+    hx, hy, lowest = inf, inf, climb
     plain = quadric and not turned
     margin = lat[slot.MARGIN]
     if within and plain and lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
     if turned:
         _turn_in(face, s, m, ox, oy, oz)
-        ox, oy, oz, least = 0.0, 0.0, 0.0, -1.0
+        ox, oy, oz, lowest = 0.0, 0.0, 0.0, -2.0
     if quadric:
         _meet_quadric(face, s, m, n1, ox, oy, oz)
-        _refract_quadric(face, s, m, n1, n2, least, hx, hy)
+        _refract_quadric(face, s, m, n1, n2, lowest, hx, hy)
     else:
         _meet_biconic(face, s, m, n1, n2, ox, oy, oz)
     if turned:
@@ -380,7 +384,7 @@ def _climbing(s: Floats, m: int, climb: float) -> None:
     """Rays must climb faster than a face does."""
     dz, good = s[DZ], s[GOOD]
     for i in range(m):
-        good[i] = good[i] if (dz[i] > 0.0) & (dz[i] >= climb) else 0.0
+        good[i] = least(good[i], dz[i] - climb)
 
 
 @fused
@@ -389,7 +393,7 @@ def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
     path, good = s[PATH], s[GOOD]
     for i in range(m):
         slack = BEHIND_START * (abs(carried[i]) + abs(path[i] - carried[i]))
-        good[i] = good[i] if path[i] >= slack else 0.0
+        good[i] = least(good[i], path[i] - slack)
 
 
 @exact
@@ -398,7 +402,7 @@ def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
     for i in range(m):
         di, dj = s[CI, i] - s[CI0, i], s[CJ, i] - s[CJ0, i]
         x, y = s[X, i] + face[slot.VX], s[Y, i] + face[slot.VY]
-        if s[GOOD, i] != 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
+        if s[GOOD, i] > 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
             s[GOOD, i] = 0.0
 
 
@@ -418,7 +422,7 @@ def _store_hit(
     px, py, base = s[GX], s[GY], level + face[slot.VZ]
     _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
-        if s[GOOD, i] != 0.0:
+        if s[GOOD, i] > 0.0:
             row = chosen[i]
             hit[row, 0], hit[row, 1], hit[row, 2] = px[i], py[i], s[Z, i] + base
             turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
@@ -507,7 +511,8 @@ def _store(
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
     _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
-        if good[k] == 0.0:
+        if not ((good[k] > 0.0) & (dz[k] > 0.0)):
+            good[k] = 0.0
             continue
         row = chosen[k]
         position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k] + top

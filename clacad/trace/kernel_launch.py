@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import floor, frexp, isfinite, ldexp, nan, sqrt
 
 from clacad.trace import packing as slot
-from clacad.trace.compiled import exact, multiply_add
+from clacad.trace.compiled import exact, least, multiply_add
 from clacad.trace.kernel_block_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z
 from clacad.trace.kernel_column import box_span
 from clacad.trace.kernel_scalar import pair_product, pair_sum, two_product, two_sum
@@ -145,7 +145,7 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
         yl[k] = e + (multiply_add(step, b, -h) + rest * b)
         z[k], path[k] = low, step * length
         dx[k], dy[k], dz[k] = a * per_length, b * per_length, c * per_length
-        good[k] = 1.0 if (square > 1.0 / SANE) & (square < SANE) & (c > 0.0) else 0.0
+        good[k] = least(least(square - 1.0 / SANE, SANE - square), c)
     if lat[slot.HEXAGONAL] == 0.0:
         _cells_of_axis(x, xl, s[CI], lat[slot.PITCH], lat[slot.N1], m)
         _cells_of_axis(y, yl, s[CJ], lat[slot.ROW], lat[slot.N2], m)

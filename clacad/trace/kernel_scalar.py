@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from math import copysign, floor, inf, isfinite, nan, sqrt
 
-from clacad.surface.biconic import FLAT, NEWTON_STEPS, SETTLED
+from clacad.surface import ULP
+from clacad.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
 from clacad.surface.quadric import CANCELS, STEEPEST
 from clacad.trace import packing as slot
 from clacad.trace.compiled import exact
@@ -16,8 +17,8 @@ from clacad.trace.layout import Floats
 
 _SPLITTER = 134217729.0
 
-SEARCH = 256
-"""Steps in which a biconic is searched for the crossing of a ray that Newton lost; such rays graze it."""
+ROOT_STEPS = 60
+"""Steps to find the roots of a quartic together; a dozen do unless roots nearly meet."""
 
 
 @exact
@@ -275,43 +276,79 @@ def _biconic_root(
         if abs(change) <= SETTLED * abs(t):
             u, v = bx + t * L, by + t * M
             q = cx * u * u + cy * v * v
-            if abs(bz + t * N) <= abs(q) + 1e-15 * (abs(cx) * u * u + abs(cy) * v * v):
+            rounding = 8.0 * ULP * (abs(cx) * u * u + abs(cy) * v * v)
+            level = side * (bz + t * N) * (-1.0 if q < 0.0 else 1.0)
+            if -rounding <= level <= abs(q) + rounding:
                 return t, root
             break
-    return _biconic_search(face, bx, by, bz, L, M, N), 0.0
+    return _biconic_quartic(face, bx, by, bz, L, M, N), 0.0
 
 
 @exact
-def _biconic_search(face: Floats, x: float, y: float, z: float, L: float, M: float, N: float) -> float:
-    """Crossing nearest the apex plane of a ray that Newton lost, by scanning the stretch inside the equator."""
-    cx, cy = face[slot.CX], face[slot.CY]
+def _biconic_quartic(face: Floats, x: float, y: float, z: float, L: float, M: float, N: float) -> float:
+    """Crossing of a ray that Newton lost: lowest of the roots of z² P − 2 side z Q + Q² = 0 that qualify."""
+    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
     a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
-    p, q, r = a * L * L + b * M * M, a * x * L + b * y * M, a * x * x + b * y * y - 1.0
-    disc = q * q - p * r
-    reach = 4.0 / max(abs(cx), abs(cy))
-    low, high = -reach, reach
-    if p > 0.0:
-        if not disc > 0.0:
-            return nan
-        low, high = max(low, (-q - sqrt(disc)) / p), min(high, (-q + sqrt(disc)) / p)
-    sense = -1.0 if N < 0.0 else 1.0
+    p0, p1, p2 = a * x * x + b * y * y, 2.0 * (a * x * L + b * y * M), a * L * L + b * M * M
+    q0, q1, q2 = cx * x * x + cy * y * y, 2.0 * (cx * x * L + cy * y * M), cx * L * L + cy * M * M
+    k0 = q0 * q0 - 2.0 * side * q0 * z + p0 * z * z
+    k1 = 2.0 * q0 * q1 - 2.0 * side * (q0 * N + q1 * z) + p1 * z * z + 2.0 * p0 * z * N
+    k2 = 2.0 * q0 * q2 + q1 * q1 - 2.0 * side * (q1 * N + q2 * z) + p2 * z * z + 2.0 * p1 * z * N + p0 * N * N
+    k3 = 2.0 * q1 * q2 - 2.0 * side * q2 * N + 2.0 * p2 * z * N + p1 * N * N
+    k4 = q2 * q2 + p2 * N * N
+    c0, c1, c2, c3 = k0 / k4, k1 / k4, k2 / k4, k3 / k4
+    if not (isfinite(c0) and isfinite(c1) and isfinite(c2) and isfinite(c3)):
+        return nan
+    size = max(max(abs(c3), abs(c2) ** 0.5), max(abs(c1) ** (1.0 / 3.0), abs(c0) ** 0.25))
+    if size == 0.0:
+        return 0.0
+    r0, r1, r2, r3 = _roots_of_four(c0 / size**4, c1 / size**3, c2 / size**2, c3 / size)
     best, lowest = nan, inf
-    before, f_before = low, nan
-    for k in range(SEARCH + 1):
-        t = low + (high - low) * k / SEARCH
-        f = sense * _biconic_gap(face, x + t * L, y + t * M, z + t * N)
-        if f_before < 0.0 and f >= 0.0:
-            one, two = before, t
-            for _ in range(100):
-                middle = 0.5 * (one + two)
-                if sense * _biconic_gap(face, x + middle * L, y + middle * M, z + middle * N) < 0.0:
-                    one = middle
-                else:
-                    two = middle
-            if abs(z + two * N) < lowest:
-                best, lowest = two, abs(z + two * N)
-        before, f_before = t, f
+    for t in (r0 * size, r1 * size, r2 * size, r3 * size):
+        polished, level = _biconic_polished(face, t, x, y, z, L, M, N)
+        if level < lowest:
+            best, lowest = polished, level
     return best
+
+
+@exact
+def _roots_of_four(c0: float, c1: float, c2: float, c3: float) -> tuple[float, float, float, float]:
+    """Real parts of the roots of t⁴ + c3 t³ + c2 t² + c1 t + c0, all at once (Durand 1960, Kerner 1966)."""
+    u, v, w, s = 1.0 + 0.0j, 0.4 + 0.9j, -0.65 + 0.72j, -0.908 - 0.297j
+    for _ in range(ROOT_STEPS):
+        du = ((((u + c3) * u + c2) * u + c1) * u + c0) / ((u - v) * (u - w) * (u - s))
+        u = u - du
+        dv = ((((v + c3) * v + c2) * v + c1) * v + c0) / ((v - u) * (v - w) * (v - s))
+        v = v - dv
+        dw = ((((w + c3) * w + c2) * w + c1) * w + c0) / ((w - u) * (w - v) * (w - s))
+        w = w - dw
+        ds = ((((s + c3) * s + c2) * s + c1) * s + c0) / ((s - u) * (s - v) * (s - w))
+        s = s - ds
+        if abs(du) + abs(dv) + abs(dw) + abs(ds) < 1e-14:
+            break
+    return u.real, v.real, w.real, s.real
+
+
+@exact
+def _biconic_polished(
+    face: Floats, t: float, x: float, y: float, z: float, L: float, M: float, N: float
+) -> tuple[float, float]:
+    """Newton on z − sag along the ray; |z| at the hit, infinite where there is none in the ray's sense."""
+    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
+    skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+    along = -1.0 if N < 0.0 else 1.0
+    error, onward = inf, 0.0
+    for _ in range(POLISHES):
+        u, v = x + t * L, y + t * M
+        gap = _biconic_gap(face, u, v, z + t * N)
+        w, _ = _biconic_parts(face, u, v)
+        twist = side * skew * u * v / ((1.0 + w) * (1.0 + w))
+        onward = along * ((-side * cx * u - twist * v) * L + (-side * cy * v + twist * u) * M + w * N)
+        error = gap * w / (along * onward)
+        t -= error
+    if abs(error) <= SETTLED * abs(t) and onward > 0.0:
+        return t, abs(z + t * N)
+    return t, inf
 
 
 @exact
