@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit, types
 from numba.extending import intrinsic
+
+
+def _forget_stale() -> None:
+    """Drop cached kernels older than any kernel source: a cached caller keeps the callees it was built with."""
+    here = Path(__file__).parent
+    sources = [path.stat().st_mtime for path in here.glob("*.py")]
+    for cached in (here / "__pycache__").glob("kernel_*.nbi"):
+        with suppress(OSError):  # read-only, or another process was first
+            if cached.stat().st_mtime < max(sources):
+                cached.unlink()
+
+
+_forget_stale()
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -44,9 +44,10 @@ from clacad.trace.kernel_block_slots import (
     Y,
     Z,
 )
+from clacad.trace.kernel_column import DIVISIONS
 from clacad.trace.kernel_launch import launch_block, launch_ray
 from clacad.trace.kernel_scalar import height, meet
-from clacad.trace.kernel_walk import reach, walk_ray
+from clacad.trace.kernel_walk import SCRATCH_NUMBERS, reach, walk_ray
 from clacad.trace.layout import Floats
 
 Ints = NDArray[np.int64]
@@ -511,17 +512,23 @@ def _store(
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
     _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
-        if not ((good[k] > 0.0) & (dz[k] > 0.0)):
-            good[k] = 0.0
-            continue
-        row = chosen[k]
-        position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k] + top
-        direction[row, 0], direction[row, 1], direction[row, 2] = dx[k], dy[k], dz[k]
-        path[row], surface[row] = length[k], last
-        i, j = np.int32(ci0[k]), np.int32(cj0[k])
-        di, dj = np.int32(ci[k]) - i, np.int32(cj[k]) - j
-        cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = i, j, di, dj
-        fate[row] = ALIVE if di == 0 and dj == 0 else GHOST
+        good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
+    for k in range(m):
+        if good[k] != 0.0:
+            row = chosen[k]
+            position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k] + top
+    for k in range(m):
+        if good[k] != 0.0:
+            row = chosen[k]
+            direction[row, 0], direction[row, 1], direction[row, 2] = dx[k], dy[k], dz[k]
+    for k in range(m):
+        if good[k] != 0.0:
+            row = chosen[k]
+            path[row], surface[row] = length[k], last
+            i, j = np.int32(ci0[k]), np.int32(cj0[k])
+            di, dj = np.int32(ci[k]) - i, np.int32(cj[k]) - j
+            cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = i, j, di, dj
+            fate[row] = ALIVE if di == 0 and dj == 0 else GHOST
 
 
 @exact
@@ -552,6 +559,7 @@ def trace_chunk(
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
+    work, causes = np.empty(SCRATCH_NUMBERS), np.empty(DIVISIONS, dtype=np.int64)
     walked, last = 0, len(faces) - 1
     base = bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     for first in range(0, len(chosen), BLOCK):
@@ -577,6 +585,6 @@ def trace_chunk(
             if reaches:
                 walk_ray(
                     faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
-                    fate, path, cell, order, surface, hits, turns,
+                    fate, path, cell, order, surface, hits, turns, work, causes,
                 )  # fmt: skip
     return walked

@@ -20,6 +20,7 @@ KIND, DISTANCE, PLACE = 0, 1, 2
 
 EVENT_NUMBERS = 10
 DIVISIONS = 24
+WORK_NUMBERS = 44
 
 
 @exact
@@ -192,16 +193,16 @@ def _divide_outline(
 @exact
 def first_change(
     faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
-    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats,
+    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats, work: Floats, causes: Ints,
 ) -> None:  # fmt: skip
     """Find where a ray first enters the material of body b, or leaves it; see `column.first_change`.
 
-    Writes `event` (EVENT_NUMBERS,): KIND, DISTANCE, and cell and start for each of the body's arrays.
+    `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): KIND, DISTANCE, and cell and start for each of the body's arrays.
     """
     front, back, body = faces[2 * b], faces[2 * b + 1], bodies[b]
-    times, causes = np.empty(DIVISIONS), np.empty(DIVISIONS, dtype=np.int64)
-    base, start = np.empty(4), np.empty(4)
-    home, cell, step = np.empty(4), np.empty(4), np.zeros(4)
+    times, base, start = work[:DIVISIONS], work[24:28], work[28:32]
+    home, cell, step = work[32:36], work[36:40], work[40:44]
+    step[:] = 0.0
     for side in range(2):
         at = int(faces[2 * b + side, slot.ARRAY])
         if at < 0:

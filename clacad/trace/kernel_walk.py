@@ -57,25 +57,29 @@ ALIVE, GHOST, ON_LAND, BACKWARD = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAN
 TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED), int(Fate.MISSED)
 GOES_ON = 255
 
+# Parts of a walker's scratch array; the first is first_change's own.
+EVENT, WALK, LEFT, LAUNCH, SCRATCH_NUMBERS = 44, 54, 77, 100, 106
+
 
 @exact
 def walk_ray(
     faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
     i: float, j: float, x: float, y: float, z: float, L: float, M: float, N: float, carried: float,
     row: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
-    surface: Cells, hits: Floats, turns: Floats,
+    surface: Cells, hits: Floats, turns: Floats, work: Floats, causes: Ints,
 ) -> None:  # fmt: skip
     """Trace one ray from the launch plane (cells of array 0, heights over body 0's level) and write its row."""
-    w = np.empty(WALKER_NUMBERS)
+    w = work[WALK : WALK + WALKER_NUMBERS]
     w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ], w[PATH] = i, j, x, y, z, L, M, N, 0.0
     w[PX], w[PY], w[PZ] = position[row, 0], position[row, 1], position[row, 2]
     w[FIRST : ODD + 2] = NO_CELL
     w[AT_ARRAY : LANDED + 1] = 0.0
     w[SURFACE] = NO_CELL
-    launch = np.array([position[row, 0], position[row, 1], position[row, 2],
-                       direction[row, 0], direction[row, 1], direction[row, 2]])  # fmt: skip
-    event = np.empty(EVENT_NUMBERS)
-    left = np.empty(WALKER_NUMBERS)
+    launch = work[LAUNCH:]
+    for c in range(3):
+        launch[c], launch[3 + c] = position[row, c], direction[row, c]
+    event = work[EVENT : EVENT + EVENT_NUMBERS]
+    left = work[LEFT : LEFT + WALKER_NUMBERS]
     end = GOES_ON
     for b in range(len(bodies)):
         gap = carried
@@ -85,7 +89,9 @@ def walk_ray(
             if end != GOES_ON:
                 _record_end(w, row, hits, turns)
                 break
-        end = _through_body(faces, bodies, lat, rows, indices, b, gap, w, left, event, row, hits, turns)
+        end = _through_body(
+            faces, bodies, lat, rows, indices, b, gap, w, left, event, work, causes, row, hits, turns
+        )
         if end != GOES_ON:
             break
     if end == GOES_ON:
@@ -119,13 +125,13 @@ def _order(w: Floats) -> tuple[int, int]:
 @exact
 def _through_body(
     faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, b: int, gap: float, w: Floats,
-    left: Floats, event: Floats, row: int, hits: Floats, turns: Floats,
+    left: Floats, event: Floats, work: Floats, causes: Ints, row: int, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
     body, index = bodies[b], indices[b]
     first_change(
         faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        False, event,
+        False, event, work, causes,
     )  # fmt: skip
     kind, distance = int(event[KIND]), event[DISTANCE]
     if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
@@ -150,7 +156,7 @@ def _through_body(
         return end
     first_change(
         faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        True, event,
+        True, event, work, causes,
     )  # fmt: skip
     kind = int(event[KIND])
     if kind != BACK and kind != BACK_LAND:
@@ -162,7 +168,7 @@ def _through_body(
         return BACKWARD
     first_change(
         faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        False, event,
+        False, event, work, causes,
     )  # fmt: skip
     kind = int(event[KIND])
     if kind != ABOVE and kind != ASIDE:
