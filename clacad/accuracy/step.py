@@ -1,0 +1,75 @@
+"""The STEP rung: a spot check of rays against the faces the CAD kernel reads back."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from clacad.accuracy.measure import Ladder, statistics
+from clacad.accuracy.table import Row
+from clacad.rays import Fate
+
+SPOT_RAYS = 1000
+"""Rays of the spot check."""
+REACH = 2
+"""Cells either side of the lit one that are written; a ray that leaves them is not compared."""
+
+
+def step_row(ladder: Ladder) -> tuple[Row | None, str]:
+    """Write a few cells as STEP, read them back with the kernel, trace through its faces.
+
+    Returns
+    -------
+    (Row, "") or (None, why it could not be measured)
+    """
+    from clacad.export.errors import ExportError
+    from clacad.export.step import write_step
+    from clacad.export.worker import Worker
+
+    size = 2 * REACH + 1
+    small = ladder.window.with_cells((size, size))
+    alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)[:SPOT_RAYS]
+    if len(alive) == 0:
+        return None, "STEP was not measured: no ray is alive"
+    offset = np.append(_moved(ladder, small, alive[0]), 0.0)
+    scale = 1e3 * ladder.window.unit
+    position = (ladder.rays.position[alive] - offset) * scale
+    direction = ladder.rays.direction[alive]
+    indices = [body.index for body in ladder.window.bodies]
+    with tempfile.TemporaryDirectory(prefix="clacad-") as folder, Worker() as worker:
+        path = Path(folder) / "spot.step"
+        began = time.process_time()
+        write_step(small, path, "fused")  # one solid a body: touching cells would add faces inside the glass
+        prepare = time.process_time() - began
+        began = time.monotonic()  # the child's seconds; nothing else runs in it
+        try:
+            found = worker.run(
+                "clacad.brep.raycast:cast_rays", str(path), position.tolist(), direction.tolist(), indices,
+                timeout=120.0,
+            )  # fmt: skip
+        except ExportError as error:
+            return None, f"STEP was not measured: {error}"
+        seconds = time.monotonic() - began
+        nbytes = path.stat().st_size
+    met = np.array([row is not None for row in found])
+    out = np.array([row if row is not None else [np.nan] * 3 for row in found])
+    numbers = statistics(out[met], ladder.truth.direction[alive][met], ladder.asked[alive][met])
+    row = Row(
+        "step", f"{int(met.sum())} rays through the re-read faces of {size} x {size} cells", *numbers,
+        float(1.0 - met.mean()), seconds, prepare, len(alive), int(met.sum()), bytes=nbytes, file_bytes=nbytes,
+    )  # fmt: skip
+    return row, ""
+
+
+def _moved(ladder: Ladder, small: object, lit: int) -> np.ndarray:
+    """Displacement that brings the lit cell of the whole sheet onto the middle cell of the small one."""
+    from clacad.sheet import Window
+
+    assert isinstance(small, Window)
+    cell = ladder.truth.cell[lit].astype(np.int64)
+    here = ladder.window.lattice.centres(cell[None])[0]
+    middle = small.lattice.locate(np.zeros(1), np.zeros(1))[0]
+    return np.asarray(here - small.lattice.centres(middle)[0])
