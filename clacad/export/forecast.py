@@ -20,6 +20,7 @@ from clacad.lattice import Circle, Rectangle
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.export.tessellation import Meshes
     from clacad.sheet import Window
 
 MOST_FACETS = 50_000_000
@@ -90,7 +91,7 @@ def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> N
     if any(f in MESH_FORMATS for f in formats) and design.lattice.outline is None:
         faces = 4 if design.pair.form == "biconvex" else 2
         if "stl" in formats or "stl-parts" in formats:
-            _refuse_facets("stl", 2 * grid * grid * cells * faces, grid, (n1, n2))
+            _refuse_facets("stl", grid * grid * cells * faces, grid, (n1, n2))
 
 
 def _refuse_facets(
@@ -117,7 +118,7 @@ def _refuse_facets(
 # -- with the window known ---------------------------------------------------------------------
 
 
-def choose_quads(window: Window, formats: Sequence[str], force: bool = False) -> int:
+def choose_quads(meshes: Meshes, formats: Sequence[str], force: bool = False) -> int:
     """Finest facet grid whose files stay within the limits: what slope_error="auto" means.
 
     Raises
@@ -125,14 +126,16 @@ def choose_quads(window: Window, formats: Sequence[str], force: bool = False) ->
     LimitRefused
         Not even the coarsest fits.
     """
+    window = meshes.window
     for quads in QUADS[:-1]:
         if facets_at_least(window, quads) * 50 > MOST_BYTES:
             continue
-        facets = facet_count(window, quads)
-        if facets <= MOST_FACETS and 84 + 50 * facets <= MOST_BYTES and _weldable(window, formats, quads):
+        facets = meshes.facets(quads)
+        if facets <= MOST_FACETS and 84 + 50 * facets <= MOST_BYTES and _weldable(meshes, formats, quads):
             return quads
     if not force:
-        _refuse_facets("stl", facet_count(window, QUADS[-1]), QUADS[-1], window.lattice.count, at_least=False)
+        facets = meshes.facets(QUADS[-1])
+        _refuse_facets("stl", facets, QUADS[-1], window.lattice.count, at_least=False)
     return QUADS[-1]
 
 
@@ -144,63 +147,46 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
     LimitRefused
         The files would pass the limits; the message says what they allow.
     """
-    from clacad.export.tessellation import Tessellation, one_cell
+    from clacad.export.tessellation import one_cell
+    from clacad.mesh import forecast_quads
 
-    if not slope_error > 0.0:
-        raise LimitRefused(f"a slope error of {slope_error} rad is out of reach; ask for a positive one")
-    single = one_cell(window)
-    # The error falls as 1/quads: one coarse mesh of one cell says how many, two more settle it.
-    quads = max(1, ceil(8 * Tessellation(single, 8).mesh.slope_error / slope_error * 0.98))
+    try:
+        quads = forecast_quads(one_cell(window), slope_error)
+    except ValueError as error:
+        raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {error}") from error
     if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
         _refuse_facets("stl", facets_at_least(window, quads), quads, window.lattice.count)
-    while Tessellation(single, quads).mesh.slope_error > slope_error:
-        quads += 1
     return quads
 
 
-def _weldable(window: Window, formats: Sequence[str], quads: int) -> bool:
-    return all(welded_facets(window, quads, f) <= MOST_WELDED for f in formats if f in WELDED_FORMATS)
+def _weldable(meshes: Meshes, formats: Sequence[str], quads: int) -> bool:
+    return all(meshes.welded(quads, f) <= MOST_WELDED for f in formats if f in WELDED_FORMATS)
 
 
 def facets_at_least(window: Window, quads: int) -> int:
-    """Facets of the lenslet faces alone, before any mesh is made."""
+    """Bound from below on the facets, before any mesh is made: half the grid, should a lens not fill its cell."""
     structured = sum(face.array is not None for face in window.faces)
-    return 2 * quads * quads * structured * window.lattice.cell_count
+    return quads * quads * structured * window.lattice.cell_count
 
 
-def facet_count(window: Window, quads: int) -> int:
-    """Facets of the whole sheet, exactly, without making them."""
-    from clacad.export.tessellation import Tessellation
-
-    return int(Tessellation(window, quads).mesh.facet_count)
-
-
-def welded_facets(window: Window, quads: int, format: str) -> int:
-    """Facets that an indexed format holds in memory: those of one cell where the format repeats cells."""
-    from clacad.export.tessellation import Tessellation, instanceable
-
-    whole = Tessellation(window, quads)
-    mesh = whole.cell if format != "ply" and instanceable(window) else whole.mesh
-    return int(mesh.facet_count)
-
-
-def forecast(window: Window, formats: Sequence[str], quads: int, step: str = "auto") -> list[Forecast]:
+def forecast(meshes: Meshes, formats: Sequence[str], quads: int, step: str = "auto") -> list[Forecast]:
     """Forecast each format.
 
     Parameters
     ----------
-    window : Window
+    meshes : Meshes
     formats : sequence of str
     quads : int
         Facet grid a cell side for the mesh formats.
     step : "auto", "fused" or "instanced"
     """
-    return [_forecast_one(window, name, quads, step) for name in formats]
+    return [_forecast_one(meshes, name, quads, step) for name in formats]
 
 
-def _forecast_one(window: Window, name: str, quads: int, step: str) -> Forecast:
+def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
+    window = meshes.window
     if name in ("stl", "stl-parts"):
-        facets = facet_count(window, quads)
+        facets = meshes.facets(quads)
         size = 84 * (1 if name == "stl" else len(window.bodies)) + 50 * facets
         return Forecast(
             name,
@@ -212,16 +198,17 @@ def _forecast_one(window: Window, name: str, quads: int, step: str) -> Forecast:
             (150_000_000, 600_000_000),
         )
     if name in WELDED_FORMATS:
-        return _forecast_welded(window, name, quads)
+        return _forecast_welded(meshes, name, quads)
     if name == "step":
         return _forecast_step(window, step)
     return _forecast_map(window, name)
 
 
-def _forecast_welded(window: Window, name: str, quads: int) -> Forecast:
+def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     from clacad.export.tessellation import instanceable
 
-    held = welded_facets(window, quads, name)
+    window = meshes.window
+    held = meshes.welded(quads, name)
     instanced = name != "ply" and instanceable(window)
     cells = window.lattice.cell_count
     places = cells * len(window.bodies) if instanced else 0
@@ -345,7 +332,7 @@ def _forecast_map(window: Window, name: str) -> Forecast:
 # -- limits --------------------------------------------------------------------------------------
 
 
-def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -> None:
+def refuse_over_limits(meshes: Meshes, rows: Sequence[Forecast], folder: Path) -> None:
     """Hold a forecast against the limits: facets, bytes a file, free memory, free disk.
 
     Raises
@@ -353,11 +340,12 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
     LimitRefused
         With the number, the limit, and two ways to get under it.
     """
+    window = meshes.window
     memory, disk = free_memory(), free_disk(folder)
     for row in rows:
         if row.facets is not None and row.quads is not None and row.format in ("stl", "stl-parts"):
             _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
-        held = welded_facets(window, row.quads or 4, row.format) if row.format in WELDED_FORMATS else 0
+        held = meshes.welded(row.quads or 4, row.format) if row.format in WELDED_FORMATS else 0
         if held > MOST_WELDED:
             raise LimitRefused(
                 f"{row.format}: {count_text(held)} facets with shared vertices are more than "
@@ -424,11 +412,14 @@ def outlook(window: Window) -> list[dict[str, Any]]:
 
     Each row is `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
     """
-    rows = []
+    from clacad.export.tessellation import Meshes
+
+    rows: list[dict[str, Any]] = []
+    meshes = Meshes(window)
     for name in ("step", "stl", "3mf"):
         try:
-            quads = choose_quads(window, (name,)) if name in MESH_FORMATS else QUADS[-1]
-            one = _forecast_one(window, name, quads, "auto")
+            quads = choose_quads(meshes, (name,)) if name in MESH_FORMATS else QUADS[-1]
+            one = _forecast_one(meshes, name, quads, "auto")
             rows.append(one.to_dict() | {"refused": None})
         except LimitRefused as refusal:
             rows.append({"format": name, "refused": str(refusal)})

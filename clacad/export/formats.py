@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.export.atomic import Stage, canonical_json, file_hash, flush
 from clacad.export.errors import UnknownFormat
 from clacad.export.manifest import FileRecord
+from clacad.export.truth import Integral, body_volume, volume_sum
 from clacad.export.worker import Progress, Worker
 from clacad.sheet import Window
 
@@ -46,6 +48,11 @@ class Job:
     def scale(self) -> float:
         """Millimetres per design unit."""
         return self.window.unit / 1e-3
+
+    @cached_property
+    def integrals(self) -> dict[str, Integral | None]:
+        """Exact volume of each body by name, design units cubed."""
+        return {body.name: body_volume(self.window, body) for body in self.window.bodies}
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -92,7 +99,7 @@ def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
     job.progress(f"read back {name}", 0.5)
     check_stl_facets(path)
     promise = job.tessellation.promise(instanced=False, single=True, bodies=names)
-    verdict = compare_mesh(read_mesh(path), window, promise, name)
+    verdict = compare_mesh(read_mesh(path), window, promise, name, volume_sum(job.integrals, names))
     facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, names)
     facts |= {"mode": "fused", "triangles": promise.facets, "float": "f32"}
     return job.record(path, "stl-binary", bodies=names, facts=facts, checks=verdict.checks)
@@ -148,7 +155,7 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     write(job.tessellation.pieces(repeated), path, job.scale, job.stem)
     job.progress(f"read back {name}", 0.5)
     promise = job.tessellation.promise(instanced=repeated, single=single)
-    verdict = compare_mesh(read_mesh(path), job.window, promise, name)
+    verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))
     facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies)
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
     facts |= {"saddles": 0, "wedges": 0, "merged_steps": 0} if repeated else {}

@@ -13,6 +13,7 @@ from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, tran
 from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, WorkerDied
 from clacad.export.formats import FORMATS, Job, known_formats
 from clacad.export.manifest import FileRecord, Manifest, carried_over, document
+from clacad.export.tessellation import Meshes, Tessellation
 from clacad.export.worker import Progress, Worker, ended_by_signals
 
 if TYPE_CHECKING:
@@ -56,13 +57,14 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             worker.start()  # the kernel loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
-        quads = _quads(window, request, formats)
-        rows = limits.forecast(window, formats, quads, request.step)
+        meshes = Meshes(window)
+        quads = _quads(meshes, request, formats)
+        rows = limits.forecast(meshes, formats, quads, request.step)
         if not request.force:
-            limits.refuse_over_limits(window, rows, Path(out))
+            limits.refuse_over_limits(meshes, rows, Path(out))
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
-            job = _job(window, design, stage, quads, worker, request, report)
+            job = _job(meshes.at(quads), design, stage, worker, request, report)
             records, failures, seconds = _produced(job, formats)
             if not records:
                 raise next(iter(failures.values()))
@@ -93,8 +95,8 @@ def forecast_rows(design: Design, request: Request) -> list[limits.Forecast]:
     formats = known_formats(request.formats)
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
-    window = _prescribed(made)
-    return limits.forecast(window, formats, _quads(window, request, formats), request.step)
+    meshes = Meshes(_prescribed(made))
+    return limits.forecast(meshes, formats, _quads(meshes, request, formats), request.step)
 
 
 def _silent(_name: str, _done: float) -> None:
@@ -112,7 +114,7 @@ def _prescribed(design: Design) -> Window:
     return prescribe(design)
 
 
-def _quads(window: Window, request: Request, formats: tuple[str, ...]) -> int:
+def _quads(meshes: Meshes, request: Request, formats: tuple[str, ...]) -> int:
     """Facet grid: as asked, by slope error, or the finest within the limits."""
     if not any(name in limits.MESH_FORMATS for name in formats):
         return limits.QUADS[-1]
@@ -121,24 +123,20 @@ def _quads(window: Window, request: Request, formats: tuple[str, ...]) -> int:
             raise LimitRefused(f"quads = {request.quads}; at least 1 is needed")
         return request.quads
     if request.slope_error == "auto":
-        return limits.choose_quads(window, formats, request.force)
-    return limits.quads_for_slope(window, float(request.slope_error), request.force)
+        return limits.choose_quads(meshes, formats, request.force)
+    return limits.quads_for_slope(meshes.window, float(request.slope_error), request.force)
 
 
 def _job(
-    window: Window,
+    tessellation: Tessellation,
     design: Design,
     stage: Stage,
-    quads: int,
     worker: Worker,
     request: Request,
     report: Progress,
 ) -> Job:
-    from clacad.export.tessellation import Tessellation
-
-    return Job(
-        window, safe_name(design.name), stage, Tessellation(window, quads), worker, request.step, report
-    )
+    stem = safe_name(design.name)
+    return Job(tessellation.window, stem, stage, tessellation, worker, request.step, report)
 
 
 def _produced(

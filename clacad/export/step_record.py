@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import FileDisagrees
 from clacad.export.manifest import FileRecord
-from clacad.export.truth import Integral, body_volume, whole_extent
+from clacad.export.truth import Integral, volume_sum, whole_extent
 from clacad.sheet import Window
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def step_record(job: Job) -> FileRecord:
     found = run(
         "clacad.export.step_record:read", str(path), job.window, timeout=SECONDS, progress=job.progress
     )
-    exact = exact_volume(job.window)
+    exact = volume_sum(job.integrals, job.bodies)
     checks = compare_step(written, found, job.window, exact, name)
     cube = job.scale**3
     facts = {
@@ -97,17 +97,6 @@ def text_length(window: Window, mode: str) -> int:
     writer(window, part, True, MERGE)
     part.close()
     return stream.length
-
-
-def exact_volume(window: Window) -> Integral | None:
-    """Volume of all bodies by quadrature, design units cubed; None where an outline cuts lenslets."""
-    value = error = 0.0
-    for body in window.bodies:
-        part = body_volume(window, body, depth=11)
-        if part is None:
-            return None
-        value, error = value + part.value, error + part.error
-    return Integral(value, error)
 
 
 def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str

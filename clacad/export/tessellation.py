@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from clacad.mesh import Mesh
 
 
+MERGE_STEPS = 5.0
+"""Levels a vertex may lie off its surface: half a level by rounding, a merged cluster's half width at a border."""
+
+
 @dataclass(frozen=True, eq=False)
 class Tessellation:
     """A window, its mesh, and the mesh of one cell where one cell tells all.
@@ -55,7 +59,7 @@ class Tessellation:
         return Promise(
             facets=facets * times,
             sag_error=float(mesh.sag_error),
-            merge=float(getattr(mesh, "merge", 0.0)),
+            merge=MERGE_STEPS * max(part.step for part in mesh.bodies),
             single=single,
         )
 
@@ -70,6 +74,27 @@ class Tessellation:
 
     def _places(self, body: Body) -> Places:
         return Places(self.window.lattice, self.window.shifts[_array(body)])
+
+
+class Meshes:
+    """The tessellations of one window that were asked for, each made once."""
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+        self._made: dict[int, Tessellation] = {}
+
+    def at(self, quads: int) -> Tessellation:
+        """Tessellation with so many quads a cell side."""
+        return self._made.setdefault(quads, Tessellation(self.window, quads))
+
+    def facets(self, quads: int) -> int:
+        """Facets of the whole sheet, exactly, without expanding them."""
+        return self.at(quads).mesh.facet_count
+
+    def welded(self, quads: int, format: str) -> int:
+        """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
+        repeats = format != "ply" and instanceable(self.window)
+        return self.at(quads).cell.facet_count if repeats else self.facets(quads)
 
 
 def _array(body: Body) -> int:

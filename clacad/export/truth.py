@@ -5,7 +5,7 @@ Nothing here uses a mesh or a solid; every number comes from `clacad.sheet` heig
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import inf, pi
@@ -22,6 +22,8 @@ Ints = NDArray[np.int64]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 DEPTH = 9
 """Quarterings at a rim: relative error 1e-8 or less in half a second; 11 give 1e-9 in four."""
+
+EDGE_DEPTH = 5
 
 Height = Callable[[Floats, Floats], Floats]
 
@@ -60,6 +62,17 @@ def body_volume(window: Window, body: Body, depth: int = DEPTH) -> Integral | No
         one = _cell_integral(window, partial(_filled, window, face), depth)
         value += sign * (cells * one.value + (face.land or 0.0) * max(0.0, land_area))
         error += cells * one.error
+    return Integral(value, error)
+
+
+def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -> Integral | None:
+    """Volume of several bodies together; None if one of them is not known."""
+    value = error = 0.0
+    for name in names:
+        part = integrals[name]
+        if part is None:
+            return None
+        value, error = value + part.value, error + part.error
     return Integral(value, error)
 
 
@@ -149,7 +162,7 @@ def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) 
         fine = _rule(height, origin, u, v, quarters, size).reshape(-1, 4)
         gap = np.abs(fine.sum(axis=1) - coarse)
         # A smooth box agrees to rounding; what is given up is at most 1e-13 of the whole each.
-        settled = gap <= 1e-13 * reference
+        settled = (gap <= 1e-13 * reference) & ~_suspect(boxes, 2.0 * size, level)
         if level == depth - 1:
             total += float(fine.sum())
             error += float(gap[~settled].sum())
@@ -160,6 +173,12 @@ def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) 
             break
         boxes, coarse = quarters.reshape(-1, 4, 2)[~settled].reshape(-1, 2), fine[~settled].reshape(-1)
     return Integral(total * scale, error * scale)
+
+
+def _suspect(boxes: Floats, size: float, level: int) -> NDArray[np.bool_]:
+    """Boxes that are quartered whatever they seem: a lens may miss a sliver of a border, or the tip of a corner."""
+    touches = (boxes <= 0.0) | (boxes + size >= 1.0 - 1e-12)
+    return np.asarray(touches.all(axis=1) | (touches.any(axis=1) & (level < EDGE_DEPTH)))
 
 
 def _rule(height: Height, origin: Floats, u: Floats, v: Floats, boxes: Floats, size: float) -> Floats:
