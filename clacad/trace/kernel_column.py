@@ -24,8 +24,10 @@ WORK_NUMBERS = 44
 
 
 @exact
-def kept(rows: Ints, i: float, j: float) -> bool:
-    """Whether the lattice has this cell."""
+def kept(lat: Floats, rows: Ints, i: float, j: float) -> bool:
+    """Whether the lattice has this cell; a plain one has no table of rows."""
+    if lat[slot.PLAIN] != 0.0:
+        return 0.0 <= i < lat[slot.N1] and 0.0 <= j < lat[slot.N2]
     if not (0.0 <= j < len(rows)):
         return False
     row = int(j)
@@ -83,7 +85,7 @@ def _lens_over(face: Floats, lat: Floats, rows: Ints, start: Floats, i: Floats, 
     if face[slot.ARRAY] < 0.0:
         return face[slot.VZ]
     at = int(face[slot.ARRAY])
-    if not kept(rows, i[2 * at], i[2 * at + 1]):
+    if not kept(lat, rows, i[2 * at], i[2 * at + 1]):
         return nan
     u, v = start[2 * at] + x, start[2 * at + 1] + y
     if lat[slot.MARGIN] > 0.0 and not in_zone(lat, u, v, lat[slot.MARGIN]):
@@ -119,7 +121,7 @@ def _solid(
 ) -> bool:  # fmt: skip
     """Whether the point at height z, a step (x, y) from the start, lies in the material."""
     main = int(front[slot.ARRAY]) if front[slot.ARRAY] >= 0.0 else int(back[slot.ARRAY])
-    if not in_footprint(body, sheet_x + x, sheet_y + y, kept(rows, cell[2 * main], cell[2 * main + 1])):
+    if not in_footprint(body, sheet_x + x, sheet_y + y, kept(lat, rows, cell[2 * main], cell[2 * main + 1])):
         return False
     below, above = (
         _lens_over(front, lat, rows, start, cell, x, y),

@@ -189,7 +189,7 @@ def _over(faces: Floats, body: Floats, lat: Floats, rows: Ints, b: int, w: Float
     i, j, _, _ = to_array(
         lat, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
     )  # fmt: skip
-    return in_footprint(body, sx + distance * w[DX], sy + distance * w[DY], kept(rows, i, j))
+    return in_footprint(body, sx + distance * w[DX], sy + distance * w[DY], kept(lat, rows, i, j))
 
 
 @exact
@@ -231,7 +231,7 @@ def _refract(
     w[PZ] = z + bodies[b, slot.LEVEL]
     w[SURFACE] = 2 * b + side
     if face[slot.ARRAY] >= 0.0 or not on_lens:
-        _note_cell(rows, w, int(face[slot.ARRAY]), on_lens)
+        _note_cell(lat, rows, w, int(face[slot.ARRAY]), on_lens)
     opaque = not on_lens and lat[slot.OPAQUE] != 0.0
     total = not opaque and not isfinite(ox)
     if not (opaque or total):
@@ -241,10 +241,10 @@ def _refract(
 
 
 @exact
-def _note_cell(rows: Ints, w: Floats, array: int, on_lens: bool) -> None:
+def _note_cell(lat: Floats, rows: Ints, w: Floats, array: int, on_lens: bool) -> None:
     """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
     i, j = float(NO_CELL), float(NO_CELL)
-    if kept(rows, w[CI], w[CJ]):
+    if kept(lat, rows, w[CI], w[CJ]):
         i, j = w[CI], w[CJ]
     if w[FIRST] == NO_CELL and w[FIRST + 1] == NO_CELL:
         w[FIRST], w[FIRST + 1], w[ODD], w[ODD + 1] = i, j, i, j
@@ -274,7 +274,7 @@ def _pass_hole(
         )  # fmt: skip
         w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
         w[PATH] += distance
-        _note_cell(rows, w, array, False)
+        _note_cell(lat, rows, w, array, False)
         distance = 0.0
     w[PX], w[PY] = sheet_xy(lat, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y])
     w[PZ] = w[Z] + bodies[b, slot.LEVEL]

@@ -46,7 +46,7 @@ class Packed:
         Columns as named in this module; lengths in design units.
     rows : (n2, 2) ints
         First kept cell of each row of the lattice and one past its last. Outlines are convex, so a row is
-        one run.
+        one run. Empty for a plain lattice (PLAIN), whose rows are all alike.
     """
 
     faces: Floats
@@ -118,14 +118,14 @@ def _lattice(layout: Layout) -> Floats:
 
 
 def _rows(layout: Layout) -> NDArray[np.int64]:
+    """One run of cells a row of the lattice; none for a plain lattice, which may have 1e9 rows and needs no table."""
     lattice = layout.lattice
+    if lattice.outline is None:
+        j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)
+        return np.stack([-(j // 2), lattice.count[0] - j // 2], axis=-1)
     runs = np.zeros((lattice.count[1], 2), dtype=np.int64)
-    for j in range(lattice.count[1]):
-        if lattice.outline is None:
-            first = -(j // 2) if lattice.hexagonal else 0
-            runs[j] = first, first + lattice.count[0]
-            continue
-        row = lattice.row(j)
+    for k in range(lattice.count[1]):
+        row = lattice.row(k)
         if len(row):
-            runs[j] = row[0, 0], row[-1, 0] + 1
+            runs[k] = row[0, 0], row[-1, 0] + 1
     return runs
