@@ -307,7 +307,11 @@ def _residual(design: Design, window: Window) -> Check:
         )
     value, limit = max(left, default=inf), design.check.law_rms
     sentence = f"along the axis ray the recipe leaves {1e3 * value:.3g} mrad"
-    if value > limit:
+    if value == inf:
+        sentence = (
+            "the ray along the lens axis does not get through: it misses a lens or is totally reflected"
+        )
+    elif value > limit:
         sentence += "; another recipe, less tilt or another form would leave less"
     return judge(
         "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", source="law_rms",

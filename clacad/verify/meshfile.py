@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.export.closed import Measure, crowded_edges, measure
-from clacad.export.filemesh import FileMesh
+from clacad.export.filemesh import FileMesh, Part
 from clacad.export.truth import body_volume, whole_extent
 from clacad.feasibility import body_facts, components
 from clacad.law import Law, angle_between
@@ -130,7 +130,7 @@ def _closed(found: Measure, gathered: Gathered, mesh: FileMesh, name: str) -> Ch
     if found.closed:
         sentence = f"every edge of {found.facets} facets is met once in each direction"
         if found.facets <= COUNTED_FACETS:
-            crowded = crowded_edges(np.concatenate(list(mesh.chunks())))
+            crowded = sum(crowded_edges(part.corners(0, part.facet_count)) for part in mesh.parts)
             facts["crowded_edges"] = crowded
             if crowded:
                 sentence += (
@@ -185,16 +185,23 @@ def _pieces(
     expected = {sum(b.pieces for b in bodies), len(bodies) * window.lattice.cell_count}
     if "solids" in stated:
         expected = {int(stated["solids"])}
-    vertices, facets = _welded(np.concatenate(list(mesh.chunks())))
-    pieces = components(len(vertices), facets[:, [0, 0]].T.ravel(), facets[:, [1, 2]].T.ravel())
-    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
-    count = len(np.unique(edges[:, 0] * np.int64(len(vertices)) + edges[:, 1]))
-    euler = len(vertices) - count + len(facets)
-    holes = pieces - euler / 2
+    counts = [_counted(part) for part in mesh.parts]
+    pieces, holes = (sum(count[k] for count in counts) for k in (0, 1))
     wanted = " or ".join(str(n) for n in sorted(expected))
     sentence = f"{pieces} connected pieces with {holes:g} holes; {wanted} pieces are expected"
     state: State = "pass" if pieces in expected else "fail"
     return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
+
+
+def _counted(part: Part) -> tuple[int, float]:
+    """Pieces and holes of a part; one that stands at several places is counted at each (its copies may touch)."""
+    vertices, facets = _welded(part.corners(0, part.facet_count))
+    pieces = components(len(vertices), facets[:, [0, 0]].T.ravel(), facets[:, [1, 2]].T.ravel())
+    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
+    count = len(np.unique(edges[:, 0] * np.int64(len(vertices)) + edges[:, 1]))
+    euler = len(vertices) - count + len(facets)
+    times = len(part.placements)
+    return pieces * times, (pieces - euler / 2) * times
 
 
 def scale_check(design: Design, window: Window, found: Measure, name: str) -> Check:

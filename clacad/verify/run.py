@@ -17,6 +17,7 @@ from clacad.trace import trace
 from clacad.verify import checks as judging
 from clacad.verify.checks import Check, not_run, plain
 from clacad.verify.convergence import Convergence, converge, convergence_check
+from clacad.verify.curves import Meridian, meridians
 from clacad.verify.files import (
     Delivery,
     Subject,
@@ -63,6 +64,8 @@ class Report:
         In the order of the report.
     optics : Optics
         Through the exact surfaces.
+    curves : (Meridian, Meridian)
+        Transfer, transmission and residual along lens x and lens y.
     convergence : Convergence or None
     files : tuple of FileReport
     versions : mapping
@@ -73,6 +76,7 @@ class Report:
     facts: Feasibility
     checks: tuple[Check, ...]
     optics: Optics
+    curves: tuple[Meridian, Meridian]
     convergence: Convergence | None = None
     files: tuple[FileReport, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -123,6 +127,7 @@ class Report:
             "derived": [list(row) for row in describe(self.window, self.facts)],
             "checks": [check.to_dict() for check in self.checks],
             "field": [_field_row(p) for p in self.optics.points],
+            "transfer": [_curve_row(c) for c in self.curves],
             "files": [_file_row(f) for f in self.files],
             "notes": list(self.design.notes),
             "versions": dict(self.versions),
@@ -140,6 +145,14 @@ def _field_row(point: Any) -> dict[str, Any]:
         "direction": point.direction, "expected": point.expected, "bias": point.bias, "spread": point.spread,
         "rms": point.rms, "worst": point.worst, "share": point.share, "closed_form": point.closed_form,
         "counts": point.counts,
+    }  # fmt: skip
+    return dict(plain(row))
+
+
+def _curve_row(curve: Meridian) -> dict[str, Any]:
+    row = {
+        "slope": curve.slope, "law": curve.law, "mean": curve.mean, "spread": curve.spread, "alive": curve.alive,
+        "closed_form": curve.closed_form, "ghost": curve.ghost,
     }  # fmt: skip
     return dict(plain(row))
 
@@ -201,6 +214,8 @@ def verify(
     found = law_checks(design, optics)
     found += [throughput_check(design, window, optics), confocality_check(design, window)]
     found += design_checks(design, window, facts)
+    report("tracing the field of view", 0.0)
+    curves = meridians(window, lambda lit: trace(window, lit.rays))
     convergence = None
     judged: list[FileReport] = []
     if files is not None:
@@ -212,7 +227,15 @@ def verify(
             found.append(check)
     report("done", 1.0)
     return Report(
-        design, window, facts, judging.accepted(found, design), optics, convergence, tuple(judged), versions()
+        design,
+        window,
+        facts,
+        judging.accepted(found, design),
+        optics,
+        curves,
+        convergence,
+        tuple(judged),
+        versions(),
     )
 
 
