@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,8 +98,16 @@ def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) ->
         A point of the axis ray, sheet frame, lengths.
     asked : (3,) unit
         Direction the law gives to the axis ray.
+
+    Returns
+    -------
+    dict
+        Both infinite where the axis ray does not get through.
     """
     found = parabasal(window.bodies, window.shifts, rotation, origin, 1e-4 * window.lattice.circumradius)
+    if not (np.isfinite(found.direction).all() and np.isfinite(found.power).all()):
+        # the axis ray misses a lens or is totally reflected: a window to be built and judged, not an error
+        return {"law": inf, "decollimation": inf}
     cross = np.cross(found.direction, asked)
     error = float(np.arctan2(np.linalg.norm(cross), found.direction @ asked))
     half = 0.5 * max(window.lattice.pitch)
