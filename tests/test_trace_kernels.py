@@ -1,0 +1,66 @@
+"""The compiled kernels against the numpy path: same rays, same fates."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from oracle.windows import beam, biconvex, collection
+
+from clacad.rays import Rays
+from clacad.trace import trace
+
+WINDOWS = collection()
+
+
+def compare(window, number, seed):
+    rays = Rays(*beam(window, number, seed))
+    one, two = (trace(window, rays, path=path, record=True) for path in ("numpy", "numba"))
+    for column in ("fate", "cell", "order", "surface", "flux"):
+        np.testing.assert_array_equal(getattr(one, column), getattr(two, column), column)
+    # a ray near the critical angle amplifies rounding by as much as 1e4
+    for column, size in (("position", 0.1), ("direction", 1.0), ("optical_path", 0.1), ("hits", 0.1)):
+        np.testing.assert_allclose(getattr(one, column), getattr(two, column), rtol=0, atol=1e-11 * size)
+    return one
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_numpy_and_compiled_paths_give_every_ray_the_same_fate(name):
+    result = compare(WINDOWS[name], 4000, 1)
+    assert len(np.unique(result.fate)) >= 5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WINDOWS)
+def test_numpy_and_compiled_paths_agree_on_many_rays(name):
+    compare(WINDOWS[name], 200_000, 2)
+
+
+def test_threads_change_nothing(monkeypatch):
+    window = biconvex()
+    rays = Rays(*beam(window, 200_000, 3))
+    one = trace(window, rays, path="numba", threads=1)
+    for threads in (2, 5):
+        more = trace(window, rays, path="numba", threads=threads)
+        for column in ("position", "direction", "fate", "cell", "order", "optical_path", "surface"):
+            np.testing.assert_array_equal(getattr(one, column), getattr(more, column))
+    monkeypatch.setenv("CLACAD_THREADS", "3")
+    np.testing.assert_array_equal(trace(window, rays, path="numba").fate, one.fate)
+    for wrong in ("0", "-1", "many", "1.5"):
+        monkeypatch.setenv("CLACAD_THREADS", wrong)
+        with pytest.raises(ValueError, match="CLACAD_THREADS"):
+            trace(window, rays, path="numba")
+
+
+def test_a_small_job_does_not_load_the_compiler():
+    code = (
+        "import sys, numpy as np; from oracle.windows import biconvex, beam\n"
+        "from clacad.trace import trace; from clacad.rays import Rays\n"
+        "w = biconvex(); r = Rays(*beam(w, 10_000, 0))\n"
+        "[trace(w, r, rung) for rung in ('law', 'thin', 'surfaces')]\n"
+        "assert not {'numba', 'scipy', 'matplotlib', 'OCP'} & set(sys.modules), sorted(sys.modules)\n"
+    )
+    path = [p for p in sys.path if p]
+    subprocess.run([sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}\n{code}"], check=True)
