@@ -44,6 +44,8 @@ SIDEWAYS = {
     ("effects", "trace"): "effects are passes over the tracer's blocks",
     ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
     ("export", "effects"): "the plan travels with what is written",
+    ("fixture", "feasibility"): "the gap between the bodies",
+    ("fixture", "brep"): "the coupon is made of the design's own solids",
     ("accuracy", "verify"): "both judge by the same bundle of rays",
     ("render", "report"): "pictures carry the plan the report prints",
     ("report", "render"): "a report holds a picture through the sheet",
