@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hard.measure import ULP, fate_of, interfaces, off
+from hard.measure import ULP, assert_whole, error, fate_of, interfaces, off
 from hard.rays import HARD
+from hard.sheets import SHEETS, window_of
+from oracle import law as law_oracle
+from oracle import sheet as sheet_oracle
 from oracle import trace as trace_oracle
 
-from clacad.rays import Fate, Rays
-from clacad.surface import Quadric
+from clacad import trace
+from clacad.rays import NO_CELL, Fate, Rays
+from clacad.surface import Biconic, Quadric, meet
 from clacad.trace import packing as slot
-from clacad.trace.sequence import launch, largest, pass_on, to_sheet, to_surface, trace_sequence, unit
+from clacad.trace.sequence import largest, launch, pass_on, to_sheet, to_surface, trace_sequence, unit
 
 kernel = pytest.importorskip("clacad.trace.kernel_scalar")
 
@@ -67,3 +71,51 @@ def test_the_compiled_surfaces_treat_a_hard_ray_as_the_oracle_does(case):
         condition = max(1.0, float(trace_oracle.condition(case.faces, case.start, case.direction)))
         assert off(direction, exact.directions[-1]) <= 4 * condition, case.why
         assert abs(path - numpy_path.optical_path[0]) <= 4 * ULP * condition * abs(path)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_compiled_and_numpy_biconics_agree_on_rays_from_everywhere(seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(8):
+        size = 10.0 ** rng.uniform(-3, 3)
+        surface = Biconic(*(rng.uniform(-1, 1, 2) / size), *rng.uniform(-3, 3, 2), int(rng.choice([-1, 1])))
+        start, ray = rng.normal(0, 3 * size, (150, 3)), rng.normal(0, 1, (150, 3))
+        ray /= np.linalg.norm(ray, axis=1)[:, None]
+        expected = meet(surface, start, ray)
+        got = np.array([kernel.meet(packed(surface), *p, *d) for p, d in zip(start, ray)])
+        both = np.isfinite(expected.distance) & np.isfinite(got[:, 0])
+        assert (
+            np.isfinite(expected.distance) == np.isfinite(got[:, 0])
+        ).mean() > 0.99  # the rest grazes the equator
+        steep = np.abs((expected.gradient * ray).sum(axis=1)) > 1e-3 * np.linalg.norm(
+            expected.gradient, axis=1
+        )
+        apart = np.abs(expected.distance - got[:, 0])[both & steep]
+        assert (apart <= 1e-9 * size).mean() > 0.99
+
+
+@pytest.mark.parametrize("path", ["numpy", "numba"])
+@pytest.mark.parametrize("case", SHEETS, ids=[case.name for case in SHEETS])
+def test_a_hard_ray_through_a_whole_sheet_is_traced_as_the_oracle_does(case, path):
+    window = window_of(dict(case.changes))
+    exact = sheet_oracle.trace(window, case.start, case.direction)
+    result = trace(window, Rays([case.start], [case.direction]), path=path)
+    assert_whole(result, 1)
+    if case.undecidable:
+        return
+    assert Fate(result.fate[0]).name == exact.fate, case.why
+    if exact.fate == "MISSED":
+        assert (result.cell == NO_CELL).all()
+        return
+    assert tuple(result.cell[0]) == exact.cells[0], case.why
+    assert tuple(result.cell[0] + result.order[0]) == exact.cells[-1], case.why
+    condition = max(1.0, float(sheet_oracle.condition(window, case.start, case.direction)))
+    assert law_oracle.angle(result.direction[0], exact.direction) <= 4 * ULP * condition, case.why
+    # light that leaves glass n times as dense leaves with n² times the error of its direction's length
+    dense = max(body.index for body in window.bodies)
+    assert abs(np.linalg.norm(result.direction[0]) - 1) <= 4 * ULP * dense**2
+    gone = float(exact.optical_path)
+    assert error(result.optical_path, [exact.optical_path]) <= 8 * ULP * condition * abs(gone)
+    assert error(result.position[0], exact.position) <= 8 * ULP * (
+        np.abs(result.position[0]).max() + abs(gone)
+    )
