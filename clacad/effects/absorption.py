@@ -83,7 +83,6 @@ def path_in(block: Block, number: int, body: Body) -> Floats:
     assert result.hits is not None
     step = result.hits[2 * number + 1] - result.hits[2 * number]
     x, y, z = step[:, 0], step[:, 1], step[:, 2]
-    length = np.sqrt(x * x + y * y + z * z)
     return np.asarray(np.sqrt(x * x + y * y + z * z))  # 0 where the body was not entered: points repeat
 
 

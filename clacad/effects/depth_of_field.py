@@ -46,6 +46,10 @@ def bound(situation: Situation) -> Bound:
     setting = situation.setting
     if setting.aperture == 0.0:
         return Bound(0.0, 0.0, "the camera is a pinhole", 1.0)
-    angle = setting.aperture * max(abs(1.0 / z - 1.0 / setting.focus) for z in (situation.near, situation.far))
-    why = f"an entrance of {setting.aperture:g} blurs what is not at {setting.focus:g} by up to {angle:.2g} rad"
+    angle = setting.aperture * max(
+        abs(1.0 / z - 1.0 / setting.focus) for z in (situation.near, situation.far)
+    )
+    why = (
+        f"an entrance of {setting.aperture:g} blurs what is not at {setting.focus:g} by up to {angle:.2g} rad"
+    )
     return Bound(angle, 0.0, why, 1.0)

@@ -90,7 +90,7 @@ def sinc_squared(u: Floats) -> Floats:
 
 @cache
 def _table() -> tuple[Floats, Floats]:
-    """x ≥ 0 and the share of sinc²/π between 0 and x."""
+    """Give x ≥ 0 and the share of sinc²/π between 0 and x."""
     x = np.linspace(0.0, LOBES * np.pi, 64 * LOBES + 1)
     middle = 0.5 * (x[1:] + x[:-1])
     values = [np.sinc(points / np.pi) ** 2 for points in (x[:-1], middle, x[1:])]

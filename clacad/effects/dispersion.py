@@ -24,6 +24,12 @@ from clacad.vignetting import aperture_slope, focal_ratio, thin_cells
 
 NAME = "dispersion"
 
+LINES = {
+    "rgb": (611.4e-9, 549.1e-9, 464.2e-9),
+    "D65": tuple(1e-9 * (430.0 + 27.5 * k) for k in range(9)),
+}
+"""Lines of named spectra, metres: dominant wavelengths of the sRGB primaries; nine samples of daylight."""
+
 
 def effect(window: Window, setting: Setting) -> Effect:
     """Give rays without a wavelength the lines of the light in turn."""

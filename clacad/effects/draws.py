@@ -38,7 +38,8 @@ def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:
         word = _mixed(word ^ np.ascontiguousarray(column).view(np.uint64))
     out = np.empty((len(rays), count))
     for k in range(count):
-        bits = _mixed(word + np.uint64((97 * salt + k + 1) % 2**32) * _GOLDEN) >> np.uint64(11)
+        step = np.uint64((97 * salt + k + 1) * int(_GOLDEN) % 2**64)
+        bits = _mixed(word + step) >> np.uint64(11)
         out[:, k] = (bits.astype(np.float64) + 0.5) * 2.0**-53
     return out
 

@@ -12,16 +12,15 @@ from math import degrees
 
 import numpy as np
 
+from clacad.effects.homogeneous import shares
 from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Fate
 from clacad.sheet import Window
-from clacad.vignetting import aperture_slope, ghost_onset, share, thin_cells
+from clacad.vignetting import aperture_slope, ghost_onset, thin_cells
 
 NAME = "ghosts"
-DIRECTIONS = 128
-"""Probe directions for which the closed form is taken."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:
@@ -49,9 +48,7 @@ def bound(situation: Situation) -> Bound:
 
 def closed_share(situation: Situation) -> float:
     """Mean of (zone share − V) over the camera's rays, thin lenses."""
-    cells = thin_cells(situation.window)
-    directions = situation.directions
-    if len(directions) == 0:
+    if len(situation.met) == 0:
         return 0.0
-    every = directions[:: max(1, len(directions) // DIRECTIONS)]
-    return float(max(0.0, cells.part - share(cells, every).mean()))
+    cells = thin_cells(situation.window)
+    return float(max(0.0, cells.part - shares(cells, situation.slopes, (0, 0)).mean()))

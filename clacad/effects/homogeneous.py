@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from clacad.effects.shine import Light, joined
 from clacad.rays import Fate, Rays, TraceResult
 from clacad.sheet import Window
-from clacad.vignetting import ThinCells, clip, ghost_step, thin_cells
+from clacad.vignetting import ThinCells, ghost_step, thin_cells
 
 Floats = NDArray[np.float64]
 
 FAINT = 1e-6
 """Shares below this are not listed."""
-
-KNOTS = 65
-"""Slopes a side at which shares of cells that are no rectangles along the lens axes are tabulated."""
 
 
 def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> Light:
@@ -47,7 +44,9 @@ def _order(
         rotation = window.thin.rotation
         turned = direction @ rotation
         with np.errstate(divide="ignore", invalid="ignore"):
-            out = np.column_stack([turned[:, :2] / turned[:, 2:] - ghost_step(cells, order), np.ones(len(rows))])
+            out = np.column_stack(
+                [turned[:, :2] / turned[:, 2:] + ghost_step(cells, order), np.ones(len(rows))]
+            )
         direction = (out / np.sqrt((out * out).sum(axis=1))[:, None]) @ rotation.T
         flux = np.where(direction[:, 2] > 0.0, flux, 0.0)
     kept = flux > FAINT
@@ -65,53 +64,61 @@ def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     indices = corners @ np.linalg.inv(steps)
     bounds = [(int(np.floor(indices[:, k].min())), ceil(indices[:, k].max())) for k in (0, 1)]
-    listed = [(i, j) for i in range(bounds[0][0], bounds[0][1] + 1) for j in range(bounds[1][0], bounds[1][1] + 1)]
+    listed = [
+        (i, j) for i in range(bounds[0][0], bounds[0][1] + 1) for j in range(bounds[1][0], bounds[1][1] + 1)
+    ]
     return [order for order in listed if order != (0, 0)]
 
 
 def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int]) -> Floats:
-    """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order.
-
-    A product of two overlaps where cells are rectangles along the lens axes; else interpolated in a table of
-    overlaps of polygons.
-    """
+    """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order."""
     shift = cells.separation * slopes - cells.neighbour(order)
-    if _is_box(cells.zone) and _is_box(cells.image):
-        near = np.maximum(cells.zone.min(axis=0), cells.image.min(axis=0) + shift)
-        far = np.minimum(cells.zone.max(axis=0), cells.image.max(axis=0) + shift)
-        part = np.clip(far - near, 0.0, None) / np.ptp(cells.image, axis=0)
-        return np.asarray(cells.part * part[:, 0] * part[:, 1])
-    return _interpolated(cells, shift)
+    x, y = cells.image.T
+    whole = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    return np.asarray(cells.part / whole * overlap(cells.image, cells.zone, shift))
 
 
-def _is_box(polygon: Floats) -> bool:
-    if len(polygon) != 4:
-        return False
-    sides = np.abs(np.roll(polygon, -1, axis=0) - polygon)
-    return bool((sides.min(axis=1) <= 1e-9 * sides.max()).all())
+def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:
+    """Area (n,) that two convex polygons share when the first is moved by each shift (n, 2).
+
+    Parameters
+    ----------
+    moved, fixed : (k, 2), (m, 2)
+        Corners, counter-clockwise.
+
+    Notes
+    -----
+    The border of what they share is made of the parts of each one's sides inside the other, and its area is half
+    the sum of x dy − y dx along them: no corner is ever constructed. Sides that coincide are counted once.
+    """
+    first = _along_sides(moved, fixed, shift, closed=True)
+    return np.asarray(first + _along_sides(fixed, moved, -shift, closed=False, origin=shift))
 
 
-def _interpolated(cells: ThinCells, shift: Floats) -> Floats:
-    """Overlap of image and zone against their relative shift, bilinear in a table over all that overlaps."""
-    reach = np.maximum(np.abs(cells.zone).max(axis=0) + np.abs(cells.image).max(axis=0), 1e-300)
-    knots = np.linspace(-1.0, 1.0, KNOTS)
-    table = np.array([[_overlap(cells, (a * reach[0], b * reach[1])) for b in knots] for a in knots])
-    place = (np.clip(shift / reach, -1.0, 1.0) + 1.0) * 0.5 * (KNOTS - 1)
-    low = np.minimum(place.astype(np.intp), KNOTS - 2)
-    u, v = (place - low).T
-    i, j = low.T
-    return np.asarray(
-        (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1])
-        + u * ((1 - v) * table[i + 1, j] + v * table[i + 1, j + 1])
-    )
+def _along_sides(
+    polygon: Floats, other: Floats, shift: Floats, closed: bool, origin: Floats | None = None
+) -> Floats:
+    """½ ∮ (x dy − y dx), (n,), along the sides of a polygon moved by `shift` as far as they lie in the other one.
 
-
-def _overlap(cells: ThinCells, shift: tuple[float, float]) -> float:
-    return cells.part * _area(clip(cells.image + np.array(shift), cells.zone)) / _area(cells.image)
-
-
-def _area(polygon: Floats) -> float:
-    if len(polygon) < 3:
-        return 0.0
-    x, y = (polygon - polygon[0]).T
-    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+    `origin` moves the point about which area is swept: both polygons must use the same.
+    """
+    area = np.zeros(len(shift))
+    normals = np.roll(other, -1, axis=0) - other
+    inward = np.column_stack([-normals[:, 1], normals[:, 0]])
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        low, high = np.zeros(len(shift)), np.ones(len(shift))
+        for corner, normal in zip(other, inward, strict=True):
+            here = (start - corner + shift) @ normal
+            speed = float((end - start) @ normal)
+            if abs(speed) <= 1e-12 * float(np.hypot(*(end - start)) * np.hypot(*normal)):
+                outside = here < 0.0 if closed else here <= 0.0
+                high = np.where(outside, low, high)
+            elif speed > 0.0:
+                low = np.maximum(low, -here / speed)
+            else:
+                high = np.minimum(high, -here / speed)
+        place = start + shift if origin is None else start + shift + origin
+        along = end - start
+        swept = place[:, 0] * along[1] - place[:, 1] * along[0]
+        area += 0.5 * swept * np.maximum(high - low, 0.0)
+    return area

@@ -317,7 +317,8 @@ def crossings(block: Block) -> Iterator[Crossing]:
         yield from plate_crossings(block)
         return
     result, bodies = block.result, block.window.bodies
-    assert result.hits is not None and result.directions is not None
+    assert result.hits is not None
+    assert result.directions is not None
     everywhere = bool((result.fate <= Fate.GHOST).all())
     before, point = unit_rows(block.rays.direction), block.rays.position
     for face, after in enumerate(result.directions):

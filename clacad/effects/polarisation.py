@@ -11,8 +11,8 @@ share of the scene's light that the camera gets (polarisation ray tracing: Yun, 
 faces themselves polarise. An ideal analyser or polariser halves unpolarised light. Retardance at total reflection
 and of coatings is left out; the straight path alone is polarised.
 *Law.* Malus: cos² of the angle between polariser and analyser; reciprocity; Fresnel's shares for one face.
-*On when* there is a polariser or analyser, or |(T_s/T_p)^N − 1|/2 exceeds the radiance that matters. Implies
-`fresnel`.
+*On when* there is a polariser or analyser, or the faces polarise the light so much that the product of mean shares
+is off by more than the radiance that matters. Implies `fresnel`.
 """
 
 from __future__ import annotations
@@ -88,14 +88,20 @@ def _crossed(field: Floats, crossing: Crossing, coating: str, ratio: float) -> F
 
 
 def cross_face(
-    field: Floats, before: Floats, after: Floats, n1: float, n2: float, coating: str = "none", ratio: float = 1.0
+    field: Floats,
+    before: Floats,
+    after: Floats,
+    n1: float,
+    n2: float,
+    coating: str = "none",
+    ratio: float = 1.0,
 ) -> Floats:
     """Field vectors (m, 3) behind an interface, scaled so that their square is the flux."""
     turn = deviation(before, after)
     c = 1.0 - turn
     turned = field - ((field * after).sum(axis=1) / (1.0 + c))[:, None] * (before + after)
     if n1 == n2:
-        return turned
+        return np.asarray(turned)
     share_s, share_p = reflected(turn, n1, n2, coating, ratio)
     tau_s, tau_p = np.sqrt(1.0 - share_s), np.sqrt(1.0 - share_p)
     s = np.cross(before, after)
@@ -110,18 +116,23 @@ def cross_face(
 
 
 def bound(situation: Situation) -> Bound:
-    """Half of |T_s/T_p − 1| over all faces, for the probe ray that is polarised most."""
+    """|(Π T_s + Π T_p)/2 − Π (T_s + T_p)/2| for the probe ray that is polarised most, as if all planes agreed."""
     setting = situation.setting
     if setting.polariser is not None or setting.analyser is not None:
-        which = " and ".join(
-            name for name in ("polariser", "analyser") if getattr(setting, name) is not None
-        )
+        which = " and ".join(name for name in ("polariser", "analyser") if getattr(setting, name) is not None)
         return Bound(0.0, 1.0, f"the scene has a {which}", 2.0)
     block = Block(situation.window, situation.rays, situation.probe, "surfaces", None)
-    ratio = np.ones(len(situation.probe))
+    n = len(situation.probe)
+    all_s, all_p, plain = np.ones(n), np.ones(n), np.ones(n)
     for crossing in crossings(block):
-        s, p = reflected(deviation(crossing.before, crossing.after), crossing.n1, crossing.n2, setting.coating)
-        ratio *= (1.0 - s) / (1.0 - p)
+        s, p = reflected(
+            deviation(crossing.before, crossing.after), crossing.n1, crossing.n2, setting.coating
+        )
+        all_s *= 1.0 - s
+        all_p *= 1.0 - p
+        plain *= 1.0 - 0.5 * (s + p)
     passing = situation.probe.fate <= Fate.LAND
-    radiance = float(0.5 * np.abs(ratio[passing] - 1.0).max(initial=0.0))
-    return Bound(0.0, radiance, f"no polariser or analyser; the faces polarise {radiance:.2g} at most", 2.0)
+    radiance = float(np.abs(0.5 * (all_s + all_p) - plain)[passing].max(initial=0.0))
+    return Bound(
+        0.0, radiance, f"no polariser or analyser; what the faces polarise counts {radiance:.2g}", 2.0
+    )

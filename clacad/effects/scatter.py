@@ -47,17 +47,13 @@ def blur(window: Window, slope_rms: float) -> tuple[float, float]:
     """Rms slope by which light is turned along lens x and y."""
     index = max(body.index for body in window.bodies)
     each = len(window.bodies)  # faces a lens: two each in air, one on a slab
-    x, y = (
-        (index - 1.0) * slope_rms * sqrt(each * (1.0 + 1.0 / (m * m))) for m in focal_ratio(window.thin)
-    )
+    x, y = ((index - 1.0) * slope_rms * sqrt(each * (1.0 + 1.0 / (m * m))) for m in focal_ratio(window.thin))
     return x, y
 
 
 def haze(window: Window, roughness: float, wavelength: float) -> float:
     """Share of the light that rough faces take from the direct beam (roughness and wavelength in metres)."""
-    depth = sum(
-        2.0 * (2.0 * pi * (body.index - 1.0) * roughness / wavelength) ** 2 for body in window.bodies
-    )
+    depth = sum(2.0 * (2.0 * pi * (body.index - 1.0) * roughness / wavelength) ** 2 for body in window.bodies)
     return -expm1(-depth)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.sheet import Body, Face, Window, column, face_height, optical_tile
+from clacad.vignetting import focal_ratio
 
 Floats = NDArray[np.float64]
 GRID = 33
@@ -26,9 +27,18 @@ def cell_points(window: Window) -> Floats:
 
 
 def mean_thickness(window: Window, body: Body) -> float:
-    """Mean extent of a body along z over the optical zone, length."""
-    x, y = cell_points(window).T
-    front, back = _heights(window, body, x, y)
+    """Mean extent of a body along z where light near the axis passes it, length.
+
+    Lens 1's light arrives at lens 2 as a copy scaled by m = −f2/f1 per meridian: of lens 2 only |m| is lit where
+    |m| < 1, of lens 1 only 1/|m| is seen where |m| > 1.
+    """
+    m = np.abs(focal_ratio(window.thin))
+    scale = np.ones(2)
+    if len(window.bodies) > 1:
+        scale = np.minimum(1.0, 1.0 / m) if body is window.bodies[0] else np.minimum(1.0, m)
+    turn = window.thin.rotation[:2, :2]
+    points = (cell_points(window) @ turn * scale) @ np.linalg.inv(turn)
+    front, back = _heights(window, body, *points.T)
     return float(np.nanmean(np.maximum(back - front, 0.0)))
 
 

@@ -101,9 +101,7 @@ def seen(result: TraceResult, names: Sequence[str]) -> NDArray[np.bool_]:
     return np.isin(result.fate, fates) & (result.flux > 0.0)
 
 
-def split(
-    window: Window, rays: Rays, result: TraceResult, names: Sequence[str], setting: Setting
-) -> Light:
+def split(window: Window, rays: Rays, result: TraceResult, names: Sequence[str], setting: Setting) -> Light:
     """Paths with at least one partial reflection, of the rays that meet the sheet."""
     from dataclasses import replace
 

@@ -38,7 +38,9 @@ def bound(situation: Situation) -> Bound:
     estimate = step_share(situation.window) * t
     radiance = situation.most(counted) if counted > 0.0 else min(estimate, situation.most(0.0))
     land = situation.share(Fate.LAND)
-    why = f"{counted:.2%} of the light meets a wall" + (f"; {land:.2%} passes land and is shown" if land else "")
+    why = f"{counted:.2%} of the light meets a wall" + (
+        f"; {land:.2%} passes land and is shown" if land else ""
+    )
     return Bound(0.0, radiance, why, 1.0 + 30.0 * counted)
 
 
