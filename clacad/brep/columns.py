@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from clacad.brep.cell import Cell, CellFace
 from clacad.brep.conics import Arc
 from clacad.brep.edges import Plane, Post, SegmentClass, segment_class
+from clacad.brep.nodes import Index, Nodes, State, Touch
+from clacad.brep.path import Path
 from clacad.brep.pattern import Floats, Region
 from clacad.brep.segments import (
     TOLERANCE,
@@ -20,11 +21,9 @@ from clacad.brep.segments import (
     segment_shape,
     zone_columns,
 )
-from clacad.brep.shell import Loop, LoopEdge, Node, Segment, Shells, reverse
+from clacad.brep.shell import Loop, LoopEdge, Segment, Shells, reverse
 from clacad.lattice import Lattice
 
-State = Literal["cell", "outside", "empty"]
-Index = tuple[int, int]
 Rim = tuple[list[int], list[int]]  # edges of a chain, vertices of a chain
 
 
@@ -34,52 +33,6 @@ class Sided(NamedTuple):
     segment: Segment
     column: int
     forward: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Ring:
-    """The cells round one corner of a cell, counter-clockwise from the node's canonical first cell.
-
-    Attributes
-    ----------
-    cells : (((di, dj), corner), ...)
-        Relative to the canonical cell.
-    shift : (di, dj)
-        From the cell asked about to the canonical cell.
-    sector : int
-        Which of `cells` the cell asked about is.
-    """
-
-    cells: tuple[tuple[Index, int], ...]
-    shift: Index
-    sector: int
-
-
-def rings(lattice: Lattice) -> list[Ring]:
-    """Give, for every corner of a tile, the ring of cells that meet there."""
-    tile = lattice.tile()
-    sides = len(tile)
-    near = 1e-6 * lattice.circumradius
-    found = []
-    for c in range(sides):
-        around: list[tuple[float, Index, int]] = []
-        for step in [(0, 0), *lattice.steps, *_diagonals(lattice)]:
-            offset = np.array(lattice.offset(*step))
-            for k in range(sides):
-                if np.hypot(*(offset + tile[k] - tile[c])) < near:
-                    way = offset - tile[c]
-                    around.append((float(np.arctan2(way[1], way[0])), step, k))
-        around.sort()
-        first = min(range(len(around)), key=lambda i: around[i][2])
-        base = around[first][1]
-        order = [around[(first + i) % len(around)] for i in range(len(around))]
-        cells = tuple(((step[0] - base[0], step[1] - base[1]), k) for _, step, k in order)
-        found.append(Ring(cells, base, next(s for s, (_, step, _) in enumerate(order) if step == (0, 0))))
-    return found
-
-
-def _diagonals(lattice: Lattice) -> list[Index]:
-    return [] if lattice.hexagonal else [(1, 1), (-1, 1), (-1, -1), (1, -1)]
 
 
 class Columns:
@@ -101,19 +54,26 @@ class Columns:
         Describe only the land round the cells, the cells themselves left out.
     breaks : tuple of (n,) parameters, or None
         Per class of borders between two cells: where anything changes, from the cell complex.
+    path : Path or None
+        The outline.
+
+    Attributes
+    ----------
+    touching : dict
+        Borders that lie on the outline: identity of the node they start at → edges of front and back face.
     """
 
     def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, scale: float, shift: Floats,
-                 outside: Column | None = None, outside_owner: int = -1, hollow: bool = False, breaks: tuple[Floats, ...] | None = None) -> None:  # fmt: skip
+                 outside: Column | None = None, outside_owner: int = -1, hollow: bool = False,
+                 breaks: tuple[Floats, ...] | None = None, path: Path | None = None) -> None:  # fmt: skip
         self.shells, self.cell, self.lattice = shells, cell, lattice
+        self.touching: dict[int, tuple[Loop, Loop]] = {}
         self._scale, self._shift = scale, shift
         self._outside, self._outside_owner, self._hollow = outside, outside_owner, hollow
         self._breaks = breaks
         self._sides = len(cell.tile)
-        self._rings = rings(lattice)
-        self._levels: dict[tuple[int, tuple[State, ...]], Levels] = {}
+        self._nodes = Nodes(shells, cell, lattice, self._centre, self._state, outside, path)
         self._classes: dict[tuple[object, ...], SegmentClass] = {}
-        self._nodes: dict[tuple[int, int, int], tuple[Node, tuple[State, ...]]] = {}
         self._segments: dict[tuple[int, int, int], Segment] = {}
         self._owners: dict[Index, int] = {}
         self._rim_arcs: dict[tuple[object, ...], Arc] = {}
@@ -123,13 +83,26 @@ class Columns:
         self._zones = self._zone_classes() if cell.island and not hollow else []
         self._kept: set[Index] = set()
 
+    @property
+    def touches(self) -> list[Touch]:
+        """The nodes that lie on the outline."""
+        return self._nodes.touches
+
+    def outside_face(self, face: int) -> CellFace:
+        """The flat face round the cells (the plane of a plane face where there is no outline)."""
+        return self.cell.faces[face] if self._outside is None else self._outside.faces[face]
+
     def describe(self) -> None:
         """Describe all cells, borders and nodes."""
         cells = self.lattice.cells()
         self._kept = {(int(i), int(j)) for i, j in cells}
         centres = self.lattice.centres(cells) * self._scale + self._shift
         for (i, j), centre in zip(cells.tolist(), centres):
-            self._describe_cell((i, j), np.append(centre, 0.0))
+            if not self._hollow:
+                self._describe_cell((i, j), np.append(centre, 0.0))
+            elif not all((i + di, j + dj) in self._kept for di, dj in self.lattice.steps):
+                for k in range(self._sides):
+                    self._border((i, j), k)
 
     # -- states -----------------------------------------------------------------------------------
 
@@ -147,42 +120,12 @@ class Columns:
         return self._owners[index]
 
     def _column(self, state: State, k: int, offset: Floats, against: bool) -> Column | None:
-        if state == "empty":
+        if state in ("empty", "beyond"):
             return None
         return self._outside if state == "outside" else column_of_side(self.cell, k, offset, against)
 
     def _centre(self, index: Index) -> Floats:
         return np.asarray(self.lattice.centres(np.array(index)) * self._scale + self._shift)
-
-    # -- nodes ------------------------------------------------------------------------------------
-
-    def _node(self, index: Index, corner: int) -> tuple[Node, tuple[State, ...], int]:
-        """The node at a cell's corner, the states round it, the sector of the cell in it."""
-        ring = self._rings[corner]
-        first = ring.cells[0][1]
-        anchor = (index[0] + ring.shift[0], index[1] + ring.shift[1])
-        key = (*anchor, first)
-        if key not in self._nodes:
-            states = tuple(self._state((anchor[0] + a, anchor[1] + b)) for (a, b), _ in ring.cells)
-            if (first, states) not in self._levels:
-                self._levels[first, states] = self._levels_round(states, ring)
-            origin = np.append(self._centre(anchor) + self.cell.tile[first], 0.0)
-            self._nodes[key] = (self.shells.node(origin, self._levels[first, states]), states)
-        node, states = self._nodes[key]
-        return node, states, ring.sector
-
-    def _levels_round(self, states: tuple[State, ...], ring: Ring) -> Levels:
-        heights = np.full((len(states), 2), np.nan)
-        for s, (state, (_, corner)) in enumerate(zip(states, ring.cells)):
-            column = self._column(state, corner, np.zeros(2), False)
-            if column is None:
-                continue
-            kinds = [column.kind(f, 0.0) for f in (0, 1)]
-            if "none" in kinds:
-                continue
-            x, y = self.cell.tile[corner][:, None]
-            heights[s] = [float(column.faces[f].height(kinds[f], x, y)[0]) for f in (0, 1)]
-        return linked_levels(heights, self.shells.merge)
 
     # -- borders ----------------------------------------------------------------------------------
 
@@ -200,19 +143,31 @@ class Columns:
     def _make_border(self, left: Index, k: int) -> Segment:
         step = self.lattice.steps[k]
         right = (left[0] + step[0], left[1] + step[1])
-        states = (self._state(left), self._state(right))
-        node_a, states_a, sector_a = self._node(left, k)
-        node_b, states_b, sector_b = self._node(left, (k + 1) % self._sides)
-        key = (k, states, states_a, states_b)
+        a, b = self._nodes.at(left, k), self._nodes.at(left, (k + 1) % self._sides)
+        # Counter-clockwise round node a the right cell comes just before the left one, round b just after.
+        states = (a.sectors.states[a.first], a.sectors.states[a.before])
+        key = (k, states, a.sectors, b.sectors)
         if key not in self._classes:
-            # Counter-clockwise round node a the right cell comes just before the left one, round b just after.
-            before, after = (sector_a - 1) % len(states_a), (sector_b + 1) % len(states_b)
-            start = Post(node_a.levels, (sector_a, before), (-1, before))
-            end = Post(node_b.levels, (sector_b, after), (sector_b, -1))
+            start = Post(a.node.levels, (a.first, a.before), (-1, a.before))
+            end = Post(b.node.levels, (b.last, b.after), (b.last, -1))
             self._classes[key] = self._border_class(k, states, start, end)
-        owners = (self._owner(left), self._owner(right))
+        owners = (
+            -1 if states[0] == "beyond" else self._owner(left),
+            -1 if states[1] == "beyond" else self._owner(right),
+        )
         offset = np.append(self._centre(left), 0.0)
-        return self.shells.segment(self._classes[key], offset, (node_a, node_b), owners)
+        bare = "beyond" in states
+        made = self.shells.segment(self._classes[key], offset, (a.node, b.node), owners, bare)
+        if bare:  # the cell touches the outline along this border
+            column = states.index("beyond") ^ 1
+            if not self._hollow:
+                self.shells.join(owners[column], self._outside_owner)
+            side = Sided(made, column, column == 0)
+            start_node = a.node if column == 0 else b.node
+            self.touching[id(start_node)] = (
+                ([], []) if self._hollow else (self._all_runs(side, 0), self._all_runs(side, 1))
+            )
+        return made
 
     def _border_class(self, k: int, states: tuple[State, State], start: Post, end: Post) -> SegmentClass:
         offset = np.array(self.lattice.offset(*self.lattice.steps[k])) * self._scale
@@ -263,8 +218,6 @@ class Columns:
 
     def _describe_cell(self, index: Index, centre: Floats) -> None:
         borders = [self._border(index, k) for k in range(self._sides)]
-        if self._hollow:
-            return
         owner = self._owner(index)
         zone = self._zone(centre, owner) if self.cell.island else borders
         shared: dict[int, Rim] = {}

@@ -38,6 +38,28 @@ class LoopEdge:
 Loop = list[LoopEdge]
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class FlatEdge:
+    """An edge of a flat face: its use, vertices, the column it belongs to.
+
+    `way_out`, `way_in` (2,) are its directions at start and end, `points` (k, 2) points along it, ends included (mm).
+    """
+
+    use: LoopEdge
+    first: int
+    last: int
+    owner: int
+    way_out: Floats
+    way_in: Floats
+    points: Floats
+
+    def reversed(self) -> FlatEdge:
+        """The same edge listed from its last vertex (its use runs that way)."""
+        return FlatEdge(
+            self.use, self.last, self.first, self.owner, -self.way_in, -self.way_out, self.points[::-1]
+        )  # fmt: skip
+
+
 class Writer(Protocol):
     """What receives the description: the CAD kernel or a text file."""
 
@@ -91,15 +113,24 @@ class Segment:
 
 
 class Shells:
-    """Describe bodies to a writer; collects which faces hang together."""
+    """Describe bodies to a writer; collects which faces hang together.
 
-    def __init__(self, writer: Writer, merge: float = MERGE) -> None:
+    Parameters
+    ----------
+    writer : Writer
+    merge : float, mm
+        Merge height.
+    split : bool
+        Pieces are told apart by shared edges too, not only by columns that share material.
+    """
+
+    def __init__(self, writer: Writer, merge: float = MERGE, split: bool = False) -> None:
+        self._edges: dict[int, list[int]] | None = {} if split else None
         self.writer = writer
         self.merge = merge
         self.counts = ShellCounts()
         self.faces: dict[int, list[int]] = defaultdict(list)
-        self.flat: dict[tuple[str, int], list[tuple[LoopEdge, int, int, int]]] = defaultdict(list)
-        self.places: dict[int, Floats] = {}
+        self.flat: dict[tuple[str, int], list[FlatEdge]] = defaultdict(list)
         self._parent: list[int] = []
         self._verticals: dict[float, Arc] = {}
 
@@ -127,7 +158,28 @@ class Shells:
         for owner in range(len(self._parent)):
             if owner in self.faces:
                 pieces.setdefault(self.root(owner), []).extend(self.faces[owner])
-        return list(pieces.values())
+        if self._edges is None:
+            return list(pieces.values())
+        return [part for faces in pieces.values() for part in self._by_edges(faces)]
+
+    def _by_edges(self, faces: list[int]) -> list[list[int]]:
+        """Split faces into those that hang together by edges (land in several strips has one owner)."""
+        assert self._edges is not None
+        label = {face: face for face in faces}
+
+        def root(face: int) -> int:
+            while label[face] != face:
+                face = label[face]
+            return face
+
+        first: dict[int, int] = {}
+        for face in faces:
+            for edge in self._edges[face]:
+                label[root(first.setdefault(edge, face))] = root(face)
+        parts: dict[int, list[int]] = {}
+        for face in faces:
+            parts.setdefault(root(face), []).append(face)
+        return list(parts.values())
 
     # -- small things -----------------------------------------------------------------------------
 
@@ -168,13 +220,16 @@ class Shells:
     def face(self, owner: int, surface: int, same_sense: bool, loops: list[Loop], role: Role) -> None:
         """Make a face that belongs to a column."""
         self.counts.faces[role] += 1
-        self.faces[owner].append(self.writer.face(surface, same_sense, loops, role))
+        number = self.writer.face(surface, same_sense, loops, role)
+        self.faces[owner].append(number)
+        if self._edges is not None:
+            self._edges[number] = [use.edge for loop in loops for use in loop if use.edge >= 0]
 
     # -- segments ---------------------------------------------------------------------------------
 
-    def segment(self, kind: SegmentClass, offset: Floats, ends: tuple[Node, Node], owners: tuple[int, int]
-                ) -> Segment:  # fmt: skip
-        """Make the edges and walls of one segment."""
+    def segment(self, kind: SegmentClass, offset: Floats, ends: tuple[Node, Node], owners: tuple[int, int],
+                bare: bool = False) -> Segment:  # fmt: skip
+        """Make the edges and walls of one segment; `bare`: a side face of the outline takes the walls' place."""
         inner = [
             self.node(offset + np.append(kind.shape.points[i], 0.0), kind.posts[i].levels)
             for i in range(1, len(kind.posts) - 1)
@@ -193,14 +248,15 @@ class Shells:
                     flat = "plane" if use.kind == "plane" else "outside" if kind.outside[use.column] else ""
                     if flat:
                         item = LoopEdge(number, use.column == 0)
-                        self.flat[flat, use.face].append((item, a, b, owners[use.column]))
-                        self.places[a] = first.origin
-                        self.places[b] = last.origin
+                        way = (edge.arc.poles[-1] - edge.arc.poles[0])[:2]
+                        points = np.array([first.origin[:2], last.origin[:2]])
+                        record = FlatEdge(item, a, b, owners[use.column], way, way, points)
+                        self.flat[flat, use.face].append(record)
             made.edges.append(numbers)
             self.counts.merged_steps += piece.merged
             if piece.joined:
                 self.join(*owners)
-            for number in range(len(piece.walls)):
+            for number in range(0 if bare else len(piece.walls)):
                 self._wall(made, i, number, offset)
         return made
 
