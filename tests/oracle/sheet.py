@@ -66,11 +66,14 @@ def condition(window, start, direction):
     faces = trace(window, start, direction).faces
     with mp.workdps(DIGITS):
         ray, step = surfaces.unit([mpf(float(v)) for v in direction]), surfaces.STEP
-        base = surfaces.trace(faces, start, ray).directions[-1]
+        # from a pitch before the first face: the distance of the source is the start's rounding, counted already
+        hit = surfaces.trace(faces, start, ray).hits[0]
+        near = [u - mpf(window.lattice.pitch[0]) * v for u, v in zip(hit, ray)]
+        base = surfaces.trace(faces, near, ray).directions[-1]
         grown = mpf(0)
         for k in range(3):
             moved = [v + (step if i == k else 0) for i, v in enumerate(ray)]
-            there = surfaces.trace(faces, start, moved).directions[-1]
+            there = surfaces.trace(faces, near, moved).directions[-1]
             grown = max(grown, mp.sqrt(sum((u - v) ** 2 for u, v in zip(there, base))) / step)
         return surfaces.condition(faces, start, direction) + grown
 
