@@ -74,7 +74,7 @@ def facts(picture: Picture) -> dict[str, str]:
         "Title": scene.name,
         "Software": _version(),
         "clacad:design": f"{scene.design().name} sha256 {scene.design().sha256}",
-        "clacad:rung": f"{passage.rung} ({passage.why})",
+        "clacad:rung": passage.rung if passage.plan is None else f"{passage.rung} ({passage.plan.rung_why})",
         "clacad:effects": _effect_text(picture),
         "clacad:samples": f"{int(picture.samples.min())} to {int(picture.samples.max())} rays a pixel",
         "clacad:encoding": scene.camera.encoding,
@@ -85,12 +85,8 @@ def facts(picture: Picture) -> dict[str, str]:
 
 
 def _effect_text(picture: Picture) -> str:
-    from clacad.rays import Fate
-
-    ghosts = int(Fate.GHOST) in picture.passage.shining
     plan = picture.passage.plan
-    rows = [str(row) for row in getattr(plan, "rows", ())] if plan is not None else []
-    return "; ".join(rows) if rows else f"ghosts {'on' if ghosts else 'off'}"
+    return "none" if plan is None else plan.summary()
 
 
 def _version() -> str:
@@ -115,7 +111,9 @@ def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: 
     target = Path(path)
     if target.suffix.lower() not in STILLS:
         raise UnknownPicture(f"{target.name}: a picture is one of {' '.join(STILLS)}")
-    write_file(target, lambda private: _save(pixels_of(picture), private, facts(picture)), overwrite=overwrite)
+    write_file(
+        target, lambda private: _save(pixels_of(picture), private, facts(picture)), overwrite=overwrite
+    )
 
 
 def _save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:
@@ -216,8 +214,10 @@ def _mp4_writer() -> Any:
     UnknownPicture
         The encoder is not installed.
     """
+    from importlib import import_module
+
     try:
-        from imageio_ffmpeg import write_frames
+        write_frames = import_module("imageio_ffmpeg").write_frames
     except ImportError:
         raise UnknownPicture(
             "MP4 needs an encoder: pip install 'clacad[pictures]', or write .webp, .png or .gif"

@@ -317,7 +317,7 @@ def to_triangle(store: Floats, k: int, x: float, y: float, z: float, u: float, v
     qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
     g = (u * qx + v * qy + w * qz) / det
     if f >= 0.0 and g >= 0.0 and f + g <= 1.0:
-        return (qx * bx + qy * by + qz * bz) / det
+        return float((qx * bx + qy * by + qz * bz) / det)
     return np.nan
 
 

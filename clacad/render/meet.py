@@ -224,7 +224,8 @@ def _painted(
     normal = _normal(stage, k, local, triangle) @ turn.T
     away = np.einsum("ij,ij->i", normal, direction) > 0.0
     normal = np.where(away[:, None], -normal, normal)
-    return colour * (stage.ambient + stage.key * np.maximum(0.0, normal @ stage.towards_light))[:, None]
+    shade = stage.ambient + stage.key * np.maximum(0.0, normal @ stage.towards_light)
+    return np.asarray(colour * shade[:, None])
 
 
 def _normal(stage: Stage, k: int, local: Floats, triangle: Ints) -> Floats:
@@ -252,7 +253,7 @@ def _normal(stage: Stage, k: int, local: Floats, triangle: Ints) -> Floats:
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     else:
         normal[:, 2] = 1.0
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
 def _prism_normal(local: Floats, half: float, outline: Floats) -> Floats:

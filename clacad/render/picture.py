@@ -104,6 +104,7 @@ def render_movie(scene: Scene | str | os.PathLike[str], *, threads: int | None =
         raise ValueError(f"the scene {made.name} has no animation")
     stills = checked_frames(made)
     for k, still in enumerate(stills):
+
         def tell(stage: str, share: float | None, k: int = k) -> None:
             if progress is not None:
                 progress("rendering frames", (k + (share or 0.0)) / len(stills))
@@ -154,7 +155,9 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     def one(corner: tuple[int, int]) -> None:
         rows = slice(corner[0], min(corner[0] + TILE, view.height))
         columns = slice(corner[1], min(corner[1] + TILE, view.width))
-        light[rows, columns], samples[rows, columns], error[rows, columns] = tile(viewing, still, view, rows, columns)
+        light[rows, columns], samples[rows, columns], error[rows, columns] = tile(
+            viewing, still, view, rows, columns
+        )
 
     _each(one, corners, thread_count(threads), progress)
     return Picture(light, samples, error, still, viewing.passage, window)
@@ -164,6 +167,7 @@ def _each(
     work: Callable[[tuple[int, int]], None], corners: Sequence[tuple[int, int]], threads: int, progress: Progress | None
 ) -> None:  # fmt: skip
     """Do all tiles, telling how far it is."""
+
     def tell(done: int) -> None:
         if progress is not None:
             progress("rendering", done / len(corners))
@@ -178,7 +182,9 @@ def _each(
             tell(k + 1)
 
 
-def tile(viewing: Viewing, scene: Scene, view: View, rows: slice, columns: slice) -> tuple[Floats, Ints, Floats]:
+def tile(
+    viewing: Viewing, scene: Scene, view: View, rows: slice, columns: slice
+) -> tuple[Floats, Ints, Floats]:
     """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...).
 
     With a noise target, pixels that miss it (or whose neighbours do) get as many samples again as they
@@ -195,7 +201,11 @@ def tile(viewing: Viewing, scene: Scene, view: View, rows: slice, columns: slice
         _sample(viewing, view, pixels, active, first, more, most, total, square)
         count[active] += more
         first += more
-        noisy = _noisy(total, square, count, camera.noise, y.shape) if camera.noise > 0.0 else np.zeros(0, dtype=bool)
+        noisy = (
+            _noisy(total, square, count, camera.noise, y.shape)
+            if camera.noise > 0.0
+            else np.zeros(0, dtype=bool)
+        )
         active = active[noisy[active]] if len(noisy) and first < most else active[:0]
         more = min(first, most - first)
     mean = total / count[:, None]
@@ -228,7 +238,9 @@ def _standard_error(total: Floats, square: Floats, count: Ints) -> Floats:
     return np.asarray(np.sqrt(variance / n).max(axis=1))
 
 
-def _noisy(total: Floats, square: Floats, count: Ints, target: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _noisy(
+    total: Floats, square: Floats, count: Ints, target: float, shape: tuple[int, ...]
+) -> NDArray[np.bool_]:
     """Pixels that miss the target or touch one that does: few samples may by chance all agree."""
     bad = (_standard_error(total, square, count) > target).reshape(shape)
     padded = np.pad(bad, 1)

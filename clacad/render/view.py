@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.rays import Fate, Rays, TraceResult
+from clacad.rays import Fate, Rays
 from clacad.render.meet import background, look
-from clacad.render.plan import Passage, plan_passage
+from clacad.render.plan import Beyond, Passage, plan_passage
 from clacad.render.spectrum import Line, lines
 from clacad.render.stage import Stage, set_stage
 from clacad.scene import Scene
@@ -47,7 +47,7 @@ class Viewing:
         Whether nothing is seen beside the sheet.
     compiled : bool
         Compiled code or numpy.
-    tables : Tables or None
+    tables : Tables
         The stage for compiled code.
     """
 
@@ -85,7 +85,8 @@ def set_up(scene: Scene, window: Window, compiled: bool, passage: Passage | None
         made = tables(stage)
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
     return Viewing(
-        stage, window, planned, lines(scene.light, window, planned.dispersion), scale, sheet_box(window) / scale,
+        stage, window, planned, lines(scene.light, window, "dispersion" in planned.names), scale,
+        sheet_box(window) / scale,
         front, scene.sheet.surround == "opaque", compiled, made,
     )  # fmt: skip
 
@@ -132,10 +133,11 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     if len(rows):
         start = position[rows] * viewing.scale
         waves = None if wavelength is None else np.full(len(rows), wavelength)
-        result = viewing.passage.trace(viewing.window, Rays(start, direction[rows], waves), viewing.compiled)
+        beyond, result = viewing.passage.light(
+            viewing.window, Rays(start, direction[rows], waves), viewing.compiled
+        )
         beside[rows] = result.fate == Fate.MISSED
-        met = ~beside[rows]
-        light[rows[met]] = _through(viewing, position[rows[met]], direction[rows[met]], result, met)
+        light[rows] = _through(viewing, position[rows], direction[rows], beyond, ~beside[rows])
     rows = np.flatnonzero(beside)
     if len(rows) and not viewing.opaque:
         light[rows], _ = seen(viewing, position[rows], direction[rows], np.inf)
@@ -144,16 +146,18 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     return light
 
 
-def _through(viewing: Viewing, position: Floats, direction: Floats, result: TraceResult, met: Mask) -> Floats:
+def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Mask) -> Floats:
     """Light of rays that met the sheet: what stands before it, else what is seen through it, else black."""
-    light, hidden = _before(viewing, position, direction)
-    fate = result.fate[met]
-    shines = np.isin(fate, viewing.passage.shining) & ~hidden
-    rows = np.flatnonzero(shines)
-    exit_point = result.position[met][rows] / viewing.scale
-    exit_ray = np.ascontiguousarray(result.direction[met][rows])
-    found, _ = seen(viewing, exit_point, exit_ray, np.inf)
-    light[rows] = found * result.flux[met][rows][:, None]
+    light = np.zeros((len(position), 3))
+    rows = np.flatnonzero(met)
+    hidden = np.zeros(len(position), dtype=bool)
+    light[rows], hidden[rows] = _before(viewing, position[rows], direction[rows])
+    shines = np.flatnonzero((met & ~hidden)[beyond.parent])
+    parent = beyond.parent[shines]
+    found, _ = seen(viewing, beyond.position[shines] / viewing.scale, beyond.direction[shines], np.inf)
+    found *= beyond.flux[shines, None]
+    for colour in range(3):
+        light[:, colour] += np.bincount(parent, found[:, colour], minlength=len(light))
     return light
 
 
@@ -181,7 +185,8 @@ def seen(viewing: Viewing, position: Floats, direction: Floats, limit: Floats | 
     light, met = np.empty((len(position), 3)), np.empty(len(position), dtype=np.bool_)
     bound = np.full(len(position), limit) if np.isscalar(limit) else np.ascontiguousarray(limit)
     start, ray = np.ascontiguousarray(position), np.ascontiguousarray(direction)
-    look_all(*viewing.tables, start, ray, bound, light, met)
+    t = viewing.tables
+    look_all(t.world, t.cluster, t.prim, t.store, start, ray, bound, light, met)
     return light, met
 
 

@@ -1,0 +1,137 @@
+"""What a view does to a coordinate screen: numbers instead of looking.
+
+All objects are replaced by one flat screen in z = z_k whose colour is its own x, y. In the rendered picture
+every point of the sheet then names the screen point seen there, and a straight-line fit gives the map
+X = A + M x₀ of the paper's formulas, stretch = M⁻¹ on the sheet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.prescription import prescribe
+from clacad.render.camera import aim, rays
+from clacad.render.picture import view_through
+from clacad.render.plan import geometry_alone
+from clacad.scene import EffectsSpec, Scene, SceneObject
+
+Floats = NDArray[np.float64]
+
+WIDE = 4.0e4
+"""Side of the screen, scene lengths: wider than any view near a pole of the stretch needs."""
+
+CLIP = 4.0
+"""Rays farther from the fit than this many median distances are left out (strays at lens edges)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScreenMap:
+    """A measured map from the sheet to a screen: X = offset + matrix x₀.
+
+    Attributes
+    ----------
+    offset : (2,) length
+        Screen point seen at the middle of the sheet.
+    matrix : (2, 2)
+    rms : (2,) length
+        Of the rays that were fitted.
+    share : float
+        Rays fitted over rays on the sheet.
+    z : float, length
+        Plane of the screen.
+    camera_distance : float, length
+    """
+
+    offset: Floats
+    matrix: Floats
+    rms: Floats
+    share: float
+    z: float
+    camera_distance: float
+
+    def stretch(self) -> Floats:
+        """Stretch (2,) along x and y relative to the view without a sheet: (1 + z/D)/M_ii."""
+        return np.asarray((1.0 + self.z / self.camera_distance) / np.diag(self.matrix))
+
+    def appears_at(self, x: float, y: float) -> Floats:
+        """Point (2,) of the sheet at which the screen point (x, y) is seen."""
+        return np.asarray(np.linalg.solve(self.matrix, np.array([x, y]) - self.offset))
+
+
+def coordinate_scene(scene: Scene, z: float, pixels: int = 400) -> Scene:
+    """The scene with nothing but a coordinate screen in z, one ray a pixel, self-luminous."""
+    grey = (0.0, 0.0, 0.0)
+    screen = SceneObject(
+        "screen", "screen", (0.0, 0.0, z), (WIDE, WIDE), (0.0, 0.0, 0.0), grey, 0.0, 1.0, None, (grey, grey), None, "y",
+        "coordinates", None,
+    )  # fmt: skip
+    width, height = scene.camera.pixels
+    across = (pixels, max(1, round(pixels * height / width)))
+    camera = replace(scene.camera, pixels=across, samples=1, noise=0.0, aperture=0.0)
+    light = replace(scene.light, spectrum=550e-9)
+    none = EffectsSpec("none", (), (), (), None, scene.effects.radiance, "none", 1)
+    black = replace(scene.background, sky=(grey, grey), ground=grey)
+    return replace(scene, objects=(screen,), camera=camera, light=light, effects=none, background=black)
+
+
+def measure(scene: Scene, z: float, pixels: int = 400, threads: int | None = None) -> ScreenMap:
+    """Fit the map of a still scene's sheet to a screen in z, from the rendered picture.
+
+    Parameters
+    ----------
+    scene : Scene
+    z : float, length
+        Behind the sheet.
+    pixels : int
+        Rays across the picture; best not a multiple of the lens pitch.
+
+    Raises
+    ------
+    ValueError
+        Fewer than 16 rays come through the sheet.
+    """
+    plain = coordinate_scene(scene, z, pixels)
+    window = prescribe(plain.design())
+    picture = view_through(plain, passage=geometry_alone(plain, direct=True), threads=threads)
+    x0, inside = _sheet_points(plain, window, picture.light.shape[:2])
+    light = picture.light.reshape(-1, 3)
+    met = inside & (light[:, 2] > 0.5)
+    if np.count_nonzero(met) < 16:
+        raise ValueError(f"{np.count_nonzero(met)} rays come through the sheet: too few to fit")
+    seen = (light[met, :2] - 0.5) * WIDE
+    offset, matrix, rms, kept = _fitted(x0[met], seen)
+    distance = float(-scene.camera.position[2])
+    return ScreenMap(offset, matrix, rms, kept / np.count_nonzero(inside), z, distance)
+
+
+def _sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:
+    """Where each pixel's ray crosses z = 0 (n, 2), scene lengths, and whether on the cells of array 1."""
+    from clacad.sheet import Window
+
+    assert isinstance(window, Window)
+    view = aim(scene.camera)
+    pixels = np.arange(shape[0] * shape[1])
+    position, direction = rays(view, pixels, np.full((len(pixels), 1, 4), 0.5))
+    at = position - (position[:, 2:] / direction[:, 2:]) * direction
+    scale = scene.unit_m / window.unit
+    index, _, _ = window.lattice.locate(at[:, 0] * scale, at[:, 1] * scale)
+    return at[:, :2], window.lattice.contains(index)
+
+
+def _fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
+    """Least squares, repeated without strays: rays farther off than 4 times the median distance."""
+    design = np.column_stack([np.ones(len(x0)), x0])
+    kept = np.ones(len(x0), dtype=bool)
+    for _ in range(10):
+        found, *_ = np.linalg.lstsq(design[kept], seen[kept], rcond=None)
+        off = seen - design @ found
+        distance = np.hypot(off[:, 0], off[:, 1])
+        near = distance <= CLIP * np.median(distance) + 1e-9
+        if np.array_equal(near, kept):
+            break
+        kept = near
+    rms = np.sqrt(np.mean(off[kept] ** 2, axis=0))
+    return np.asarray(found[0]), np.asarray(found[1:].T), rms, int(np.count_nonzero(kept))
