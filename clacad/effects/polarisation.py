@@ -31,6 +31,9 @@ from clacad.sheet import Window
 
 NAME = "polarisation"
 
+STEEPER = 1.5
+"""Factor for rays of the picture steeper than all of the probe."""
+
 Floats = NDArray[np.float64]
 
 
@@ -116,23 +119,29 @@ def cross_face(
 
 
 def bound(situation: Situation) -> Bound:
-    """|(Π T_s + Π T_p)/2 − Π (T_s + T_p)/2| for the probe ray that is polarised most, as if all planes agreed."""
+    """Product of mean shares against mean of products: Σ over pairs of faces of their degrees of polarisation.
+
+    A face passes T̄ (1 ± D) of its own s and p light, D = (T_p − T_s)/(T_p + T_s). Whatever the planes of incidence,
+    two faces together change unpolarised light's share by D_i D_j at most.
+    """
     setting = situation.setting
     if setting.polariser is not None or setting.analyser is not None:
         which = " and ".join(name for name in ("polariser", "analyser") if getattr(setting, name) is not None)
         return Bound(0.0, 1.0, f"the scene has a {which}", 2.0)
     block = Block(situation.window, situation.rays, situation.probe, "surfaces", None)
     n = len(situation.probe)
-    all_s, all_p, plain = np.ones(n), np.ones(n), np.ones(n)
+    plain, once, twice = np.ones(n), np.zeros(n), np.zeros(n)
     for crossing in crossings(block):
         s, p = reflected(
             deviation(crossing.before, crossing.after), crossing.n1, crossing.n2, setting.coating
         )
-        all_s *= 1.0 - s
-        all_p *= 1.0 - p
         plain *= 1.0 - 0.5 * (s + p)
+        degree = np.abs(s - p) / (2.0 - s - p)
+        once += degree
+        twice += degree * degree
     passing = situation.probe.fate <= Fate.LAND
-    radiance = float(np.abs(0.5 * (all_s + all_p) - plain)[passing].max(initial=0.0))
+    pairs = 0.5 * (once * once - twice) * plain
+    radiance = STEEPER * float(pairs[passing].max(initial=0.0))
     return Bound(
         0.0, radiance, f"no polariser or analyser; what the faces polarise counts {radiance:.2g}", 2.0
     )

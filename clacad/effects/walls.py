@@ -19,6 +19,9 @@ from clacad.sheet import Window
 
 NAME = "walls"
 
+SMOOTH = 1e-9
+"""Share below which steps are rounding."""
+
 
 def effect(window: Window, setting: Setting) -> Effect:
     """Follow what ended at walls; rows that leave get their last point, direction and flux, the others flux 0."""
@@ -36,7 +39,8 @@ def bound(situation: Situation) -> Bound:
     counted = situation.share(Fate.WALL)
     t = float(np.abs(situation.slopes).max(initial=0.0))
     estimate = step_share(situation.window) * t
-    radiance = situation.most(counted) if counted > 0.0 else min(estimate, situation.most(0.0))
+    # a few probe rays may all miss the walls there are; where there is no step there is none to miss
+    radiance = situation.most(counted) if counted > 0.0 or estimate > SMOOTH else 0.0
     land = situation.share(Fate.LAND)
     why = f"{counted:.2%} of the light meets a wall" + (
         f"; {land:.2%} passes land and is shown" if land else ""
