@@ -200,7 +200,7 @@ def is_valid(shape: Any) -> bool:
     return bool(BRepCheck_Analyzer(shape).IsValid())
 
 
-QUADRATURE = 1e-9
+QUADRATURE = 1e-12
 """Relative error asked of the kernel's adaptive quadrature, per face; its fixed one errs by 2e-8 at curved rims."""
 
 

@@ -18,7 +18,7 @@ from clacad.sheet import Window, lens_height_and_normal
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-KERNEL_BYTES = 64_000_000
+KERNEL_BYTES = 24_000_000
 """Files larger than this are scanned only: a kernel would take minutes and gigabytes."""
 
 _GOLDEN = 0.6180339887498949
@@ -34,7 +34,7 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     window : Window or None
         Measure the lens faces against the closed form of this window.
     kernel : bool or None
-        Whether the CAD kernel reads the file too; None: up to 64 MB.
+        Whether the CAD kernel reads the file too; None: up to 24 MB.
     lens_faces, points : int
         The kernel's lens faces are sampled: at most so many of them, so many points on each.
 

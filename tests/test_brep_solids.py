@@ -1,0 +1,51 @@
+"""`solids` gives build123d objects that behave like any other part."""
+
+from __future__ import annotations
+
+import pytest
+from brepwindows import biconvex, column_volume
+
+from clacad.brep import solids
+
+
+@pytest.fixture(scope="module")
+def parts():
+    return solids(biconvex(count=(3, 3), euler=(20.0, 2.0, 0.0)))
+
+
+def test_there_is_one_labelled_solid_per_body_of_the_right_volume(parts):
+    import build123d
+
+    window = biconvex(count=(3, 3), euler=(20.0, 2.0, 0.0))
+    assert [part.label for part in parts] == ["array1", "array2"]
+    for part, body in zip(parts, window.bodies):
+        assert isinstance(part, build123d.Solid)
+        assert part.is_valid
+        assert part.volume == pytest.approx(column_volume(window, body), rel=1e-9)
+
+
+def test_a_solid_can_be_cut_and_moved_and_exported(parts, tmp_path):
+    import build123d
+
+    part = parts[0]
+    bored = part - build123d.Cylinder(0.1, 5.0)
+    removed = part & build123d.Cylinder(0.1, 5.0)
+    assert bored.is_valid
+    assert bored.volume + removed.volume == pytest.approx(part.volume, rel=1e-6)
+    moved = build123d.Pos(1.0, 2.0, 3.0) * part
+    assert moved.volume == pytest.approx(part.volume, rel=1e-12)
+    assert build123d.export_step(part, str(tmp_path / "x.step"))
+
+
+def test_another_cell_count_is_the_same_design_again():
+    few = solids(biconvex(count=(5, 5)), cells=(2, 1))
+    window = biconvex(count=(2, 1))
+    assert few[0].volume == pytest.approx(column_volume(window, window.bodies[0]), rel=1e-9)
+
+
+def test_a_body_of_loose_strips_is_a_compound():
+    import build123d
+
+    parts = solids(biconvex(thickness=0.05, count=(2, 3)))
+    assert isinstance(parts[1], build123d.Compound)
+    assert len(parts[1].solids()) == 3 or len(parts[1].solids()) == 2
