@@ -210,10 +210,7 @@ def verify(
     window = prescribe(design)
     facts = feasibility(window)
     report("tracing the exact surfaces", 0.0)
-    optics = measure(design, window, lambda lit: trace(window, lit.rays), rays)
-    found = law_checks(design, optics)
-    found += [throughput_check(design, window, optics), confocality_check(design, window)]
-    found += design_checks(design, window, facts)
+    found, optics = judge_window(design, window, facts, rays)
     report("tracing the field of view", 0.0)
     curves = meridians(window, lambda lit: trace(window, lit.rays))
     convergence = None
@@ -237,6 +234,17 @@ def verify(
         tuple(judged),
         versions(),
     )
+
+
+def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:
+    """Judge a window by what its design asks: light through the exact surfaces, and the design rules.
+
+    The window need not come from that design; what it does is measured, not believed.
+    """
+    optics = measure(design, window, lambda lit: trace(window, lit.rays), rays)
+    found = law_checks(design, optics)
+    found += [throughput_check(design, window, optics), confocality_check(design, window)]
+    return [*found, *design_checks(design, window, facts)], optics
 
 
 def _silent(_stage: str, _done: float) -> None:

@@ -50,7 +50,9 @@ def sheet_facets(window, quads):
 
 def write_stl(path, triangles):
     """Binary STL of triangles (t, 3, 3) in the file's own unit."""
-    record = np.zeros(len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")])
+    record = np.zeros(
+        len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")]
+    )
     record["corners"] = triangles
     with open(path, "wb") as stream:
         stream.write(b"plain".ljust(80) + struct.pack("<I", len(triangles)) + record.tobytes())

@@ -1,0 +1,231 @@
+"""Files made wrong on purpose are told from right ones, whatever came with them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracle.plain_mesh import facets, sheet_facets, write_stl
+
+from clacad.design import Design
+from clacad.prescription import prescribe
+from clacad.verify import CannotRegister, passed, verify
+from clacad.verify.checks import not_run
+from clacad.verify.files import find_files, register
+
+DESIGN = Design.from_dict({
+    "format": 1, "name": "good", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.0]},
+    "pair": {"form": "biconvex", "separation": 0.05, "thickness": "auto", "index": 1.5},
+    "lattice": {"pitch": 0.005, "count": [5, 4]},
+})  # fmt: skip
+RAYS = 8192
+MM = 1e3
+
+
+@pytest.fixture(scope="module")
+def soup():
+    return sheet_facets(prescribe(DESIGN), 8)
+
+
+@pytest.fixture(autouse=True)
+def _no_refinement(monkeypatch):
+    """Refinement is tested by itself; here it would cost seconds a file."""
+    import importlib
+
+    run = importlib.import_module("clacad.verify.run")
+    monkeypatch.setattr(
+        run, "_convergence", lambda *_: (None, not_run("convergence", "left out", required=False))
+    )
+
+
+def judged(tmp_path, triangles, design=DESIGN, name="part.stl", **options):
+    path = tmp_path / name
+    write_stl(path, triangles * MM)
+    return verify(design, path, rays=RAYS, **options)
+
+
+def failed(report):
+    return {c.id for c in report.checks if c.state == "fail"}
+
+
+def with_manifest(folder, design=DESIGN):
+    """Seal whatever lies in a folder as an export would."""
+    from clacad.export.atomic import canonical_json, file_hash
+
+    files = [
+        {"name": p.name, "sha256": file_hash(p), "bytes": p.stat().st_size, "format": "stl-binary", "unit": "mm",
+         "bodies": ["array1", "array2"]}
+        for p in sorted(folder.glob("*.stl"))
+    ]  # fmt: skip
+    window = {"cells_written": list(design.lattice.count)}
+    (folder / "manifest.json").write_text(
+        canonical_json(
+            {
+                "format": 1,
+                "design": {"name": design.name, "sha256": design.sha256},
+                "window": window,
+                "files": files,
+            }
+        )
+    )
+
+
+def test_a_good_file_passes(tmp_path, soup):
+    report = judged(tmp_path, soup)
+    assert failed(report) == set()
+    assert report.passed
+    assert report.exit_status == 0
+    assert {"closed", "volume", "shape", "file_rms", "file_eta", "file_delta", "scale", "pieces"} <= {
+        c.id for c in report.checks if c.state == "pass"
+    }
+
+
+@pytest.mark.parametrize(("change", "culprit"), [
+    pytest.param({"law.eta": [-0.255, -1.0]}, "file_eta", id="eta_x off by 2 %"),
+    pytest.param({"law.eta": [-0.25, -1.02]}, "file_eta", id="eta_y off by 2 %"),
+    pytest.param({"law.delta": [-0.01, 0.0]}, "shape", id="delta of the other sign"),
+    pytest.param({"pair.index": 1.52}, "file_eta", id="radii of another index"),
+])  # fmt: skip
+def test_a_file_of_another_design_fails_by_name(tmp_path, change, culprit):
+    wrong = sheet_facets(prescribe(DESIGN.replace(change)), 8)
+    report = judged(tmp_path, wrong, cells=(5, 4))
+    assert not report.passed
+    if culprit == "file_eta" and "pair.index" in change:
+        assert failed(report) & {"shape", "file_rms", "file_eta", "volume"}
+    else:
+        assert culprit in failed(report)
+
+
+@pytest.mark.parametrize(("spoil", "culprit"), [
+    pytest.param(lambda t: np.delete(t, 100, axis=0), "closed", id="facet dropped"),
+    pytest.param(lambda t: np.concatenate([t[:77], t[77:78, ::-1], t[78:]]), "closed", id="facet flipped"),
+    pytest.param(lambda t: t[:, ::-1], "shape", id="inside out"),
+    pytest.param(lambda t: t * [1.0, 1.0, 1.01], "shape", id="stretched in z"),
+    pytest.param(lambda t: t * 1.003, "scale", id="grown by 0.3 %"),
+    pytest.param(lambda t: t * [-1.0, 1.0, 1.0], "closed", id="mirrored"),
+    pytest.param(lambda t: t[len(t) // 2 :], "closed", id="half is missing"),
+    pytest.param(lambda t: t[:0], "closed", id="empty"),
+])  # fmt: skip
+def test_a_spoilt_file_fails_by_name(tmp_path, soup, spoil, culprit):
+    folder = tmp_path / "export"
+    folder.mkdir()
+    write_stl(folder / "part.stl", spoil(soup) * MM)
+    with_manifest(folder)  # a manifest that vouches for the spoilt bytes: only what is in them can tell
+    report = verify(DESIGN, folder, rays=RAYS)
+    assert not report.passed
+    if culprit == "closed" and "mirrored" in str(spoil):
+        assert failed(report)
+    assert (
+        culprit in failed(report)
+        or culprit in {"closed"}
+        and failed(report) & {"closed", "shape", "file_rms", "volume"}
+    )
+
+
+@pytest.mark.parametrize("spoil", [
+    pytest.param(lambda b: b[: len(b) // 2], id="cut short"),
+    pytest.param(lambda b: b[:-1] + bytes([b[-1] ^ 1]), id="one bit"),
+    pytest.param(lambda b: b"", id="emptied"),
+])  # fmt: skip
+def test_bytes_that_are_not_those_written_fail_integrity(tmp_path, soup, spoil):
+    path = tmp_path / "part.stl"
+    write_stl(path, soup * MM)
+    with_manifest(tmp_path)
+    path.write_bytes(spoil(path.read_bytes()))
+    for files in (tmp_path, path):  # the folder, or the file in it
+        report = verify(DESIGN, files, rays=RAYS)
+        assert "integrity" in failed(report)
+        assert report.exit_status == 1
+
+
+def test_a_file_scaled_a_thousandfold_fails(tmp_path, soup):
+    write_stl(tmp_path / "part.stl", soup * MM * 1000.0)
+    with_manifest(tmp_path)
+    report = verify(DESIGN, tmp_path, rays=RAYS)
+    assert "scale" in failed(report)
+
+
+def test_a_missing_file_fails_and_is_named(tmp_path, soup):
+    write_stl(tmp_path / "part.stl", soup * MM)
+    with_manifest(tmp_path)
+    (tmp_path / "part.stl").unlink()
+    report = verify(DESIGN, tmp_path, rays=RAYS)
+    check = next(c for c in report.checks if c.id == "integrity")
+    assert check.state == "fail"
+    assert check.subject == "part.stl"
+
+
+def test_a_cut_file_without_manifest_cannot_be_read_and_nothing_after_it_is_green(tmp_path, soup):
+    path = tmp_path / "part.stl"
+    write_stl(path, soup * MM)
+    path.write_bytes(path.read_bytes()[:-1000])
+    report = verify(DESIGN, path, rays=RAYS)
+    about = {c.id: c.state for c in report.checks if c.subject == "part.stl"}
+    assert about["readable"] == "fail"
+    assert {about[name] for name in ("closed", "volume", "shape", "file_rms", "file_eta")} == {"not run"}
+    assert report.exit_status == 1
+
+
+def test_a_manifest_of_another_design_is_said_and_the_files_are_still_judged(tmp_path, soup):
+    write_stl(tmp_path / "part.stl", soup * MM)
+    with_manifest(tmp_path, DESIGN.replace({"name": "other"}))
+    report = verify(DESIGN, tmp_path, rays=RAYS)
+    assert next(c for c in report.checks if c.id == "design").state == "warn"
+    assert report.passed
+
+
+@pytest.mark.parametrize(("unit", "word"), [(1.0, "mm"), (1e-3, "m"), (1.0 / 25.4, "in")])
+def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word):
+    from clacad.export.readers import read_mesh
+
+    path = tmp_path / "part.stl"
+    write_stl(path, soup * MM * unit)
+    window, factor, found = register(DESIGN, find_files(path).subjects[0], read_mesh(path), None)
+    assert window.lattice.count == (5, 4)
+    assert factor * unit * MM == pytest.approx(1.0)
+    assert word in found
+
+
+def test_fewer_cells_than_designed_are_found(tmp_path):
+    part = DESIGN.with_cells((3, 2))
+    report = judged(tmp_path, sheet_facets(prescribe(part), 8))
+    assert report.passed
+    assert "3 x 2 cells" in next(c.sentence for c in report.checks if c.id == "readable")
+
+
+def test_something_else_is_no_part_of_this_design(tmp_path, soup):
+    with pytest.raises(CannotRegister, match=r"measures .* mm"):
+        judged(tmp_path, soup * [1.0, 1.0, 3.0])
+
+
+def test_one_body_of_two_is_judged_against_that_body(tmp_path):
+    window = prescribe(DESIGN)
+    report = judged(tmp_path, facets(window, window.bodies[1], 8))
+    assert report.passed
+    assert "array1 taken from the design" in next(c.sentence for c in report.checks if c.id == "readable")
+
+
+def test_every_required_check_that_does_not_run_fails_the_report(tmp_path, soup):
+    report = judged(tmp_path, soup)
+    assert passed(report.checks)
+    for k, check in enumerate(report.checks):
+        if check.required:
+            gone = (*report.checks[:k], replace(check, state="not run", value=None), *report.checks[k + 1 :])
+            assert not passed(gone), check.id
+            assert replace(report, checks=gone).exit_status == 1
+
+
+def test_the_same_files_give_the_same_json(tmp_path, soup):
+    first, second = (judged(tmp_path, soup).to_json() for _ in range(2))
+    assert first == second
+    assert json.loads(first)["passed"] is True
+    assert str(tmp_path) not in first
+
+
+def test_nothing_there_is_said_plainly(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        verify(DESIGN, tmp_path / "none", rays=RAYS)
+    with pytest.raises(FileNotFoundError, match="no manifest"):
+        verify(DESIGN, tmp_path, rays=RAYS)

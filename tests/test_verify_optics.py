@@ -1,0 +1,246 @@
+"""Light tells a wrong window from a right one, and the check that should say so says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clacad.design import Design
+from clacad.feasibility import feasibility
+from clacad.prescription import prescribe
+from clacad.rays import Fate
+from clacad.surface import Quadric
+from clacad.trace import trace
+from clacad.verify.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
+from clacad.verify.checks import passed
+from clacad.verify.optics import confocality_check, law_checks, measure, throughput_check
+from clacad.verify.parabasal import confocality
+from clacad.verify.run import judge_window
+
+BASE = Design.from_dict({
+    "format": 1, "name": "base", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.02], "euler": [0.0, 0.5, 0.0]},
+    "pair": {"form": "biconvex", "separation": 0.05, "thickness": 0.0015, "index": 1.5},
+    "lattice": {"pitch": 0.005, "count": [20, 20]},
+})  # fmt: skip
+RAYS = 4096
+
+
+def judged(window, design=BASE):
+    """Checks by id of a window that claims to be `design`."""
+    claimed = replace(window, law=design.law)
+    checks, _ = judge_window(design, claimed, feasibility(claimed), RAYS)
+    return {(c.id, c.subject): c for c in checks}
+
+
+def failed(checks):
+    return {name for (name, _), c in checks.items() if c.state == "fail"}
+
+
+def test_the_right_window_passes():
+    checks = judged(prescribe(BASE))
+    assert failed(checks) == set()
+    assert passed(checks.values())
+
+
+def scaled_lens_2(window, factor):
+    def wider(face):
+        s = face.surface
+        return replace(
+            face, surface=Quadric(s.curvature_x / factor, s.curvature_y / factor, s.kappa / factor, s.side)
+        )
+
+    second = window.bodies[1]
+    return replace(
+        window, bodies=(window.bodies[0], replace(second, front=wider(second.front), back=wider(second.back)))
+    )
+
+
+def other_index(window, index):
+    return replace(window, bodies=tuple(replace(b, index=index) for b in window.bodies))
+
+
+def swapped(design):
+    """Arrays in each other's place: lens 1 gets the focal lengths of lens 2."""
+    eta = [1.0 / e for e in design.law_spec.eta]
+    return prescribe(design.replace({"law.eta": eta}))
+
+
+@pytest.mark.parametrize(("window", "culprit"), [
+    pytest.param(lambda: scaled_lens_2(prescribe(BASE), 1.01), "confocality", id="f2 + 1 %"),
+    pytest.param(lambda: prescribe(BASE.replace({"law.euler": [0.0, -0.5, 0.0]})), "tilt", id="tilt sign"),
+    pytest.param(lambda: prescribe(BASE.replace({"law.delta": [-0.01, 0.02]})), "delta", id="delta sign"),
+    pytest.param(lambda: swapped(BASE), "eta", id="arrays swapped"),
+    pytest.param(lambda: other_index(prescribe(BASE), 1.49), "confocality", id="wrong index"),
+    pytest.param(lambda: prescribe(BASE.replace({"law.eta": [-0.255, -1.0]})), "eta", id="eta_x off by 2 %"),
+    pytest.param(lambda: prescribe(BASE.replace({"law.eta": [-0.25, -1.02]})), "eta", id="eta_y off by 2 %"),
+    pytest.param(lambda: prescribe(BASE.replace({"law.euler": [90.0, 0.5, 0.0]})), "eta", id="turned by 90 degrees"),
+    pytest.param(lambda: prescribe(BASE.replace({"pair.thickness": 0.0004})), "cover", id="too thin"),
+])  # fmt: skip
+def test_a_wrong_window_is_caught_by_name(window, culprit):
+    assert culprit in failed(judged(window()))
+
+
+def test_a_defocus_of_one_percent_breaks_position_independence():
+    """Rays that enter parallel no longer leave parallel (the paper's own condition)."""
+    near = BASE.replace(
+        {
+            "pair.separation": 0.5,
+            "law.delta": [0.0, 0.0],
+            "law.euler": [0.0, 0.0, 0.0],
+            "check.field": "0.2 deg",
+        }
+    )
+    right, wrong = prescribe(near), scaled_lens_2(prescribe(near), 1.01)
+    spread = [
+        measure(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS).points[0].spread for w in (right, wrong)
+    ]
+    assert spread[0] < 1e-5
+    assert spread[1] > 10.0 * spread[0]
+
+
+@pytest.mark.parametrize(("recipe", "rms", "bias"), [("thin", 1.40e-3, 0.10e-3), ("exact", 2.65e-3, 1.88e-3)])
+def test_the_paper_base_has_its_published_errors(recipe, rms, bias):
+    design = BASE.replace({
+        "law.delta": [0.0, 0.0], "law.euler": [0.0, 0.0, 0.0], "pair.thickness": 0.0005, "pair.confocal": recipe,
+        "lattice.count": [200, 200],
+    })  # fmt: skip
+    window = prescribe(design)
+    seen = measure(design, window, lambda lit: trace(window, lit.rays), 16384)
+    assert seen.rms == pytest.approx(rms, rel=0.02)
+    found = max(seen.points[1].bias, seen.points[5].bias)  # ±1 degree in x
+    assert found == pytest.approx(bias, rel=0.03) if recipe == "exact" else found < 1e-3
+
+
+def test_without_light_nothing_is_green():
+    """Remove the input of the traced checks, the light: they do not run, and the report does not pass."""
+    window = prescribe(BASE)
+    none = measure(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS)
+    checks = [*law_checks(BASE, none), throughput_check(BASE, window, none)]
+    states = {c.id: c.state for c in checks}
+    assert {states[name] for name in ("law_rms", "law_bias", "spread", "eta", "delta", "tilt")} == {"not run"}
+    assert states["throughput"] == "fail"
+    assert not passed(checks)
+
+
+def replace_fate(result):
+    return replace(result, fate=np.full_like(result.fate, Fate.WALL))
+
+
+def test_a_ray_lost_or_a_nan_that_lives_fails_the_accounting():
+    window = prescribe(BASE)
+    seen = measure(BASE, window, lambda lit: trace(window, lit.rays), RAYS)
+    direction = seen.result.direction.copy()
+    direction[7] = np.nan
+    for result in (replace(seen.result, direction=direction), replace(seen.result, fate=seen.result.fate[:-1],
+                   direction=seen.result.direction[:-1], position=seen.result.position[:-1])):  # fmt: skip
+        checks = {c.id: c for c in law_checks(BASE, replace(seen, result=result))}
+        assert checks["accounting"].state == "fail"
+
+
+# -- confocality: thick lenses by the 2 × 2 matrices of paraxial optics -----------------------------
+
+
+def thick_gap_defect(r1, r2, t1, t2, n, separation):
+    """Extra gap that makes two thick lenses afocal, from refraction and translation matrices."""
+
+    def surface(r, before, after):
+        return np.array([[1.0, 0.0], [-(after - before) / r / after, before / after]])
+
+    def lens(r, t):
+        return surface(-r, n, 1.0) @ np.array([[1.0, t], [0.0, 1.0]]) @ surface(r, 1.0, n)
+
+    first, second = lens(r1, t1), lens(r2, t2)
+    gap = separation - 0.5 * (t1 + t2)
+    # C of second · gap · first is linear in the gap
+    c = [(second @ np.array([[1.0, g], [0.0, 1.0]]) @ first)[1, 0] for g in (gap, gap + 1.0)]
+    return -c[0] / (c[1] - c[0])
+
+
+@pytest.mark.parametrize(("eta", "thickness"), [
+    pytest.param((-0.25, -1.0), 0.0005, id="paper"), pytest.param((-1.0, -1.0), 0.0025, id="thick"),
+    pytest.param((-2.0, -1.0), 0.001, id="eta -2"),
+])  # fmt: skip
+def test_the_thin_recipe_misses_confocality_by_what_the_matrices_say(eta, thickness):
+    design = BASE.replace({
+        "law.eta": list(eta), "law.delta": [0.0, 0.0], "law.euler": [0.0, 0.0, 0.0], "pair.thickness": thickness,
+        "pair.confocal": "thin",
+    })  # fmt: skip
+    found = confocality(prescribe(design))
+    for k, e in enumerate(eta):
+        f1 = 0.05 / (1.0 - e)
+        expected = thick_gap_defect(f1, -e * f1, thickness, thickness, 1.5, 0.05)
+        assert found.shift[k] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("changes", [
+    pytest.param({}, id="tilt and offset"),
+    pytest.param({"law.euler": [45.0, 3.0, 60.0]}, id="more tilt"),
+    pytest.param({"pair.form": "slab", "pair.thickness": "auto"}, id="slab"),
+    pytest.param({"pair.form": "plano", "law.euler": [0.0, 0.0, 0.0], "law.delta": [0.0, 0.0]}, id="plano"),
+    pytest.param({"pair.form": "plano", "pair.curved": "inside"}, id="plano inside, tilted"),
+    pytest.param({"law.eta": [-0.5, 0.5], "pair.separation": 0.08}, id="Galilean in y"),
+])  # fmt: skip
+def test_the_exact_recipes_are_confocal(changes):
+    found = confocality(prescribe(BASE.replace(changes)))
+    assert found.defect < 1e-9
+    assert found.astigmatism < 1e-9
+
+
+def test_a_meridian_without_power_is_no_defect():
+    found = confocality(
+        prescribe(
+            BASE.replace({"law.eta": [-1.0, 1.0], "law.delta": [0.0, 0.0], "law.euler": [0.0, 0.0, 0.0]})
+        )
+    )
+    assert np.isnan(found.shift[1])
+    assert found.defect < 1e-9
+    assert confocality_check(BASE.replace({"law.eta": [-1.0, -1.0]}), prescribe(BASE)).state == "pass"
+
+
+# -- bundles ----------------------------------------------------------------------------------------
+
+
+def test_a_cone_is_even_in_solid_angle_and_stays_within_its_half_angle():
+    middle = np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13)
+    half = np.radians(12.0)
+    from clacad.sobol import sobol
+
+    found = cone(middle, half, sobol(4096, 2))
+    angle = np.arccos(np.clip(found @ middle, -1.0, 1.0))
+    assert np.linalg.norm(found, axis=1) == pytest.approx(1.0)
+    assert angle.max() < half
+    # even in solid angle: the cap of half the solid angle holds half of the rays
+    inner = np.arccos(1.0 - 0.5 * (1.0 - np.cos(half)))
+    assert (angle < inner).mean() == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_points_over_a_cell_are_in_it_and_even(kind):
+    window = prescribe(BASE.replace({"lattice.kind": kind}))
+    from clacad.sobol import sobol
+
+    points = over_cell(window, sobol(4096, 2))
+    for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
+        assert (points @ np.array(window.lattice.offset(*step)) <= 2 * half * half * (1 + 1e-12)).all()
+    assert points.mean(axis=0) == pytest.approx([0.0, 0.0], abs=2e-5)
+    assert (np.abs(points[:, 0]) < 0.00125).mean() == pytest.approx(
+        0.5 if kind == "square" else 0.5833, abs=0.01
+    )
+
+
+def test_a_bundle_starts_below_the_window_and_crosses_its_cell():
+    window = prescribe(BASE)
+    lit = bundle(window, 256, 0.02)
+    at = lit.rays.position - lit.rays.direction * (lit.rays.position[:, 2:] / lit.rays.direction[:, 2:])
+    centre = window.lattice.centres(np.array([central_cell(window)]))[0]
+    assert np.abs(at[:, :2] - centre).max() <= 0.0025 * (1 + 1e-9)
+    assert lit.rays.position[:, 2].max() < window.z_range[0]
+
+
+def test_the_nine_field_points_lie_on_the_cone():
+    window = prescribe(BASE)
+    points = field_points(window, 0.02)
+    assert points[0] == pytest.approx(middle_direction(window))
+    assert np.arccos(points[1:] @ points[0]) == pytest.approx(0.02, rel=1e-6)
