@@ -112,7 +112,8 @@ class BodyMesh:
         row = self.window.lattice.row(j)
         if not len(row):
             return
-        states = row_states(self.window, row, tiled.maker.offsets, self.ringed)
+        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
+        states = row_states(self.window, row, tiled.maker.offsets, self.ringed, apart)
         kinds, which = np.unique(states, axis=0, return_inverse=True)
         for n, kind in enumerate(kinds):
             yield Block(tiled.maker.template(kind), row[which.ravel() == n], tiled.shift)

@@ -114,19 +114,26 @@ def _chain(build: _Builder, land: Land, tiled: Tiled, side: int, face: int) -> l
 
 
 def _zip(build: _Builder, low: list[tuple[float, int]], high: list[tuple[float, int]]) -> None:
-    """Triangulate the wall between a lower and an upper chain that run side by side."""
+    """Triangulate the wall between a lower and an upper chain that run side by side.
+
+    No triangle stands on one vertical line: a step of one chain waits until the other is elsewhere.
+    """
+    near = 3.9 * 2.0**-23 * max(low[-1][0], high[-1][0])  # less than any gap the outline keeps
     i = j = 0
     while i < len(low) - 1 or j < len(high) - 1:
         options = []
-        if i < len(low) - 1 and not low[i][0] == low[i + 1][0] == high[j][0]:
-            options.append((low[i + 1][0], 0))
-        if j < len(high) - 1 and not high[j][0] == high[j + 1][0] == low[i][0]:
-            options.append((high[j + 1][0], 1))
+        for which, (chain, at, other) in enumerate(((low, i, high[j][0]), (high, j, low[i][0]))):
+            if at == len(chain) - 1:
+                continue
+            here, there = chain[at][0], chain[at + 1][0]
+            upright = there - here <= near
+            if not (upright and abs(other - here) <= near):
+                # arrive first where a step follows, and take it while the other chain is still elsewhere
+                step_next = at + 2 < len(chain) and chain[at + 2][0] - there <= near
+                options.append((not upright, there - near * step_next, which))
         if not options:
-            raise ValueError(
-                "front and back step at one point of the outline's end: no wall can be drawn there"
-            )
-        if min(options)[1] == 0:
+            raise ValueError("both faces step at one end of the outline: no wall can be drawn there")
+        if min(options)[2] == 0:
             build.triangles.append((low[i][1], low[i + 1][1], high[j][1]))
             i += 1
         else:

@@ -33,7 +33,7 @@ class Mesh:
 
     @property
     def slope_error(self) -> float:
-        """rms angle between facet and exact normal over optical facets, worst face (radians)."""
+        """Rms angle between facet and exact normal over optical facets, worst face (radians)."""
         return max(body.slope_error for body in self.bodies)
 
     @property

@@ -17,7 +17,7 @@ Ints = NDArray[np.int64]
 States = NDArray[np.uint8]
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
 
-_TOUCH = 1e-9  # relative to the sheet: cells that reach the outline this closely touch it
+_TOUCH = 8.0 * 2.0**-23  # relative to the sheet: a gap a float32 file could not hold is no gap
 
 
 def outline_polygon(window: Window) -> Floats:
@@ -43,11 +43,19 @@ def outline_polygon(window: Window) -> Floats:
     return np.asarray(equal * unit)
 
 
-def row_states(window: Window, row: Ints, offsets: tuple[Offset, ...], ringed: bool) -> States:
+def row_states(
+    window: Window,
+    row: Ints,
+    offsets: tuple[Offset, ...],
+    ringed: bool,
+    shift: tuple[float, float] = (0.0, 0.0),
+) -> States:
     """What stands about each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
 
     ringed : bool
         Whether there is land out to the window's outline.
+    shift : (2,) lengths
+        Displacement of the cells against the centre of the outline.
     """
     states = np.full((len(row), len(offsets)), NOTHING, dtype=np.uint8)
     for n, step in enumerate(offsets):
@@ -56,32 +64,18 @@ def row_states(window: Window, row: Ints, offsets: tuple[Offset, ...], ringed: b
         states[kept, n] = CELL
         if ringed and not kept.all():
             absent = np.flatnonzero(~kept)
-            states[absent[_reaches_inside(window, there[absent])], n] = PLAIN
+            states[absent[_reaches_inside(window, there[absent], shift)], n] = PLAIN
     return states
 
 
-def _reaches_inside(window: Window, index: Ints) -> NDArray[np.bool_]:
-    """Whether a cell's footprint has a corner inside the outline."""
-    corners = window.lattice.centres(index)[:, None, :] + window.lattice.tile()
-    if isinstance(window.outline, Rectangle):
-        return _inside_rectangle(window, corners, (0.0, 0.0))
-    return np.ones(len(index), dtype=bool)
-
-
-def _inside_rectangle(window: Window, corners: Floats, shift: tuple[float, float]) -> NDArray[np.bool_]:
-    assert isinstance(window.outline, Rectangle)
-    x, y = 0.5 * window.outline.width, 0.5 * window.outline.height
-    slack = _TOUCH * max(x, y)
-    within = (np.abs(corners[..., 0] + shift[0]) < x - slack) & (
-        np.abs(corners[..., 1] + shift[1]) < y - slack
-    )
-    # a footprint overlaps the rectangle's inside if its bounding box does
-    low, high = corners.min(axis=-2), corners.max(axis=-2)
-    box = (
-        (low[..., 0] + shift[0] < x - slack) & (high[..., 0] + shift[0] > slack - x)
-        & (low[..., 1] + shift[1] < y - slack) & (high[..., 1] + shift[1] > slack - y)
-    )  # fmt: skip
-    return np.asarray(within.any(axis=-1) | box)
+def _reaches_inside(window: Window, index: Ints, shift: tuple[float, float]) -> NDArray[np.bool_]:
+    """Whether a cell's footprint overlaps the inside of the outline (neighbours of kept cells only)."""
+    if not isinstance(window.outline, Rectangle):
+        return np.ones(len(index), dtype=bool)  # a round outline keeps clear of the kept cells
+    corners = window.lattice.centres(index)[:, None, :] + window.lattice.tile() + np.array(shift)
+    half = 0.5 * np.array([window.outline.width, window.outline.height])
+    half -= _TOUCH * half.max()
+    return np.asarray(((corners.min(axis=1) < half) & (corners.max(axis=1) > -half)).all(axis=1))
 
 
 Segment = tuple[int, Key, Key, tuple[int, int, int, int] | None]

@@ -190,7 +190,8 @@ def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, 
 def _fan_side(triangles: list[list[int]], zone: list[bool], side: list[int], old: set[int]) -> None:
     """Split the border triangle over each old border edge into a fan through the new points on it."""
     runs: dict[tuple[int, int], list[int]] = {}
-    first, between = side[0], []
+    first = side[0]
+    between: list[int] = []
     for point in side[1:]:
         if point in old:
             if between:

@@ -138,11 +138,10 @@ def make_prototile(
     make = _Maker(window, body, cells, tiling, step, gap)
     tile, zone = tiling.tile, optical_tile(window)
     plan = pl.grid(window.lattice, tile, zone, quads, _diagonal(make, zone, quads))
-    plan, side_t, groups = _with_borders(make, plan, quads)
+    plan, side_t, levels = _with_borders(make, plan, quads)
     lens = make.levels(make.heights(plan.xy))
     lens = _settle_inside(make, plan, lens)
-    lens = _settle_sides(make, plan, side_t, lens, groups)
-    lens = _settle_nodes(make, plan, lens)
+    lens = _settle_sides(plan, lens, levels)
     material = plan.zone.copy()
     done: list[Curve] = []
     if make.cells.columnar:
@@ -214,27 +213,37 @@ def _diagonal(make: _Maker, zone: Floats, quads: int) -> int:
 # -- borders ---------------------------------------------------------------------------------------
 
 
-def _with_borders(
-    make: _Maker, plan: pl.Planar, quads: int
-) -> tuple[pl.Planar, list[Floats], list[list[Floats]]]:
-    """Give the tile's sides the complex's breaks; the same samples on both sides of every border."""
-    half = len(make.tiling.borders)
-    if not np.array_equal(make.tiling.tile, optical_tile(make.window)):
-        ends = np.array([0.0, 1.0])
-        return plan, [ends] * (2 * half), [[] for _ in range(half)]
-    samples: list[tuple[Floats, Floats]] = []
-    groups = []
+def _with_borders(make: _Maker, plan: pl.Planar, quads: int) -> tuple[pl.Planar, list[Floats], list[Ints]]:
+    """Give the tile's sides the complex's breaks: the same samples on both sides of every border.
+
+    Returns
+    -------
+    plan : Planar
+    side_t : m arrays
+        Parameters of the samples along each side.
+    levels : m/2 arrays (n, 4)
+        Left front, left back, right front, right back at the samples of each border class.
+    """
+    seam = not np.array_equal(make.tiling.tile, optical_tile(make.window))
+    nodes = _node_levels(make)
+    placed: list[tuple[Floats, Floats]] = []
+    levels = []
     for border in make.tiling.borders:
-        least = _least(make, border.start, border.end, quads)
-        grouped = pl.space(border.roots, least)
-        placed = np.array([0.5 * (g[0] + g[-1]) for g in grouped])
-        t, grid_at = pl.place(placed, quads, least)
-        samples.append((t, grid_at))
-        groups.append(grouped)
-    mirrored = [(1.0 - t[::-1], 1.0 - g[::-1]) for t, g in samples]
-    samples += mirrored
-    plan = pl.with_side_samples(plan, make.tiling.tile, samples)
-    return plan, [t for t, _ in samples], groups
+        if seam:
+            t = grid_at = np.array([0.0, 1.0])
+            groups: list[Floats] = []
+        else:
+            least = _least(make, border.start, border.end, quads)
+            groups = pl.space(border.roots, least)
+            t, grid_at = pl.place(np.array([0.5 * (g[0] + g[-1]) for g in groups]), quads, least)
+        rows = _border_levels(make, border.index, t, groups, nodes)
+        t, rows = _parted(make, border.index, t, rows, groups, nodes)
+        placed.append((t, grid_at))
+        levels.append(rows)
+    placed += [(1.0 - t[::-1], 1.0 - g[::-1]) for t, g in placed]
+    if not seam:
+        plan = pl.with_side_samples(plan, make.tiling.tile, placed)
+    return plan, [t for t, _ in placed], levels
 
 
 def _shortest(make: _Maker) -> float:
@@ -257,32 +266,67 @@ def _settle_inside(make: _Maker, plan: pl.Planar, lens: Ints) -> Ints:
     return cluster(both, held, make.gap)[:, :2]
 
 
-def _settle_sides(
-    make: _Maker, plan: pl.Planar, side_t: list[Floats], lens: Ints, groups: list[list[Floats]]
-) -> Ints:
-    """Merge the levels of both cells at every border point, and hold what is equal at a break equal."""
+def _settle_sides(plan: pl.Planar, lens: Ints, levels: list[Ints]) -> Ints:
+    """Write the borders' levels into the points of the tile's sides."""
     lens = lens.copy()
-    half = len(make.tiling.borders)
-    held = np.array([*make.held, *make.held, True, True])
-    for k, border in enumerate(make.tiling.borders):
-        left, right = plan.sides[k][1:-1], plan.sides[k + half][::-1][1:-1]
-        if not len(left):
-            continue
-        levels = make.levels(make.heights(plan.xy[np.concatenate([left, right])]))
-        n = len(left)
-        land = np.broadcast_to(np.array(make.land), (n, 2))
-        both = np.concatenate([levels[:n], levels[n:], land], axis=1)
-        for group in groups[k]:
-            at = int(np.argmin(np.abs(side_t[k][1:-1] - np.clip(0.5 * (group[0] + group[-1]), 0.0, 1.0))))
-            for root in group:
-                _hold_equal(make, both[at], _at_root(make, border.index, float(root)), held)
-        both = cluster(both, held, make.gap)
-        lens[left], lens[right] = both[:, :2], both[:, 2:4]
+    half = len(levels)
+    for k, rows in enumerate(levels):
+        lens[plan.sides[k]] = rows[:, :2]
+        lens[plan.sides[k + half][::-1]] = rows[:, 2:]
     return lens
 
 
-def _at_root(make: _Maker, k: int, t: float) -> Ints:
-    """Levels of left front, back, right front, back and land at the very root."""
+def _border_levels(make: _Maker, k: int, t: Floats, groups: list[Floats], nodes: Ints) -> Ints:
+    """Merged levels of both cells along border class k, (n, 4): equal where a break says they are."""
+    m = len(make.tiling.tile)
+    half = m // 2
+    ends = nodes[[k, (k + 1) % m]], nodes[[(k + half + 1) % m, k + half]]
+    inner = t[1:-1]
+    held = np.array([*make.held, *make.held, True, True])
+    both = np.array([_at(make, k, value) for value in inner.tolist()], dtype=np.int64).reshape(-1, 6)
+    for group in groups:
+        at = int(np.argmin(np.abs(inner - 0.5 * (group[0] + group[-1]))))
+        for root in group.tolist():
+            _hold_equal(make, both[at], _at(make, k, root), held)
+    merged = cluster(both, held, make.gap)[:, :4]
+    first, last = (np.concatenate([ends[0][n], ends[1][n]]) for n in (0, 1))
+    return np.concatenate([first[None], merged, last[None]])
+
+
+def _parted(
+    make: _Maker, k: int, t: Floats, rows: Ints, groups: list[Floats], nodes: Ints
+) -> tuple[Floats, Ints]:
+    """Part two columns that only touch along a stretch of the border, so that no edge has four faces.
+
+    Between the ends of the stretch the upper column moves up by the merge height, a few z steps.
+    """
+    touch = _touching(rows)
+    alone = touch[:-1] & touch[1:]
+    alone[1:] &= ~touch[:-2]
+    alone[:-1] &= ~touch[2:]
+    if alone.any():  # two samples and nothing between them to move
+        t = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])[alone]]))
+        rows = _border_levels(make, k, t, groups, nodes)
+        touch = _touching(rows)
+    inside = np.flatnonzero(touch[1:-1] & touch[:-2] & touch[2:]) + 1
+    rows = rows.copy()
+    for n in inside.tolist():
+        upper = 0 if rows[n, :2].sum() > rows[n, 2:].sum() else 2
+        if rows[n, upper] == rows[n, upper + 1]:
+            rows[n, upper + 1] += make.gap
+        rows[n, upper] += make.gap
+    return t, rows
+
+
+def _touching(rows: Ints) -> Bools:
+    """Where both columns exist and share a level but no material."""
+    there = (rows[:, 0] <= rows[:, 1]) & (rows[:, 2] <= rows[:, 3]) & (np.abs(rows) < FAR).all(axis=1)
+    shared = np.minimum(rows[:, 1], rows[:, 3]) - np.maximum(rows[:, 0], rows[:, 2])
+    return np.asarray(there & (shared == 0))
+
+
+def _at(make: _Maker, k: int, t: float) -> Ints:
+    """Levels of left front, back, right front, back and land at a parameter of border class k."""
     tile, m = make.tiling.tile, len(make.tiling.tile)
     half = m // 2
     left = pl.side_points(tile[k], tile[(k + 1) % m], np.array([t]))
@@ -302,18 +346,15 @@ def _hold_equal(make: _Maker, here: Ints, root: Ints, held: Bools) -> None:
         here[run] = here[fixed[0]] if len(fixed) else int(here[run].min() + here[run].max()) // 2
 
 
-def _settle_nodes(make: _Maker, plan: pl.Planar, lens: Ints) -> Ints:
-    """Merge the levels of all cells around every node."""
-    lens = lens.copy()
-    corner = np.array([side[0] for side in plan.sides])
-    levels = make.levels(make.heights(plan.xy[corner]))
+def _node_levels(make: _Maker) -> Ints:
+    """Merged front and back level at each corner of the tile, (m, 2)."""
+    levels = make.levels(make.heights(make.tiling.tile))
     for node in make.tiling.nodes:
         corners = [c for _, c in node.cells]
         row = np.concatenate([levels[corners].ravel(), np.array(make.land)])
         held = np.array([*make.held * len(corners), True, True])
-        merged = cluster(row[None], held, make.gap)[0][:-2].reshape(-1, 2)
-        lens[corner[corners]] = merged
-    return lens
+        levels[corners] = cluster(row[None], held, make.gap)[0][:-2].reshape(-1, 2)
+    return levels
 
 
 # -- rims ------------------------------------------------------------------------------------------
@@ -375,7 +416,7 @@ def _cut(
     positive : (m,) bool
         Triangles on the positive side.
     """
-    for warp in (True, False):
+    for stage in ("warp", "snap", "cut"):
         now = curve.value(lens)
         edges, number = pl.edges_of(plan.triangles)
         wanted = np.zeros(len(edges), dtype=bool)
@@ -388,8 +429,11 @@ def _cut(
         inside = np.where(ends[crossed, 0] > 0, edges[crossed, 0], edges[crossed, 1])
         outside = np.where(ends[crossed, 0] > 0, edges[crossed, 1], edges[crossed, 0])
         t = _roots(make, plan.xy, inside, outside, curve)
-        if warp:
+        if stage == "warp":
             plan, lens = _warp(make, plan, lens, inside, outside, t, curve)
+            continue
+        if stage == "snap":
+            lens = _snap(make, plan, lens, inside, outside, t, [*done, curve])
             continue
         xy = plan.xy[inside] + t[:, None] * (plan.xy[outside] - plan.xy[inside])
         new = _forced(make, xy, curve)
@@ -455,6 +499,29 @@ def _forced(make: _Maker, xy: Floats, curve: Curve) -> Ints:
     held = np.array([make.held[0], make.held[1], True, True])
     both = np.concatenate([levels, np.broadcast_to(np.array(make.land), levels.shape)], axis=1)
     return cluster(both, held, make.gap)[:, :2]
+
+
+def _snap(
+    make: _Maker, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
+) -> Ints:
+    """Let points that lie on the last curve but for a hair lie on it, so that no hair's breadth is cut off."""
+    length = np.hypot(*(plan.xy[outside] - plan.xy[inside]).T)
+    point = np.concatenate([inside, outside])
+    away = np.concatenate([t, 1.0 - t]) * np.concatenate([length, length])
+    side = plan.xy[plan.sides[0]]
+    hair = max(5e-4 * float(np.hypot(*(side[-1] - side[0]))) / (len(side) - 1), 2.0 * _shortest(make))
+    border = np.zeros(len(plan.xy), dtype=bool)
+    for numbers in plan.sides:
+        border[numbers] = True
+    point = np.unique(point[(away < hair) & ~border[point]])
+    lens = lens.copy()
+    last = curves[-1]
+    before = lens[point]
+    lens[point] = last.meet(before, -1)
+    for earlier in curves[:-1]:
+        on = earlier.value(before) == 0
+        lens[point[on]] = earlier.meet(lens[point[on]], last.face)
+    return lens
 
 
 def _warp(

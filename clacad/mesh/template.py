@@ -82,6 +82,7 @@ class TemplateMaker:
         self._left = dict(zip(zip(a.tolist(), b.tolist()), number.tolist()))
         self._third = dict(zip(zip(a.tolist(), b.tolist()), triangles[:, [2, 0, 1]].ravel().tolist()))
         self._after = dict(zip(zip(number.tolist(), a.tolist()), (np.arange(len(a)) % 3).tolist()))
+        self._apart = bool((np.abs(self.tile.land) == FAR).any())
         self.places = self._canonical()
         self._caps = self._make_caps()
         self._inner = self._inner_walls()
@@ -284,6 +285,8 @@ class TemplateMaker:
             )  # fmt: skip
         for k in range(len(self.tile.plan.sides)):
             step = self.lattice.steps[k]
+            if self._apart and states[step] == NOTHING:
+                continue  # the outline's wall, which knows both faces, stands here
             if states[step] != CELL or k < len(self.tile.plan.sides) // 2:
                 found += self._border(k, states, code)
         return found

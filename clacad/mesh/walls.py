@@ -77,7 +77,8 @@ def strip(
     """
     lines = []  # (level at p, level at q, which column, whether it starts it)
     for which, (at_p, at_q) in enumerate((left, right)):
-        if at_p is not None and at_q is not None:
+        # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
+        if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
             lines += [(at_p[0], at_q[0], which, True), (at_p[1], at_q[1], which, False)]
     lines.sort(key=lambda line: (line[0] + line[1], not line[3]))
     inside = [False, False]

@@ -1,0 +1,269 @@
+"""Whether triangles close a solid: every directed edge balanced, every edge used exactly twice.
+
+Works on plain triangle corners, as a file gives them: corners are the same vertex if their
+coordinates are equal. A mesh of any size is examined in passes over hash partitions of its edges, so
+memory is bounded by the partition, not by the mesh; what the hashes find suspicious is decided by
+the coordinates themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from math import fsum
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.cell_complex.count import connect
+
+Floats = NDArray[np.float64]
+Hashes = NDArray[np.uint64]
+Ints = NDArray[np.int64]
+Chunks = Callable[[], Iterable[NDArray[Any]]]
+
+_EDGES_A_PASS = 60_000_000  # 0.5 GB of edge hashes
+_JOINED_A_PASS = 8_000_000  # with owners and their order: 0.3 GB
+_FEW = 200_000  # triangles up to which a compiler is not worth starting
+_LISTED = 64  # bad edges listed in a report
+
+
+@dataclass(frozen=True, eq=False)
+class Health:
+    """What an examination of a triangle mesh found.
+
+    triangles : int
+    degenerate : int
+        Triangles with two equal corners.
+    open_edges : int
+        Undirected edges used by one triangle, or by two that run the same way.
+    four_face_edges : int
+        Undirected edges used by more than two triangles.
+    bad_edges : (k, 2, 3)
+        Ends of the first bad edges (lengths).
+    pieces : int or None
+        Pieces connected through edges; None where it was not asked.
+    volume : float
+        Flux of (0, 0, z) outward (length³); the enclosed volume where closed.
+    """
+
+    triangles: int
+    degenerate: int
+    open_edges: int
+    four_face_edges: int
+    bad_edges: Floats
+    pieces: int | None
+    volume: float
+
+    @property
+    def closed(self) -> bool:
+        """Every directed edge is balanced by its reverse and used once; no triangle is degenerate."""
+        return self.triangles > 0 and self.open_edges == self.four_face_edges == self.degenerate == 0
+
+    @property
+    def outward(self) -> bool:
+        """Whether the triangles are seen counter-clockwise from outside (positive volume)."""
+        return self.volume > 0.0
+
+
+def check_closed(
+    source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks, pieces: bool = True
+) -> Health:
+    """Examine a triangle mesh.
+
+    Parameters
+    ----------
+    source : (n, 3, 3) array, or (vertices, triangles), or a function that yields (k, 3, 3) arrays
+        The function is called three times or more: once a pass (20 million triangles, or 2.7 million
+        where pieces are counted).
+    pieces : bool
+        Count the connected pieces too (needs 8 bytes a triangle more).
+
+    Returns
+    -------
+    Health
+    """
+    chunks = _as_chunks(source)
+    count, degenerate, volume = 0, 0, []
+    for corners in chunks():
+        keys = vertex_hashes(corners)
+        degenerate += int(_degenerate(keys).sum())
+        volume.append(_flux(corners))
+        count += len(corners)
+    passes = max(1, -(-3 * count // (_JOINED_A_PASS if pieces else _EDGES_A_PASS)))
+    label = np.arange(count, dtype=np.int64) if pieces else np.empty(0, dtype=np.int64)
+    suspicious: list[Hashes] = []
+    for number in range(passes):
+        edges, owner = _edges(chunks, number, passes, pieces)
+        if pieces:
+            label = _join(label, edges, owner)
+        edges.sort()
+        suspicious.append(_unbalanced(edges))
+    doubtful = np.unique(np.concatenate(suspicious))
+    once, often, listed = _decide(chunks, doubtful) if len(doubtful) else (0, 0, np.empty((0, 2, 3)))
+    found = int(len(np.unique(label))) if pieces else None
+    return Health(count, degenerate, once, often, listed, found, fsum(volume))
+
+
+def _as_chunks(source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks) -> Chunks:
+    """Make any source a function that yields blocks of corners."""
+    if callable(source):
+        return source
+    block = 1_000_000
+    if isinstance(source, tuple):
+        vertices, triangles = source
+
+        def indexed() -> Iterator[NDArray[Any]]:
+            for start in range(0, len(triangles), block):
+                yield vertices[triangles[start : start + block]]
+
+        return indexed
+    corners = source
+
+    def plain() -> Iterator[NDArray[Any]]:
+        for start in range(0, len(corners), block):
+            yield corners[start : start + block]
+
+    return plain
+
+
+def vertex_hashes(corners: NDArray[Any]) -> Hashes:
+    """Hash corner coordinates (..., 3) to 64 bits; equal coordinates hash alike (0 and −0 too)."""
+    bits = np.ascontiguousarray(corners + np.zeros(1, dtype=corners.dtype)).view(
+        np.uint32 if corners.dtype == np.float32 else np.uint64
+    )
+    out = np.zeros(bits.shape[:-1], dtype=np.uint64)
+    for axis in range(3):
+        out = _mix(
+            out + bits[..., axis].astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15 * (axis + 1) % 2**64)
+        )
+    return out
+
+
+def _mix(x: Hashes) -> Hashes:
+    """The finalizer of splitmix64, a bijection; works in place."""
+    x ^= x >> np.uint64(30)
+    x *= np.uint64(0xBF58476D1CE4E5B9)
+    x ^= x >> np.uint64(27)
+    x *= np.uint64(0x94D049BB133111EB)
+    x ^= x >> np.uint64(31)
+    return x
+
+
+def _degenerate(keys: Hashes) -> NDArray[np.bool_]:
+    return np.asarray((keys[:, 0] == keys[:, 1]) | (keys[:, 1] == keys[:, 2]) | (keys[:, 2] == keys[:, 0]))
+
+
+def _edge_hashes(keys: Hashes) -> Hashes:
+    """Hash each triangle's directed edges (t, 3): the last bit is the direction, the rest the edge."""
+    a, b = keys, np.roll(keys, -1, axis=1)
+    undirected = _mix(_mix(np.minimum(a, b)) + np.maximum(a, b))
+    return np.asarray((undirected & ~np.uint64(1)) | (a < b).astype(np.uint64))
+
+
+def _edges(chunks: Chunks, number: int, passes: int, owners: bool) -> tuple[Hashes, Ints]:
+    """Directed edges of one partition, and the triangle of each."""
+    found, owner, start = [], [], 0
+    for corners in chunks():
+        keys = vertex_hashes(corners)
+        edges = _edge_hashes(keys).ravel()
+        keep = np.repeat(~_degenerate(keys), 3)
+        if passes > 1:
+            # the top bits choose the partition: both directions fall into the same one
+            keep &= (edges >> np.uint64(40)) % np.uint64(passes) == np.uint64(number)
+        found.append(edges[keep])
+        if owners:
+            owner.append((np.flatnonzero(keep) // 3 + start).astype(np.int64))
+        start += len(corners)
+    empty = np.empty(0, dtype=np.int64)
+    return (np.concatenate(found) if found else empty.astype(np.uint64)), (
+        np.concatenate(owner) if owner else empty
+    )
+
+
+def _unbalanced(edges: Hashes) -> Hashes:
+    """Edges (without direction) of a sorted list that are not used exactly once each way."""
+    if len(edges) % 2 == 0 and all(_paired(edges, at) for at in range(0, len(edges), 2_000_000)):
+        return np.empty(0, dtype=np.uint64)
+    plain = edges >> np.uint64(1)
+    first = np.ones(len(edges), dtype=bool)
+    first[1:] = plain[1:] != plain[:-1]
+    start = np.flatnonzero(first)
+    length = np.diff(np.append(start, len(edges)))
+    pair = length == 2
+    good = np.zeros(len(start), dtype=bool)
+    at = start[pair]
+    good[pair] = edges[at] != edges[at + 1]
+    return np.asarray(plain[start[~good]])
+
+
+def _paired(edges: Hashes, start: int) -> bool:
+    """Whether a stretch of a sorted list is pairs of one edge in both directions, no edge twice."""
+    part = edges[start : start + 2_000_002]
+    here = part[:2_000_000]
+    both = bool(((here[0::2] ^ here[1::2]) == 1).all())
+    return both and bool((part[1:-1:2] ^ part[2::2] > 1).all())
+
+
+def _join(label: Ints, edges: Hashes, owner: Ints) -> Ints:
+    """Join the pieces of triangles that share an edge."""
+    plain = edges >> np.uint64(1)
+    order = np.argsort(plain, kind="stable")
+    same = plain[order[1:]] == plain[order[:-1]]
+    one, two = owner[order[:-1][same]], owner[order[1:][same]]
+    if len(label) <= _FEW:
+        pairs = np.stack([label[one], label[two]], axis=1)
+        return np.asarray(connect(len(label), pairs)[label])
+    return _union()(label, one, two)
+
+
+@cache
+def _union() -> Callable[[Ints, Ints, Ints], Ints]:
+    """Union by least root with path halving, compiled."""
+    from numba import njit
+
+    @njit  # type: ignore[untyped-decorator]
+    def union(label, one, two):  # type: ignore[no-untyped-def]
+        for n in range(len(one)):
+            a, b = one[n], two[n]
+            while label[a] != a:
+                label[a] = label[label[a]]
+                a = label[a]
+            while label[b] != b:
+                label[b] = label[label[b]]
+                b = label[b]
+            label[max(a, b)] = min(a, b)
+        for n in range(len(label)):  # roots are least members, so one sweep upwards flattens all
+            label[n] = label[label[n]]
+        return label
+
+    return cast("Callable[[Ints, Ints, Ints], Ints]", union)
+
+
+def _decide(chunks: Chunks, doubtful: Hashes) -> tuple[int, int, Floats]:
+    """Count the doubtful edges by their coordinates: (open, with more than two faces, listed ends)."""
+    uses: dict[tuple[bytes, bytes], list[int]] = {}
+    for corners in chunks():
+        keys = vertex_hashes(corners)
+        edges = _edge_hashes(keys) >> np.uint64(1)
+        at, side = np.nonzero(np.isin(edges, doubtful) & ~_degenerate(keys)[:, None])
+        real = corners[at].astype(np.float64) + 0.0
+        a, b = real[np.arange(len(at)), side], real[np.arange(len(at)), (side + 1) % 3]
+        for p, q in zip(a, b):
+            pair = (p.tobytes(), q.tobytes())
+            forward = pair[0] < pair[1]
+            uses.setdefault(pair if forward else pair[::-1], [0, 0])[int(forward)] += 1
+    bad = {pair: n for pair, n in uses.items() if n != [1, 1]}
+    often = sum(1 for n in bad.values() if sum(n) > 2)
+    listed = [[np.frombuffer(end) for end in pair] for pair in list(bad)[:_LISTED]]
+    return len(bad) - often, often, np.array(listed).reshape(-1, 2, 3)
+
+
+def _flux(corners: NDArray[Any]) -> float:
+    from clacad.mesh.volume import flux
+
+    return fsum(flux(corners.astype(np.float64)).tolist()) if len(corners) < 100_000 else float(
+        np.sum(flux(corners.astype(np.float64)), dtype=np.longdouble)
+    )  # fmt: skip
