@@ -18,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from clacad.export import threemf
 from clacad.export.closed import crowded_edges, measure
 from clacad.export.errors import FileDisagrees, UnreadableFile
 from clacad.export.glb import write_glb
@@ -95,7 +96,7 @@ def test_two_level_instances_stand_where_flat_ones_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flat = np.concatenate(list(read_mesh(write(tmp_path / "flat.3mf")).chunks()))
-    monkeypatch.setattr("clacad.export.threemf.FLAT_LIMIT", 0)
+    monkeypatch.setattr(threemf, "FLAT_LIMIT", 0)
     deep = np.concatenate(list(read_mesh(write(tmp_path / "deep.3mf")).chunks()))
     np.testing.assert_allclose(np.sort(deep, axis=0), np.sort(flat, axis=0), atol=1e-12)
     assert (tmp_path / "deep.3mf").read_bytes() != (tmp_path / "flat.3mf").read_bytes()

@@ -11,12 +11,11 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from math import ceil, isqrt, log10
+from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import LimitRefused
-from clacad.lattice import Circle, Rectangle
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -205,21 +204,22 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
 
 
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
+    from clacad.export.sizes import threemf_bytes
     from clacad.export.tessellation import instanceable
 
     window = meshes.window
     held = meshes.welded(quads, name)
     instanced = name != "ply" and instanceable(window)
-    cells = window.lattice.cell_count
-    places = cells * len(window.bodies) if instanced else 0
-    facets = held * cells if instanced else held
-    vertices = 0.62 * held  # walls keep corners of their own; measured 0.55 … 0.7
+    places = window.lattice.cell_count * len(window.bodies) if instanced else 0
+    facets = held * window.lattice.cell_count if instanced else held
+    # Half a vertex a facet, and more where walls and rims give corners normals of their own.
+    vertices = held * (0.5 + 1.9 / max(quads, 2))
     if name == "ply":
         size = int(48 * vertices + 13 * held) + 300
     elif name == "glb":
         size = int(24 * vertices + 12 * held + 62 * places + 2500)
     else:
-        size = int(21.0 * held + _threemf_places(window, places) + 1500)
+        size = threemf_bytes(meshes, quads)
     memory = int(700 * held + 400 * places)
     seconds = (1.0e-5 * held + 4e-6 * places + 0.05, 5e-5 * held + 4e-5 * places + 0.5)
     return Forecast(
@@ -227,105 +227,39 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     )
 
 
-def _threemf_places(window: Window, places: int) -> float:
-    from clacad.export.threemf import FLAT_LIMIT
-
-    if places and places // len(window.bodies) > FLAT_LIMIT:
-        places = (window.lattice.count[0] + window.lattice.count[1]) * len(window.bodies)
-    return 9.0 * places
-
-
 def _forecast_step(window: Window, step: str) -> Forecast:
-    """Bytes from the text of small sheets of the same design: it grows as A + B (n1 + n2) + C n1 n2."""
+    from clacad.export.sizes import step_bytes
     from clacad.export.step import chosen_mode
 
     mode = chosen_mode(window, step)  # type: ignore[arg-type]
-    cells, bodies = window.lattice.cell_count, len(window.bodies)
-    if max(window.lattice.count) <= 8:
-        size = float(_step_text(window, mode))
-    else:
-        size = _extrapolated(window, mode)
+    columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
-        seconds = (4e-4 * cells * bodies + 0.8, 8e-3 * cells * bodies + 8.0)
-        memory = (400_000_000, 900_000_000 + 250_000 * cells * bodies)
+        seconds = (4e-4 * columns + 0.8, 8e-3 * columns + 8.0)
+        memory = (400_000_000, 900_000_000 + 250_000 * columns)
     else:
-        seconds = (0.8, 10.0 + 3e-4 * cells * bodies)
-        memory = (300_000_000, 700_000_000 + 20_000 * cells)
-    return Forecast("step", int(size), False, None, None, seconds, memory)
-
-
-def _extrapolated(window: Window, mode: str) -> float:
-    from clacad.export.tessellation import instanceable
-
-    n1, n2 = window.lattice.count
-    if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode
-        small, large = (_smaller_sheet(window, n) for n in (8, 16))
-        one, two = _step_text(small, mode), _step_text(large, mode)
-        each = [(sheet.lattice.cell_count, sheet.lattice.cell_count**0.5) for sheet in (small, large)]
-        grows = 0 if mode == "fused" else 1
-        slope = (two - one) / (each[1][grows] - each[0][grows])
-        whole = window.lattice.cell_count
-        return two + slope * ((whole, whole**0.5)[grows] - each[1][grows])
-    if mode == "instanced" and instanceable(window):
-        a, b = (_step_text(_smaller_sheet(window, n), mode) for n in (2, 6))
-        return a + (b - a) / 8 * (n1 + n2 - 4)
-    a, b, c = (_step_text(_smaller_sheet(window, n), mode) for n in (1, 4, 8))
-    # Through n = 1, 4, 8 on the diagonal: f = A + 2 (B/2) n + C n^2. Longer numbers add some per cent a decade.
-    square = ((c - b) / 4 - (b - a) / 3) / 7
-    linear = (b - a) / 3 - 5 * square
-    digits = 1.0 + 0.07 * max(0.0, log10(n1 * n2 / 64))
-    return (a - linear - square + 0.5 * linear * (n1 + n2) + square * n1 * n2) * digits
-
-
-def _step_text(window: Window, mode: str) -> int:
-    from clacad.export.step_record import text_length
-
-    return text_length(window, mode)
-
-
-def _smaller_sheet(window: Window, n: int) -> Window:
-    """A sheet of about n × n of the same cells, with the same border."""
-    from dataclasses import replace
-
-    lattice = window.lattice
-    if isinstance(lattice.outline, Circle):
-        share = min(1.0, n / max(lattice.count))
-        disc = Circle(lattice.outline.diameter * share)
-        count = (ceil(lattice.count[0] * share), ceil(lattice.count[1] * share))
-        return replace(window, lattice=replace(lattice, count=count, outline=disc), outline=disc)
-    small = window.with_cells((min(n, lattice.count[0]), min(n, lattice.count[1])))
-    if window.outline is None or isinstance(window.outline, Circle):
-        return small
-    x0, x1, y0, y1 = lattice.extent()
-    u0, u1, v0, v1 = small.lattice.extent()
-    width, height = (
-        window.outline.width - (x1 - x0) + (u1 - u0),
-        window.outline.height - (y1 - y0) + (v1 - v0),
-    )
-    return replace(small, outline=Rectangle(width, height))
+        seconds = (0.8, 10.0 + 3e-4 * columns)
+        memory = (300_000_000, 700_000_000 + 20_000 * columns)
+    return Forecast("step", step_bytes(window, mode), False, None, None, seconds, memory)
 
 
 def _forecast_map(window: Window, name: str) -> Forecast:
+    from clacad.export import sizes
     from clacad.export.sag import samples_per_cell, structured_faces
 
     faces, cells = len(structured_faces(window)), window.lattice.cell_count
     per_cell = samples_per_cell(window, None) if name != "xyz" else min(16, samples_per_cell(window, None))
     pixels = per_cell * per_cell * cells * faces
-    exact = False
-    if name == "tiff":
-        size = 6 * pixels
-    elif name == "png":
-        size = int(1.7 * pixels)
-    elif name == "xyz":
-        size = 85 * pixels
-    elif name == "sag":
-        size = faces * 70 * 65 * 65
+    if name == "png":
+        size = sizes.png_bytes(window, per_cell)
     elif name == "table":
-        size = 75 * cells * faces + 3000
-    else:  # mask
-        size = 110 * cells * faces + 3000
+        size = sizes.table_bytes(window)
+    elif name == "mask":
+        size = sizes.mask_bytes(window)
+    else:  # six bytes a pixel of two TIFFs, a line of 85 a point, one cell of 65 x 65 lines of 70
+        size = {"tiff": 6 * pixels, "xyz": 85 * pixels, "sag": faces * 70 * 65 * 65}[name]
+    drawn = pixels if name in ("tiff", "png", "xyz") else 100 * cells * faces
     return Forecast(
-        name, size, exact, None, None, (4e-7 * size / 6, 2e-6 * size + 0.2), (100_000_000, 400_000_000)
+        name, size, False, None, None, (1e-7 * drawn, 6e-6 * drawn + 0.5), (100_000_000, 400_000_000)
     )
 
 

@@ -152,7 +152,7 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     path = job.stage.path(name)
     repeated = instanceable(job.window) if instanced is None else instanced
     job.progress(f"write {name}", 0.0)
-    write(job.tessellation.pieces(repeated), path, job.scale, job.stem)
+    write(job.tessellation.pieces(repeated, normals=kind != "3mf"), path, job.scale, job.stem)
     job.progress(f"read back {name}", 0.5)
     promise = job.tessellation.promise(instanced=repeated, single=single)
     verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))

@@ -192,11 +192,15 @@ def write_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
         rows: Iterator[Pixels] = (_millimetres(block, scale) for block in map_.blocks())
         write_tiff(rows, path, map_.width, map_.height, 32, 10.0 * per_mm, text)
     elif kind == "tiff16":
-        levels: Iterator[Pixels] = (_levels(map_, block) for block in map_.blocks())
+        levels: Iterator[Pixels] = (map_levels(map_, block) for block in map_.blocks())
         write_tiff(levels, path, map_.width, map_.height, 16, 10.0 * per_mm, text)
     else:
         write_png(
-            (_levels(map_, block) for block in map_.blocks()), path, map_.width, map_.height, 1000.0 * per_mm
+            (map_levels(map_, block) for block in map_.blocks()),
+            path,
+            map_.width,
+            map_.height,
+            1000.0 * per_mm,
         )
 
 
@@ -204,7 +208,8 @@ def _millimetres(heights: Floats, scale: float) -> NDArray[np.float32]:
     return np.where(np.isfinite(heights), heights * scale, NO_DATA).astype(np.float32)
 
 
-def _levels(map_: HeightMap, heights: Floats) -> NDArray[np.uint16]:
+def map_levels(map_: HeightMap, heights: Floats) -> NDArray[np.uint16]:
+    """Grey levels of heights: 1 is the map's low, 65535 its high, 0 a hole."""
     with np.errstate(invalid="ignore"):
         level = 1.0 + np.rint((heights - map_.low) / map_.step)
     return np.where(np.isfinite(heights), np.clip(level, 1, 65535), 0).astype(np.uint16)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.export.atomic import canonical_json
 from clacad.export.errors import FileDisagrees, UnreadableFile
 from clacad.export.sag import structured_faces
 from clacad.sheet import Face, Window, lens_height
+
+Ints = NDArray[np.int64]
 
 EQUATION = {
     "quadric": "cx x^2 + cy y^2 + kappa z^2 - 2 side z = 0, the half nearer the apex, in the lens frame (apex at the origin)",
@@ -88,19 +92,27 @@ def write_table_csv(window: Window, path: Path, scale: float) -> int:
     with path.open("w", encoding="ascii", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(COLUMNS)
-        for _, face, label in structured_faces(window):
-            assert face.array is not None
-            angles = [repr(v) for v in euler_degrees(face)]
-            apex = np.asarray(face.vertex)
-            shift = np.asarray(window.shifts[face.array])
-            for j in range(window.lattice.count[1]):
-                row = window.lattice.row(j)
-                places = (window.lattice.centres(row) + shift + apex[:2]) * scale + 0.0
-                z = repr(float(apex[2] * scale))
-                for (i, jj), (x, y) in zip(row.tolist(), places.tolist()):
-                    writer.writerow([label, i, jj, repr(x), repr(y), z, *angles])
-                count += len(row)
+        for line in pose_lines(
+            window, scale, (window.lattice.row(j) for j in range(window.lattice.count[1]))
+        ):
+            writer.writerow(line)
+            count += 1
     return count
+
+
+def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[list[str | int]]:
+    """Lines of the pose table for some rows of cells, face after face."""
+    rows = list(rows)
+    for _, face, label in structured_faces(window):
+        assert face.array is not None
+        angles = [repr(v) for v in euler_degrees(face)]
+        apex = np.asarray(face.vertex)
+        shift = np.asarray(window.shifts[face.array])
+        z = repr(float(apex[2] * scale))
+        for row in rows:
+            places = (window.lattice.centres(row) + shift + apex[:2]) * scale + 0.0
+            for (i, j), (x, y) in zip(row.tolist(), places.tolist()):
+                yield [label, i, j, repr(x), repr(y), z, *angles]
 
 
 def euler_degrees(face: Face) -> tuple[float, float, float]:

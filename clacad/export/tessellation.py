@@ -63,14 +63,22 @@ class Tessellation:
             single=single,
         )
 
-    def pieces(self, instanced: bool) -> list[Piece]:
-        """Welded meshes with exact vertex normals, one a body."""
+    def pieces(self, instanced: bool, normals: bool) -> list[Piece]:
+        """Meshes of shared vertices, one a body.
+
+        With normals a vertex at a sharp edge is split, one for each normal; without, the vertices are the
+        mesher's own, every edge has its two facets, and columns that only touch keep vertices of their own.
+        """
         mesh = self.cell if instanced else self.mesh
         window = one_cell(self.window) if instanced else self.window
-        return [
-            _piece(window, body, part.rows(), self._places(body) if instanced else None)
-            for body, part in zip(window.bodies, mesh.bodies, strict=True)
-        ]
+        found = []
+        for body, part in zip(window.bodies, mesh.bodies, strict=True):
+            places = self._places(body) if instanced else None
+            if normals:
+                found.append(_piece(window, body, part.rows(), places))
+            else:
+                found.append(Piece(body.name, part.vertices, part.triangles, None, places, body.index))
+        return found
 
     def _places(self, body: Body) -> Places:
         return Places(self.window.lattice, self.window.shifts[_array(body)])
@@ -126,14 +134,19 @@ def _without_border(land: Land) -> Land:
 
 
 def _piece(window: Window, body: Body, rows: Iterator[Floats], places: Places | None) -> Piece:
-    """Weld facets whose corners and normals agree bit by bit."""
     corners = np.concatenate(list(rows)) + 0.0
-    normals = exact_normals(window, (body.front, body.back), corners) + 0.0
-    both = np.concatenate([corners, normals], axis=2).reshape(-1, 6)
+    return replace(
+        weld(body, corners, exact_normals(window, (body.front, body.back), corners)), places=places
+    )
+
+
+def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
+    """Weld facets (n, 3, 3) whose corners and normals agree bit by bit into a piece."""
+    both = np.concatenate([corners + 0.0, normals + 0.0], axis=2).reshape(-1, 6)
     unique, index = np.unique(both.view([("", np.float64)] * 6).ravel(), return_inverse=True)
     table = unique.view(np.float64).reshape(-1, 6)
     shared, inverse = _in_first_use_order(table, index.reshape(-1))
-    return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], places, body.index)
+    return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], None, body.index)
 
 
 def _in_first_use_order(table: Floats, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:  # fmt: skip

@@ -102,7 +102,7 @@ def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
     items: list[tuple[int, str]] = []
     for piece in pieces:
         mesh = next(numbers)
-        yield from _mesh_object(piece, mesh, scale)
+        yield from mesh_lines(piece, mesh, scale)
         if piece.places is None:
             items.append((mesh, ""))
             continue
@@ -120,7 +120,8 @@ def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
     yield "</build>\n</model>\n"
 
 
-def _mesh_object(piece: Piece, number: int, scale: float) -> Iterator[str]:
+def mesh_lines(piece: Piece, number: int, scale: float) -> Iterator[str]:
+    """Lines of one mesh object."""
     vertices = np.asarray(piece.vertices, dtype=np.float64) * scale + 0.0
     if not np.isfinite(vertices).all():
         raise FileDisagrees(f"{piece.name}: a vertex is not a finite number")
@@ -137,7 +138,7 @@ def _mesh_object(piece: Piece, number: int, scale: float) -> Iterator[str]:
 def _flat(name: str, places: Places, mesh: int, number: int, scale: float) -> Iterator[str]:
     yield f'<object id="{number}" type="model" name={quoteattr(name)}>\n<components>\n'
     for x, y, _ in places.centres().tolist():
-        yield _component(mesh, x * scale, y * scale)
+        yield component_text(mesh, x * scale, y * scale)
     yield "</components>\n</object>\n"
 
 
@@ -148,15 +149,16 @@ def _hierarchical(
     for number, row in zip(kinds, offsets):
         yield f'<object id="{number}" type="model" name={quoteattr(name + " row")}>\n<components>\n'
         for x in row.tolist():
-            yield _component(mesh, x * scale, 0.0)
+            yield component_text(mesh, x * scale, 0.0)
         yield "</components>\n</object>\n"
     yield f'<object id="{whole}" type="model" name={quoteattr(name)}>\n<components>\n'
     for kind, (x, y) in standing:
-        yield _component(kinds[kind], x * scale, y * scale)
+        yield component_text(kinds[kind], x * scale, y * scale)
     yield "</components>\n</object>\n"
 
 
-def _component(number: int, x: float, y: float) -> str:
+def component_text(number: int, x: float, y: float) -> str:
+    """Line that puts object `number` at (x, y)."""
     return f'<component objectid="{number}" transform="1 0 0 0 1 0 0 0 1 {x + 0.0!r} {y + 0.0!r} 0"/>\n'
 
 
@@ -327,7 +329,7 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Fl
     if found.triangles:
         places.setdefault(number, []).append(place[None])
     leaves: dict[str, list[Floats]] = {}
-    budget[0] -= max(50, len(found.components))  # a level of its own is dearer than a leaf
+    budget[0] -= max(500, len(found.components))  # a level of its own is dearer than a leaf
     if budget[0] < 0:
         raise model.fail(f"more than {MOST_PLACES} places of its parts")
     for child, inner in found.components:

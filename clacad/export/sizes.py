@@ -1,0 +1,185 @@
+"""Bytes of a file before it is written: by drawing up a small part of its text and scaling."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from math import ceil, log10
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.export.pieces import Places
+from clacad.export.tessellation import Meshes, instanceable, weld
+from clacad.lattice import Circle, Rectangle
+from clacad.sheet import Window
+
+if TYPE_CHECKING:
+    from clacad.export.filemesh import Floats
+
+SAMPLE = 20_000
+"""Facets or places whose text is drawn up; the rest is taken to be like them."""
+
+
+def mm(window: Window) -> float:
+    """Millimetres per design unit."""
+    return window.unit / 1e-3
+
+
+# -- 3MF -------------------------------------------------------------------------------------------
+
+
+def threemf_bytes(meshes: Meshes, quads: int) -> int:
+    """Size of the 3MF file: the text of the first facets and places of each body, deflated."""
+    from clacad.export import threemf
+
+    repeated = instanceable(meshes.window)
+    mesh = meshes.at(quads).cell if repeated else meshes.at(quads).mesh
+    total = 950.0
+    for body, part in zip(meshes.window.bodies, mesh.bodies, strict=True):
+        corners = _first_facets(part.rows())
+        if not len(corners):
+            continue
+        piece = replace(weld(body, corners, np.zeros_like(corners)), normals=None)
+        text = threemf.mesh_lines(piece, 1, mm(meshes.window))
+        total += _deflated(text) * part.facet_count / len(corners)
+        if repeated:
+            array = next(f.array for f in (body.front, body.back) if f.array is not None)
+            total += _places_bytes(
+                Places(meshes.window.lattice, meshes.window.shifts[array]), mm(meshes.window)
+            )
+    return int(total)
+
+
+def _first_facets(rows: Iterator[Floats]) -> Floats:
+    kept, count = [], 0
+    for block in rows:
+        kept.append(block[: SAMPLE - count])
+        count += len(kept[-1])
+        if count >= SAMPLE:
+            break
+    return np.concatenate(kept) if kept else np.empty((0, 3, 3))
+
+
+def _places_bytes(places: Places, scale: float) -> float:
+    from clacad.export import threemf
+
+    if places.count > threemf.FLAT_LIMIT:
+        offsets, standing = places.rows()
+        lines = sum(len(row) for row in offsets) + len(standing)
+        return 12.0 * lines
+    sample = places.lattice.cells()[:SAMPLE] if places.count <= SAMPLE else places.lattice.row(0)
+    centres = (places.lattice.centres(sample) + np.asarray(places.shift)) * scale
+    text = (threemf.component_text(2, x, y) for x, y in centres.tolist())
+    return _deflated(text) * places.count / max(1, len(sample))
+
+
+def _deflated(lines: Iterable[str]) -> int:
+    return len(zlib.compress("".join(lines).encode(), 6))
+
+
+# -- pictures, tables, masks -----------------------------------------------------------------------
+
+
+def png_bytes(window: Window, per_cell: int) -> int:
+    """Size of the PNG files: one row of cells of each map, deflated."""
+    from clacad.export.sag import height_map, map_levels, structured_faces
+
+    total = 0.0
+    for body, face, label in structured_faces(window):
+        map_ = height_map(window, body, face, label, per_cell)
+        rows = min(map_.height, 2 * per_cell)
+        strip = replace(map_, height=rows)
+        packer = zlib.compressobj(6)
+        size = sum(
+            len(packer.compress(map_levels(strip, block).astype(">u2").tobytes())) for block in strip.blocks()
+        )
+        total += (size + len(packer.flush())) * map_.height / rows + 200
+    return int(total) + 600 * len(structured_faces(window))
+
+
+def table_bytes(window: Window) -> int:
+    """Size of the two files of the surface table: the JSON drawn up, the CSV by its first row of cells."""
+    from clacad.export.atomic import canonical_json
+    from clacad.export.table import pose_lines, surface_table
+
+    total = float(len(canonical_json(surface_table(window, mm(window)))))
+    row = window.lattice.row(window.lattice.count[1] // 2)
+    text = io.StringIO()
+    lines = 0
+    for line in pose_lines(window, mm(window), [row]):
+        text.write(",".join(str(word) for word in line) + "\n")
+        lines += 1
+    faces = max(1, lines // max(1, len(row)))
+    return int(total + len(text.getvalue()) / max(1, lines) * window.lattice.cell_count * faces)
+
+
+def mask_bytes(window: Window) -> int:
+    """Size of the SVG and DXF masks: outlines as they are, cells by their first row."""
+    from clacad.export.mask import aperture
+    from clacad.export.sag import structured_faces
+
+    total = 0.0
+    scale = mm(window)
+    for body, face, _ in structured_faces(window):
+        assert face.array is not None
+        outline = (aperture(window, body, face) * scale + 0.0).tolist()
+        total += sum(len(f"{x!r}{y!r}") for x, y in outline) * 2 + 40 * len(outline) + 1400
+        row = window.lattice.row(window.lattice.count[1] // 2)
+        centres = ((window.lattice.centres(row) + np.asarray(window.shifts[face.array])) * scale).tolist()
+        digits = sum(len(f"{x!r}{y!r}") for x, y in centres) / max(1, len(centres))
+        total += window.lattice.cell_count * (2 * digits + 34 + 36)
+    return int(total)
+
+
+# -- STEP ------------------------------------------------------------------------------------------
+
+
+def step_bytes(window: Window, mode: str) -> int:
+    """Size of the STEP file, from the text of small sheets: it grows as A + B (n1 + n2) + C n1 n2."""
+    n1, n2 = window.lattice.count
+    if max(n1, n2) <= 8:
+        return _step_text(window, mode)
+    if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode
+        small, large = _smaller_sheet(window, 8), _smaller_sheet(window, 16)
+        one, two = _step_text(small, mode), _step_text(large, mode)
+        power = 1.0 if mode == "fused" else 0.5
+        first, second, whole = (sheet.lattice.cell_count**power for sheet in (small, large, window))
+        return int(two + (two - one) / (second - first) * (whole - second)) if second > first else two
+    if mode == "instanced" and instanceable(window):
+        a, b = (_step_text(_smaller_sheet(window, n), mode) for n in (2, 6))
+        return int(a + (b - a) / 8 * (n1 + n2 - 4))
+    a, b, c = (_step_text(_smaller_sheet(window, n), mode) for n in (1, 4, 8))
+    # Through n = 1, 4, 8 on the diagonal: f = A + B n + C n^2. Longer numbers add some per cent a decade.
+    square = ((c - b) / 4 - (b - a) / 3) / 7
+    linear = (b - a) / 3 - 5 * square
+    digits = 1.0 + 0.07 * max(0.0, log10(n1 * n2 / 64))
+    return int((a - linear - square + 0.5 * linear * (n1 + n2) + square * n1 * n2) * digits)
+
+
+def _step_text(window: Window, mode: str) -> int:
+    from clacad.export.step_record import text_length
+
+    return text_length(window, mode)
+
+
+def _smaller_sheet(window: Window, n: int) -> Window:
+    """A sheet of about n × n of the same cells, with the same border."""
+    lattice = window.lattice
+    if isinstance(lattice.outline, Circle):
+        share = min(1.0, n / max(lattice.count))
+        disc = Circle(lattice.outline.diameter * share)
+        count = (ceil(lattice.count[0] * share), ceil(lattice.count[1] * share))
+        return replace(window, lattice=replace(lattice, count=count, outline=disc), outline=disc)
+    small = window.with_cells((min(n, lattice.count[0]), min(n, lattice.count[1])))
+    if window.outline is None or isinstance(window.outline, Circle):
+        return small
+    x0, x1, y0, y1 = lattice.extent()
+    u0, u1, v0, v1 = small.lattice.extent()
+    width, height = (
+        window.outline.width - (x1 - x0) + (u1 - u0),
+        window.outline.height - (y1 - y0) + (v1 - v0),
+    )
+    return replace(small, outline=Rectangle(width, height))
