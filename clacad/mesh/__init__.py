@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from clacad.mesh.body import BodyMesh
+from clacad.mesh.health import Health, check_closed
+from clacad.mesh.normals import CellSolid, cell_solid, corner_normals
 from clacad.mesh.nouns import Mesh
 from clacad.mesh.tessellate import (
     count_facets,
@@ -16,7 +18,12 @@ from clacad.mesh.volume import exact_volume, mesh_volume
 
 __all__ = [
     "BodyMesh",
+    "CellSolid",
+    "Health",
     "Mesh",
+    "cell_solid",
+    "check_closed",
+    "corner_normals",
     "count_facets",
     "exact_volume",
     "forecast_bytes",

@@ -141,21 +141,33 @@ class BodyMesh:
 
         Memory is that of one block, whatever the number of cells; blocks come in a fixed order.
         """
-        for block in self.blocks():
-            each = max(1, _CHUNK // len(block.template.triangles))
-            for first in range(0, len(block.cells), each):
-                yield block.corners(self.window, first, min(first + each, len(block.cells)))
+        for block, first, last in self._portions():
+            yield block.corners(self.window, first, last)
         if len(self.plain.triangles):
             yield self.plain.vertices[self.plain.triangles]
 
-    def tags(self) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
-        """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹."""
+    def _portions(self) -> Iterator[tuple[Block, int, int]]:
+        """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
         for block in self.blocks():
-            t = len(block.template.triangles)
-            each = max(1, _CHUNK // t)
+            each = max(1, _CHUNK // len(block.template.triangles))
             for first in range(0, len(block.cells), each):
-                cells = block.cells[first : first + each]
-                yield np.tile(block.template.kind, len(cells)), np.repeat(cells, t, axis=0)
+                yield block, first, min(first + each, len(block.cells))
+
+    def parts(self) -> Iterator[tuple[Template, int]]:
+        """Yield (template, number of cells) of each block of `rows`, the plain land left out."""
+        for block, first, last in self._portions():
+            yield block.template, last - first
+
+    def tags(self) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
+        """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
+
+        Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.template`; optical are FRONT
+        and BACK, of the body's front and back face.
+        """
+        for block, first, last in self._portions():
+            cells = block.cells[first:last]
+            kind = np.tile(block.template.kind, len(cells))
+            yield kind, np.repeat(cells, len(block.template.triangles), axis=0)
         if len(self.plain.triangles):
             yield self.plain.kind, np.full((len(self.plain.triangles), 2), -(2**31), dtype=np.int64)
 

@@ -224,7 +224,7 @@ def _union() -> Callable[[Ints, Ints, Ints], Ints]:
     """Union by least root with path halving, compiled."""
     from numba import njit
 
-    @njit  # type: ignore[untyped-decorator]
+    @njit
     def union(label, one, two):  # type: ignore[no-untyped-def]
         for n in range(len(one)):
             a, b = one[n], two[n]
