@@ -16,8 +16,10 @@ ROWS = stability_table()
 PAGE = Path(table.PAGE)
 
 
-def test_every_row_is_within_what_its_condition_allows():
-    assert [(row.name, row.quantity, row.error) for row in ROWS if not row.holds] == []
+@pytest.mark.parametrize("case", hard_cases(), ids=[f"{c['kind']}: {c['name']}" for c in hard_cases()])
+def test_a_stored_case_holds(case):
+    for row in stability_table([case]):
+        assert row.holds, f"{row.quantity}: {row.error:.3g} ulp, allowed {row.allowed:.3g}; {row.why}"
 
 
 def test_no_row_is_worse_than_recorded():

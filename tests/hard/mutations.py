@@ -1,0 +1,182 @@
+"""Replace each stable form by its textbook form and see that a named test fails.
+
+    python tests/hard/mutations.py                 run all, print the table, exit 1 if a mutation survives
+    python tests/hard/mutations.py NAME ...        only some
+    python tests/hard/mutations.py --write         run all and record tests/hard/mutations.md
+
+Every mutation is made in a private copy of the package and its tests, in a new temporary folder; the files
+themselves are never touched. Each run compiles kernels into a cache of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "tests" / "hard" / "mutations.md"
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One stable form and the textbook form put in its place."""
+
+    name: str
+    file: str
+    stable: str
+    textbook: str
+    tests: str = "tests/test_hard_table.py -k stored_case"
+
+
+STORED = "tests/test_hard_table.py -k stored_case"
+SURFACE, LAW = "tests/test_surface.py", "tests/test_law.py"
+NORMAL, SEQ = f"{SURFACE} -k normal", "tests/test_sequence.py -k distance_of_the_source"
+KERNELS, LATTICE = "tests/test_hard_kernels.py -k 'compiled_surfaces or index'", "tests/test_lattice.py"
+SHEETS = "tests/test_hard_kernels.py -k 'sheet and numpy'"
+SHAPE, QUADRIC, MEETING, BICONIC = (
+    f"clacad/surface/{n}.py" for n in ("shape", "quadric", "meeting", "biconic")
+)
+MODEL, IMAGING, EXACT, TURN = (f"clacad/law/{n}.py" for n in ("model", "imaging", "exact", "rotation"))
+SCALAR, LAUNCH, TRACE = "clacad/trace/kernel_scalar.py", "clacad/trace/launch.py", "clacad/trace/sequence.py"
+
+MUTATIONS = [
+    # -- sag and normal
+    Mutation("sag: R - sqrt(R² - r²)", SHAPE, "surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))",
+             "surface.side * (1.0 - slope_root(surface, x, y)) * lateral_square(surface, x, y) / (1.0 - slope_root(surface, x, y) ** 2)"),
+    Mutation("sag: radicand not in pairs near the equator", SHAPE, "equator = np.abs(radicand) < 0.5", "equator = np.abs(radicand) < -1.0"),
+    Mutation("sag: saddle's square not in pairs", SHAPE, "if cx * cy < 0:\n        in_x", "if False:\n        in_x"),
+    Mutation("sag: 1 + K rounded", SHAPE, "in_x = pair_product(two_sum(1.0, surface.conic_x), two_product(cx, cx))",
+             "in_x = pair((1.0 + surface.conic_x) * cx * cx)", f"{SURFACE} -k sixty_digits"),
+    Mutation("normal: length by squares", SHAPE, "np.hypot(np.hypot(g[..., 0], g[..., 1]), g[..., 2])", "np.sqrt(g[..., 0] ** 2 + g[..., 1] ** 2 + (1.0 - np.sqrt(1.0 - g[..., 2] ** 2)) ** 2)", NORMAL),
+    # -- intersection
+    Mutation("root: (-b ± sqrt(b² - ac))/a", QUADRIC, "adds = sign_root * b <= 0", "adds = (a == 0) & (b <= np.inf)"),
+    Mutation("root: never the other form", QUADRIC, "adds = sign_root * b <= 0", "adds = b <= np.inf"),
+    Mutation("root: discriminant never in pairs", QUADRIC, "CANCELS = 1e3", "CANCELS = np.inf"),
+    Mutation("root: discriminant from the carried point", QUADRIC, "pick(start, rows), pick(ray, rows))\n    root", "pick(base, rows), pick(ray, rows))\n    root"),
+    Mutation("root: not carried to the vertex plane", QUADRIC, "t = np.where(flat, -z / N, -(x * L + y * M + z * N) / square)", "t = np.zeros_like(x)\n    flat = np.zeros(x.shape, dtype=bool)"),
+    Mutation("root: always carried to the vertex plane", QUADRIC, "STEEPEST = 0.25", "STEEPEST = 0.0"),
+    Mutation("root: sign of N forgotten", QUADRIC, "sign_root = np.where(N < 0, -side, side) * root", "sign_root = side * root"),
+    Mutation("hit: far half counts", MEETING, "misses = ~((gz > 0) & np.isfinite(distance) & np.isfinite(root))", "misses = ~(np.isfinite(distance) & np.isfinite(root))"),
+    Mutation("hit: negative distance counts", TRACE, "behind = distance < -BEHIND * extent", "behind = distance < -np.inf * extent"),
+    Mutation("biconic: far sheet told by height alone", BICONIC, "return np.asarray((height >= -rounding) & (height <= np.abs(q) + rounding))", "return np.asarray(np.abs(height) <= np.abs(q) + rounding)"),
+    Mutation("biconic: no quartic", BICONIC, "if rows.size:", "if rows.size < 0:"),
+    Mutation("biconic: quadric of the mean κ", BICONIC, "NEWTON_STEPS = 24", "NEWTON_STEPS = 1"),
+    # -- refraction
+    Mutation("Snell: q - µ r", MEETING, "g = np.where((w == 0) & (total == 0), 0.0, w / total)", "g = (q - incident) / (gx * gx + gy * gy + gz * gz)"),
+    Mutation("Snell: 1 - µ²", MEETING, "w = (n2 - n1) / n2 * ((n2 + n1) / n2)", "w = 1.0 - mu * mu"),
+    Mutation("Snell: cosine by Pythagoras", MEETING, "q = np.sqrt((gx * gx + gy * gy + gz * gz) * w + incident * incident)",
+             "size = np.sqrt(gx * gx + gy * gy + gz * gz)\n        q = size * np.cos(np.arcsin(mu * np.sin(np.arccos(root / size))))"),
+    # -- sequences and launch
+    Mutation("sequence: vertex added, then the next one taken off", TRACE, "return np.asarray((offset + low) + high)", "return np.asarray((offset + np.asarray(left)) - np.asarray(entered))"),
+    Mutation("sequence: start minus vertex rounded", TRACE, "offset[:, i] = pair_sum((high[far, i], low[far, i]), moved)[0]", "offset[:, i] = high[far, i] + t * d[:, i]", SEQ),
+    Mutation("sequence: the far start is not carried", TRACE, "FAR = 1024.0", "FAR = np.inf", SEQ),
+    Mutation("sequence: direction scaled by its length squared", TRACE, "_, exponent = np.frexp(largest(direction))", "exponent = np.zeros(len(direction), dtype=int)"),
+    Mutation("launch: plane step in double", LAUNCH, "return quotient, rest[0] / scaled[:, 2]", "return quotient, 0.0 * rest[0]", SHEETS),
+    Mutation("launch: lateral step in double", LAUNCH, "return pair_sum(pair_product((high, low), pair(along)), pair(x))", "return x + high * along, 0.0 * x", SHEETS),
+    # -- cells
+    Mutation("cell: rounded product", "clacad/lattice.py", "high, low = two_product(k, step)", "high, low = k * step, 0.0"),
+    Mutation("cell: floor alone", "clacad/lattice.py", "guess = guess + (local >= half) - (local < -half)", "guess = guess + 0.0 * half"),
+    Mutation("cell: hexagons by rounding alone", "clacad/lattice.py", "for _ in range(4):  # a nearest-row", "for _ in range(0):  # a nearest-row", LATTICE),
+    Mutation("cell: relative to the sheet's centre", "clacad/trace/layout.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
+    # -- law
+    Mutation("law: t - δ rounded", MODEL, "m = total + (total_error - product_error)", "m = total"),
+    Mutation("law: slopes without scaling", MODEL, "shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]", "shift = 0 * np.frexp(np.where(answered, largest, 1.0))[1]"),
+    Mutation("law: no headroom for tiny errors", MODEL, "_HEADROOM = 500", "_HEADROOM = 0"),
+    Mutation("law: no common scale", MODEL, "return np.ldexp(x, e_x - top), np.ldexp(y, e_y - top), np.ldexp(z, -top)", "return np.ldexp(x, e_x), np.ldexp(y, e_y), z"),
+    Mutation("law: hemisphere of the lens not asked", MODEL, "x, y, z = _times(r.T, x, y, z)\n        answered &= z > 0.0", "x, y, z = _times(r.T, x, y, z)"),
+    Mutation("law: exit not judged", MODEL, "x, y, z = _times(r, x, y, z)\n    answered &= z > 0.0", "x, y, z = _times(r, x, y, z)"),
+    Mutation("rotation: cos 90° = 6e-17", TURN, "if angle in (turns * (pi / 2), radians(90.0 * turns)):", "if angle == 0.0:", LAW),
+    Mutation("rotation: φ and ψ turned one by one at θ = 0", TURN, "if st == 0.0:", "if False:"),
+    Mutation("angle: acos of the scalar product", EXACT, "angle = np.arctan2(sine, np.sum(p * q, axis=1))",
+             "angle = np.arccos(np.clip(np.sum(p * q, axis=1) / np.sqrt(np.sum(p * p, axis=1) * np.sum(q * q, axis=1)), -1.0, 1.0))"),
+    Mutation("angle: cross product rounded", EXACT, "difference_of_products(p[:, i], q[:, j], p[:, j], q[:, i])", "p[:, i] * q[:, j] - p[:, j] * q[:, i]"),
+    Mutation("stretch: D + z/η", IMAGING, "numerator * eta / (total + (rest + low))", "numerator / (camera_distance + z / eta)"),
+    Mutation("stretch: Dη + z rounded twice", IMAGING, "numerator * eta / (total + (rest + low))", "numerator * eta / total"),
+    # -- exact products
+    Mutation("two_product: no error term", "clacad/compensated.py", "return product, np.asarray(low)", "return product, np.zeros_like(low)"),
+    Mutation("two_sum: no error term", "clacad/compensated.py", "return total, np.asarray((a - (total - part_b)) + (b - part_b))", "return total, np.zeros_like(total)"),
+    # -- compiled kernels
+    Mutation("kernel: root by the textbook", SCALAR, "if signed * b <= 0.0:\n        return c / (signed - b), root", "if a == 0.0:\n        return c / (signed - b), root", KERNELS),
+    Mutation("kernel: discriminant never in pairs", SCALAR, "if b * b > CANCELS * abs(disc):", "if b * b < 0.0:", KERNELS),
+    Mutation("kernel: not carried", SCALAR, "    if N * N >= STEEPEST * STEEPEST * square:\n        t = -z / N\n        return t, x + t * L, y + t * M, 0.0\n    t = -(x * L + y * M + z * N) / square\n",
+             "    t = 0.0 * square\n", KERNELS),
+    Mutation("kernel: far sheet told by height alone", SCALAR, "if -rounding <= level <= abs(q) + rounding:", "if abs(level) <= abs(q) + rounding:", KERNELS),
+    Mutation("kernel: q - µ r", SCALAR, "g = 0.0 if w == 0.0 and total == 0.0 else w / total", "g = (sqrt(radicand) - incident) / (gx * gx + gy * gy + gz * gz)", KERNELS),
+    Mutation("kernel: 1 - µ²", SCALAR, "w = (n2 - n1) / n2 * ((n2 + n1) / n2)", "w = 1.0 - mu * mu", KERNELS),
+]  # fmt: skip
+
+
+def copied(target):
+    """The package and its tests in a folder of their own."""
+    skip = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc", ".hypothesis")
+    for part in ("clacad", "tests", "designs"):
+        shutil.copytree(ROOT / part, target / part, ignore=skip)
+    shutil.copy(ROOT / "pyproject.toml", target)
+
+
+def tested(mutation, workplace):
+    """Names of the tests that fail with the mutation in place."""
+    cache = workplace / "numba"
+    shutil.rmtree(cache, ignore_errors=True)
+    environment = os.environ | {
+        "PYTHONPATH": str(workplace),
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    command = [sys.executable, "-m", "pytest", "-q", "--no-header", "--tb=no", "-rfE", "--maxfail=1", "-p", "no:cacheprovider",
+               *shlex.split(mutation.tests)]  # fmt: skip
+    run = subprocess.run(command, cwd=workplace, env=environment, capture_output=True, text=True, timeout=900)
+    return re.findall(r"^(?:FAILED|ERROR) (\S+?::.*?)(?: - .*)?$", run.stdout, re.MULTILINE), run
+
+
+def main(chosen, write):
+    """Run, print, record."""
+    mutations = [m for m in MUTATIONS if not chosen or any(word in m.name for word in chosen)]
+    with tempfile.TemporaryDirectory(prefix="clacad-mutations-") as folder:
+        workplace = Path(folder).resolve()
+        assert ROOT not in (workplace, *workplace.parents)
+        copied(workplace)
+        probe = [sys.executable, "-c", "import clacad; print(clacad.__file__)"]
+        used = subprocess.run(probe, cwd=workplace, env=os.environ | {"PYTHONPATH": str(workplace)}, capture_output=True, text=True)  # fmt: skip
+        if not Path(used.stdout.strip()).is_relative_to(workplace):
+            raise SystemExit(f"the copy is not what Python imports: {used.stdout}{used.stderr}")
+        for tests in sorted({m.tests for m in mutations}):
+            failed, run = tested(Mutation("none", "", "", "", tests), workplace)
+            if failed or run.returncode:
+                raise SystemExit(f"without any mutation {tests} fails: {failed}\n{run.stdout[-2000:]}")
+        rows, survived = [], []
+        for mutation in mutations:
+            file = workplace / mutation.file
+            text = file.read_text(encoding="utf-8")
+            if text.count(mutation.stable) != 1:
+                raise SystemExit(
+                    f"{mutation.name}: its stable form stands {text.count(mutation.stable)} times in {mutation.file}"
+                )
+            file.write_text(text.replace(mutation.stable, mutation.textbook), encoding="utf-8")
+            failed, _ = tested(mutation, workplace)
+            file.write_text(text, encoding="utf-8")
+            first = failed[0].split("::", 1)[1] if failed else "SURVIVED"
+            print(f"{mutation.name:60s} {first}", flush=True)  # noqa: T201
+            rows.append(f"| {mutation.name} | `{mutation.file}` | {first} |".replace("||", "\\|\\|"))
+            survived += [] if failed else [mutation.name]
+    if write:
+        head = (
+            "# Mutations\n\nEach stable form replaced by its textbook form in a private copy, and the first test that"
+            " fails.\nWritten by `python tests/hard/mutations.py --write`.\n\n| mutation | file | first test that fails |\n|---|---|---|\n"
+        )
+        foot = f"\n{len(rows)} mutations, {len(survived)} survived.\n"
+        PAGE.write_text(head + "\n".join(rows) + "\n" + foot, encoding="utf-8")
+    print(f"{len(rows)} mutations, {len(survived)} survived: {survived}")  # noqa: T201
+    return int(bool(survived))
+
+
+if __name__ == "__main__":
+    words = [word for word in sys.argv[1:] if not word.startswith("--")]
+    raise SystemExit(main(words, "--write" in sys.argv[1:]))
