@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,16 @@ CHUNK = 1 << 16
 ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
 
 
+class Soup(Protocol):
+    """Triangles that are read when they are asked for."""
+
+    def __len__(self) -> int:
+        """Number of triangles."""
+
+    def __getitem__(self, which: slice, /) -> NDArray[np.floating]:
+        """Corners (k, 3, 3) of a run of triangles."""
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """One mesh of a file and the places it is put at.
@@ -28,8 +39,8 @@ class Part:
     vertices : (v, 3) array or None, file unit
     triangles : (t, 3) int array or None
         Rows of `vertices`, counter-clockwise seen from outside.
-    soup : (t, 3, 3) float32 array or None
-        Corners of each triangle instead of the two above (STL); usually a view of the mapped file.
+    soup : (t, 3, 3) float32 array, or what slices like one, or None
+        Corners of each triangle instead of the two above (STL); usually read from the file when sliced.
     normals : (v, 3) array or None
         Unit vertex normals, where the format holds them.
     placements : (m, 4, 3) array
@@ -39,7 +50,7 @@ class Part:
     name: str
     vertices: Floats | None = None
     triangles: Ints | None = None
-    soup: NDArray[np.float32] | None = None
+    soup: Soup | None = None
     normals: Floats | None = None
     placements: Floats = field(default_factory=lambda: ONE_PLACE)
 
@@ -54,7 +65,7 @@ class Part:
     def corners(self, start: int, stop: int) -> Floats:
         """Corners of facets start … stop − 1 before placing, (k, 3, 3), file unit."""
         if self.soup is not None:
-            return self.soup[start:stop].astype(np.float64)
+            return np.asarray(self.soup[start:stop], dtype=np.float64)
         assert self.vertices is not None
         assert self.triangles is not None
         return np.asarray(self.vertices[self.triangles[start:stop]], dtype=np.float64)

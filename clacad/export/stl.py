@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -106,7 +107,7 @@ def facet_normals(corners: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def read_stl(path: Path) -> FileMesh:
-    """Read an STL file, binary (memory-mapped) or ASCII.
+    """Read an STL file, binary (streamed) or ASCII.
 
     Raises
     ------
@@ -133,11 +134,37 @@ def _read_binary(path: Path, head: bytes, count: int) -> FileMesh:
     unit = 1e-3 if "unit=mm" in name else None
     if count == 0:
         return FileMesh("stl-binary", (Part("", soup=np.zeros((0, 3, 3), np.float32)),), unit, name)
-    facets = np.memmap(path, dtype=FACET, mode="r", offset=HEADER + 4, shape=(count,))
     for start in range(0, count, CHUNK):
-        if not np.isfinite(facets["corners"][start : start + CHUNK]).all():
+        if not np.isfinite(read_facets(path, start, start + CHUNK)["corners"]).all():
             raise UnreadableFile(f"{path.name}: a corner near facet {start} is not a number")
-    return FileMesh("stl-binary", (Part("", soup=facets["corners"]),), unit, name)
+    return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count)),), unit, name)
+
+
+@dataclass(frozen=True, slots=True)
+class BinaryStl:
+    """The triangles of a binary STL file, read from it each time they are asked for; memory is one chunk.
+
+    A mapped file would count as memory of this process, all gigabytes of it.
+    """
+
+    path: Path
+    count: int
+
+    def __len__(self) -> int:
+        """Number of facets."""
+        return self.count
+
+    def __getitem__(self, which: slice, /) -> NDArray[np.float32]:
+        """Corners (k, 3, 3) of a run of facets."""
+        start, stop, step = which.indices(self.count)
+        return np.asarray(read_facets(self.path, start, stop)["corners"][::step])
+
+
+def read_facets(path: Path, start: int, stop: int) -> NDArray[np.void]:
+    """Facets start … stop − 1 of a binary STL file as records of FACET."""
+    with path.open("rb") as stream:
+        stream.seek(HEADER + 4 + start * FACET.itemsize)
+        return np.frombuffer(stream.read(max(0, stop - start) * FACET.itemsize), dtype=FACET)
 
 
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -184,9 +211,8 @@ def check_stl_facets(path: Path) -> None:
     count = (path.stat().st_size - HEADER - 4) // FACET.itemsize
     if count == 0:
         return
-    facets = np.memmap(path, dtype=FACET, mode="r", offset=HEADER + 4, shape=(count,))
     for start in range(0, count, CHUNK):
-        block = np.array(facets[start : start + CHUNK])
+        block = read_facets(path, start, start + CHUNK)
         told = np.zeros(len(block), dtype=FACET)
         with np.errstate(invalid="ignore"):  # a NaN that a flipped bit made is about to be told
             told["corners"] = block["corners"] + np.float32(0.0)
