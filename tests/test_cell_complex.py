@@ -1,0 +1,300 @@
+"""The cell complex: every crossing found, counts in closed form, the same borders from both sides."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from meshwindows import FORMS, window
+
+from clacad.cell_complex import (
+    cell_complex,
+    count_holes,
+    count_pieces,
+    holes,
+    node_cells,
+    pieces,
+    saddle_count,
+)
+from clacad.cell_complex.nodes import cluster
+from clacad.cell_complex.roots import sign_changes
+from clacad.lattice import Lattice
+from clacad.sheet import column, lens_height
+
+# -- roots -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gap", [0.3, 1e-3, 1e-6])
+def test_two_crossings_in_one_sampling_interval_are_both_found(gap):
+    found = sign_changes(lambda t: 1e-9 * (t - 0.4) * (t - 0.4 - gap), noise=1e-26)
+    np.testing.assert_allclose(found, [0.4, 0.4 + gap], rtol=0, atol=1e-10)
+
+
+def test_a_zero_at_a_sample_is_a_crossing_and_a_touch_is_none():
+    assert sign_changes(lambda t: t - 0.5, 1e-18) == pytest.approx([0.5], abs=1e-15)
+    assert len(sign_changes(lambda t: (t - 0.5) ** 2, 1e-18)) == 0
+
+
+def test_identical_profiles_and_zeros_at_the_ends_are_no_crossings():
+    assert len(sign_changes(lambda t: 0.0 * t, 1e-18)) == 0
+    assert len(sign_changes(lambda t: t * (t - 1.0), 1e-18)) == 0
+
+
+def test_a_function_that_ends_inside_is_searched_up_to_its_end():
+    def ends(t):
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(t - 0.3) - 0.2
+
+    assert sign_changes(ends, 1e-16) == pytest.approx([0.34], abs=1e-12)
+
+
+@given(st.lists(st.floats(0.01, 0.99), min_size=1, max_size=5, unique=True))
+@settings(max_examples=40, deadline=None)
+def test_the_roots_of_a_product_are_its_factors(roots):
+    roots = sorted(roots)
+    if len(roots) > 1 and min(np.diff(roots)) < 1e-3:
+        return
+    found = sign_changes(lambda t: np.prod([t - r for r in roots], axis=0), 1e-18)
+    np.testing.assert_allclose(found, roots, rtol=0, atol=1e-7)
+
+
+# -- crossings against 40 digits -----------------------------------------------------------------------
+
+
+def _height(face, x, y):
+    """Height of a quadric face above (x, y) by the plain quadratic formula in 40 digits."""
+    s = face.surface
+    turn = mpmath.matrix(face.rotation.tolist())
+    rel = [mpmath.mpf(x) - face.vertex[0], mpmath.mpf(y) - face.vertex[1], mpmath.mpf(0)]
+    p = [sum(turn[j, i] * rel[j] for j in range(3)) for i in range(3)]
+    d = [turn[2, i] for i in range(3)]
+    c = [mpmath.mpf(v) for v in (s.curvature_x, s.curvature_y, s.kappa)]
+    a2 = sum(c[i] * d[i] ** 2 for i in range(3))
+    a1 = 2 * sum(c[i] * d[i] * p[i] for i in range(3)) - 2 * s.side * d[2]
+    a0 = sum(c[i] * p[i] ** 2 for i in range(3)) - 2 * s.side * p[2]
+    root = mpmath.sqrt(a1 * a1 - 4 * a2 * a0)
+    both = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
+    return face.vertex[2] + min(both, key=abs)
+
+
+def _apart(border, face, t):
+    """Left minus right height at t on a border."""
+    x = border.start[0] + t * (border.end[0] - border.start[0])
+    y = border.start[1] + t * (border.end[1] - border.start[1])
+    return _height(face, x, y) - _height(face, x - border.offset[0], y - border.offset[1])
+
+
+@pytest.mark.parametrize("euler", [(45, 0, 0), (30, 1, 0), (10, 0.3, 40), (70, 4, -20)])
+def test_crossings_are_those_of_the_surfaces_in_40_digits(euler):
+    sheet = window(euler=euler)
+    body = sheet.bodies[1]
+    borders = cell_complex(sheet, body, merge=1e-12).tilings[0].borders
+    with mpmath.workdps(40):
+        for border in borders:
+            for step, face in zip(border.steps, (body.front, body.back)):
+                apart = partial(_apart, border, face)
+                samples = [mpmath.mpf(n) / 60 + mpmath.mpf("1e-7") for n in range(60)]
+                signs = [mpmath.sign(apart(t)) for t in samples]
+                expected = [
+                    mpmath.findroot(apart, (a, b), solver="anderson", tol=1e-45)
+                    for a, b, sa, sb in zip(samples[:-1], samples[1:], signs[:-1], signs[1:])
+                    if sa != sb
+                ]
+                assert len(step.crossings) == len(expected)
+                for found, exact in zip(step.crossings, expected):
+                    slope = abs(float(mpmath.diff(apart, exact)))
+                    assert abs(found - float(exact)) <= 1e-15 + 2e-16 * 0.05 * 16 / slope
+
+
+# -- borders and nodes -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_the_corners_named_at_a_node_coincide_and_go_round_once(kind):
+    lattice = Lattice(kind, (0.7, 0.7), (3, 3))
+    for cells in node_cells(lattice):
+        where = [lattice.tile()[corner] + lattice.offset(*step) for step, corner in cells]
+        np.testing.assert_allclose(where, [where[0]] * len(where), atol=1e-15)
+        around = [np.arctan2(*(lattice.offset(*step) - where[0])[::-1]) for step, _ in cells]
+        turns = np.diff([*around, around[0]]) % (2 * np.pi)
+        assert turns.sum() == pytest.approx(2 * np.pi)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_left_and_right_profile_are_one_line_of_the_sheet(name):
+    sheet = window(**FORMS[name])
+    for body in sheet.bodies:
+        for tiling in cell_complex(sheet, body).tilings:
+            for border in tiling.borders:
+                t = np.linspace(0.0, 1.0, 7)
+                for step in border.steps:
+                    gap = step.left.points(t) - step.right.points(t) - np.array(border.offset)
+                    assert np.abs(gap).max() < 1e-15
+                    assert [p.start for p in step.pieces][0] == 0.0
+                    assert [p.stop for p in step.pieces][-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    "name", ["tilted about both axes, offset", "saddle at every corner", "turned web", "hexagonal"]
+)
+def test_pieces_state_the_sign_and_size_of_the_step(name):
+    sheet = window(**FORMS[name])
+    for body in sheet.bodies:
+        for border in cell_complex(sheet, body).tilings[0].borders:
+            for at, step in enumerate(border.steps):
+                for piece in step.pieces:
+                    t = piece.start + (piece.stop - piece.start) * np.linspace(0.01, 0.99, 23)
+                    left, right = (side.points(t) for side in (step.left, step.right))
+                    d = (
+                        column(sheet, body, left[:, 0], left[:, 1])[at]
+                        - column(sheet, body, right[:, 0], right[:, 1])[at]
+                    )
+                    if "void" in (piece.left, piece.right):
+                        assert np.isnan(d).all()
+                    else:
+                        assert (np.abs(d) <= piece.gap_max * 1.001 + 1e-16).all()
+                        assert piece.merged or (np.sign(d) == piece.sign).all()
+                        assert np.abs(d).max() <= step.largest * 1.001 + 1e-16
+
+
+def test_flat_equal_neighbours_share_every_border():
+    sheet = window()
+    for body in sheet.bodies:
+        for border in cell_complex(sheet, body).tilings[0].borders:
+            assert len(border.breaks) == 0
+            assert all(piece.merged for step in border.steps for piece in step.pieces)
+
+
+def test_turning_an_anamorphic_lens_makes_every_inner_corner_a_saddle():
+    sheet = window(euler=(45, 0, 0), count=(7, 5))
+    cells = cell_complex(sheet, sheet.bodies[0])
+    assert saddle_count(cells) == 2 * 6 * 4
+    for border in cells.tilings[0].borders:
+        for step in border.steps:
+            np.testing.assert_allclose(step.crossings, [0.5], atol=1e-12)
+
+
+def test_hexagons_have_no_saddles():
+    sheet = window(kind="hexagonal", euler=(45, 2, 10))
+    assert saddle_count(cell_complex(sheet, sheet.bodies[1])) == 0
+
+
+@given(
+    st.lists(st.one_of(st.floats(-5, 5), st.just(float("nan"))), min_size=1, max_size=8),
+    st.floats(1e-3, 2.0),
+)
+@settings(max_examples=100, deadline=None)
+def test_heights_closer_than_the_merge_height_become_one_and_keep_their_order(heights, merge):
+    z = np.array(heights)
+    merged = cluster(z, merge)
+    for a in range(len(z)):
+        for b in range(len(z)):
+            if np.isfinite(z[a]) and np.isfinite(z[b]):
+                if abs(z[a] - z[b]) <= merge:
+                    assert merged[a] == merged[b]
+                if z[a] < z[b]:
+                    assert merged[a] <= merged[b]
+    assert np.array_equal(np.isnan(z), np.isnan(merged))
+
+
+# -- pieces, holes -----------------------------------------------------------------------------------
+
+
+def test_the_papers_second_array_is_200_strips_as_stated():
+    assert pieces(window(thickness=0.0005, count=(200, 200))) == (1, 200)
+
+
+def test_tilting_the_papers_sheet_further_leaves_single_cells():
+    assert pieces(window(thickness=0.0005, count=(200, 200), euler=(0, 3.2, 0)))[1] == 40_000
+
+
+def test_equal_round_lenses_that_miss_the_corners_leave_a_pinhole_at_every_inner_node():
+    sheet = window(thickness=0.0005, eta=(-1, -1), count=(200, 200))
+    assert pieces(sheet) == (1, 1)
+    assert holes(sheet) == (39_601, 39_601)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"thickness": 0.0005},
+        {"thickness": 0.0006, "euler": (10, 5, 20)},
+        {"thickness": 0.0005, "outline": {"circle": 0.04}, "count": (9, 9)},
+        {"kind": "hexagonal", "thickness": 0.0003, "count": (5, 4)},
+        {"kind": "hexagonal", "thickness": 0.00042, "count": (5, 4), "euler": (0, 2, 0)},
+    ],
+    ids=str,
+)
+def test_pieces_are_those_of_columns_sampled_along_their_borders(keys):
+    sheet = window(**{"count": (5, 4), **keys})
+    lattice = sheet.lattice
+    kept = {tuple(c) for c in lattice.cells().tolist()}
+    t = (np.arange(400) + 0.5) / 400
+    for body in sheet.bodies:
+        tile, joined = lattice.tile(), []
+        for k in range(len(tile) // 2):
+            x, y = (tile[k] + t[:, None] * (tile[k + 1] - tile[k])).T
+            ox, oy = lattice.offset(*lattice.steps[k])
+            (f1, b1), (f2, b2) = column(sheet, body, x, y), column(sheet, body, x - ox, y - oy)
+            if (np.minimum(b1, b2) - np.maximum(f1, f2) > 0).any():
+                joined.append(lattice.steps[k])
+        left, number = set(kept), 0
+        while left:
+            number += 1
+            stack = [left.pop()]
+            while stack:
+                i, j = stack.pop()
+                for di, dj in joined:
+                    for cell in ((i + di, j + dj), (i - di, j - dj)):
+                        if cell in left:
+                            left.remove(cell)
+                            stack.append(cell)
+        assert count_pieces(cell_complex(sheet, body)) == number
+
+
+def test_a_web_makes_one_piece_without_holes():
+    sheet = window(**FORMS["turned web"])
+    assert [(count_pieces(c), count_holes(c)) for c in (cell_complex(sheet, b) for b in sheet.bodies)] == [
+        (1, 0)
+    ] * 2
+
+
+# -- rims ----------------------------------------------------------------------------------------------
+
+
+def test_rims_lie_on_both_surfaces_and_end_where_the_joint_ends():
+    sheet = window(thickness=0.0005)
+    body = sheet.bodies[1]
+    tiling = cell_complex(sheet, body).tilings[0]
+    (rim,) = tiling.rims
+    assert rim.kind == "front-back"
+    assert len(rim.arcs) == 2
+    ((start, stop),) = tiling.borders[1].joint.intervals
+    ends = sorted(end[1] for arc in rim.arcs for end in (arc.start, arc.end))
+    np.testing.assert_allclose(ends, sorted([start, stop] * 2), atol=1e-9)
+    for arc in rim.arcs:
+        x, y = arc.points.T
+        np.testing.assert_allclose(lens_height(body.front, x, y), arc.z, atol=1e-15)
+        np.testing.assert_allclose(lens_height(body.back, x, y), arc.z, atol=1e-15)
+
+
+def test_a_lens_inside_its_cell_has_one_round_rim():
+    sheet = window(eta=(-1, -1), thickness=0.0002)
+    (rim,) = cell_complex(sheet, sheet.bodies[0]).tilings[0].rims
+    (arc,) = rim.arcs
+    assert arc.closed
+    radius = np.hypot(*arc.points.T)
+    sphere = 1.0 / sheet.bodies[0].front.surface.curvature_x
+    np.testing.assert_allclose(radius, np.sqrt(sphere**2 - (sphere - 0.0001) ** 2), rtol=1e-9)
+
+
+def test_displaced_faces_without_an_outline_are_refused():
+    from dataclasses import replace
+
+    sheet = replace(window(**FORMS["slab, displaced in y"]), outline=None)
+    with pytest.raises(ValueError, match="outline"):
+        cell_complex(sheet, sheet.bodies[0])
