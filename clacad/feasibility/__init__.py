@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.feasibility.bodies import body_facts, components, connectedness
+from clacad.feasibility.bodies import body_facts, body_range, components, connectedness
 from clacad.feasibility.describe import Row, describe
 from clacad.feasibility.facts import (
     DEFAULT_WAVELENGTH,
@@ -24,8 +24,8 @@ from clacad.sheet import Window
 from clacad.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, thin_cells
 
 __all__ = [
-    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "components", "connectedness",
-    "describe", "feasibility", "least_thickness", "lens_margin",
+    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "body_range", "components",
+    "connectedness", "describe", "feasibility", "least_thickness", "lens_margin",
 ]  # fmt: skip
 
 

@@ -23,10 +23,9 @@ def _heights(window: Window, body: Body) -> tuple[Heights, Heights]:
 
 def body_facts(window: Window, body: Body) -> BodyFacts:
     """Derive the numbers of one body."""
-    front, back = _heights(window, body)
     borders = tuple(_border_facts(window, body, k) for k in range(len(window.lattice.steps) // 2))
     pieces, holes = connectedness(window, body, borders)
-    low, high = _extent(window, body, front, back)
+    low, high = body_range(window, body)
     inner = borders if window.lattice.cell_count > 1 else ()
     return BodyFacts(
         name=body.name,
@@ -41,7 +40,9 @@ def body_facts(window: Window, body: Body) -> BodyFacts:
     )
 
 
-def _extent(window: Window, body: Body, front: Heights, back: Heights) -> tuple[float, float]:
+def body_range(window: Window, body: Body) -> tuple[float, float]:
+    """Lowest and highest point (lengths) of a body, land included."""
+    front, back = _heights(window, body)
     tile = window.lattice.tile()
     low, _ = least(lambda x, y: np.nan_to_num(front(x, y), nan=np.inf), tile)
     high, _ = least(lambda x, y: np.nan_to_num(-back(x, y), nan=np.inf), tile)

@@ -31,8 +31,8 @@ SPOT_RAYS = 600
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 
 
-def svg(width: float, height: float, draw: Callable[[Figure], None]) -> str:
-    """Draw a figure of the given size (inches) and return it as one <svg> element."""
+def svg(width: float, height: float, label: str, draw: Callable[[Figure], None]) -> str:
+    """Draw a figure of the given size (inches) and return it as one <svg> element that says what it shows."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -45,7 +45,11 @@ def svg(width: float, height: float, draw: Callable[[Figure], None]) -> str:
         # no date, no creator: the same numbers give the same bytes
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
-    return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    # names inside one drawing must not meet those of another drawing on the same page
+    mark = re.sub(r"[^a-z]+", "-", label.lower())
+    text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{mark}-", text)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
 
 
 def transfer(report: Report) -> str:
@@ -84,7 +88,7 @@ def transfer(report: Report) -> str:
             _shade_field(report, (top, bottom), curve)
         axes[0][0].legend(loc="best")
 
-    return svg(7.6, 4.6, draw)
+    return svg(7.6, 4.6, "exit slope against incident slope, traced and asked", draw)
 
 
 def _shade_field(report: Report, axes: Sequence[Axes], curve: Any) -> None:
@@ -111,7 +115,7 @@ def transmission(report: Report) -> str:
         axes[0].set_ylim(-0.03, 1.05)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
-    return svg(7.6, 3.0, draw)
+    return svg(7.6, 3.0, "share of light transmitted against angle", draw)
 
 
 def residual_map(report: Report) -> str:
@@ -134,7 +138,7 @@ def residual_map(report: Report) -> str:
             panel.grid(False)
             figure.colorbar(image, ax=panel, label="error (mrad)", shrink=0.9)
 
-    return svg(7.6, 3.0, draw)
+    return svg(7.6, 3.0, "error over aperture and field", draw)
 
 
 def spots(report: Report) -> str:
@@ -176,7 +180,7 @@ def spots(report: Report) -> str:
         axes[2][1].set_xlabel("direction error in x (mrad)")
         axes[1][0].set_ylabel("direction error in y (mrad)")
 
-    return svg(5.6, 5.6, draw)
+    return svg(5.6, 5.6, "spot diagrams over the field", draw)
 
 
 def convergence(report: Report) -> str:
@@ -202,7 +206,7 @@ def convergence(report: Report) -> str:
             panel.margins(0.15, 0.2)
             panel.minorticks_off()
 
-    return svg(7.6, 2.7, draw)
+    return svg(7.6, 2.7, "error against facet size", draw)
 
 
 def budget_rows(report: Report) -> list[tuple[str, float, str]]:
@@ -251,7 +255,7 @@ def budget(report: Report) -> str:
         for k, v in enumerate(value):
             panel.text(v * 1.1, k, f"{v:.3g}", va="center", fontsize=8)
 
-    return svg(7.6, 0.9 + 0.28 * len(rows), draw)
+    return svg(7.6, 0.9 + 0.28 * len(rows), "error budget", draw)
 
 
 def section(report: Report) -> str:
@@ -275,7 +279,7 @@ def section(report: Report) -> str:
 
     low, high = window.z_range
     tall = 3.2 * window.lattice.pitch[0] / ((high - low) + 1.3 * window.lattice.pitch[0])
-    return svg(7.6, min(5.0, max(1.7, 7.0 * tall)), draw)
+    return svg(7.6, min(5.0, max(1.7, 7.0 * tall)), "cross-section with rays", draw)
 
 
 def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:

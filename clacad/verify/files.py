@@ -12,7 +12,7 @@ import numpy as np
 from clacad.export.atomic import MANIFEST, file_hash, read_manifest
 from clacad.export.filemesh import FileMesh
 from clacad.export.truth import whole_extent
-from clacad.feasibility import body_facts
+from clacad.feasibility import body_range
 from clacad.prescription import prescribe
 from clacad.sheet import Window
 from clacad.verify.checks import Check
@@ -209,8 +209,8 @@ def present_bodies(window: Window, subject: Subject, height: float) -> tuple[str
     whole = window.z_range[1] - window.z_range[0]
     if len(names) == 1 or abs(height / whole - 1.0) <= SAME_EXTENT:
         return names
-    facts = [body_facts(window, body) for body in window.bodies]
-    near = [f.name for f in facts if abs(height / (f.high - f.low) - 1.0) <= SAME_EXTENT]
+    tall = {body.name: -np.subtract(*body_range(window, body)) for body in window.bodies}
+    near = [name for name, h in tall.items() if abs(height / h - 1.0) <= SAME_EXTENT]
     return (near[0],) if len(near) == 1 else names
 
 
@@ -237,10 +237,12 @@ def register(
     extent = high - low
     own = () if mesh.unit is None else (("its own unit", mesh.unit),)
     whole = prescribe(design) if window is None else window
+    heights = [whole.z_range[1] - whole.z_range[0]]
+    heights += [high - low for low, high in (body_range(whole, body) for body in whole.bodies)]
     matches: list[tuple[str, float, Window]] = []
     for name, metres in dict((v, (k, v)) for k, v in (*FACTORS, *own)).values():
         factor = metres / design.unit_m
-        fitting = _fitting(design, whole, window is not None, extent * factor)
+        fitting = _fitting(design, whole, window is not None, heights, extent * factor)
         if fitting is not None:
             matches.append((name, factor, fitting))
     size = " x ".join(f"{v:.4g}" for v in extent)
@@ -264,11 +266,13 @@ def register(
 
 
 def _fitting(
-    design: Design, whole: Window, fixed: bool, extent: np.ndarray[Any, np.dtype[np.float64]]
+    design: Design,
+    whole: Window,
+    fixed: bool,
+    heights: Sequence[float],
+    extent: np.ndarray[Any, np.dtype[np.float64]],
 ) -> Window | None:
     """The design with as many cells as fit an extent (design units), or None if its height or sides do not fit."""
-    heights = [whole.z_range[1] - whole.z_range[0]]
-    heights += [f.high - f.low for f in (body_facts(whole, body) for body in whole.bodies)]
     if not any(abs(extent[2] / h - 1.0) <= SAME_EXTENT for h in heights):
         return None
     if not fixed:

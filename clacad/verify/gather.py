@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clacad.feasibility import body_facts
+from clacad.feasibility import body_range
 from clacad.sheet import Body, Face, Window, face_height
 from clacad.verify.bundle import central_cell
 from clacad.verify.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face
@@ -121,8 +121,8 @@ def owner(body: Body, face: Face) -> int:
 
 def levels(window: Window) -> Floats:
     """Heights (bodies − 1,) midway between the bodies of a window."""
-    bodies = [body_facts(window, body) for body in window.bodies]
-    return np.array([0.5 * (a.high + b.low) for a, b in zip(bodies, bodies[1:], strict=False)])
+    ranges = [body_range(window, body) for body in window.bodies]
+    return np.array([0.5 * (a[1] + b[0]) for a, b in zip(ranges, ranges[1:], strict=False)])
 
 
 def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[str] | None = None,

@@ -11,7 +11,7 @@ import numpy as np
 from clacad.export.closed import Measure, crowded_edges, measure
 from clacad.export.filemesh import FileMesh, Part
 from clacad.export.truth import body_volume, whole_extent
-from clacad.feasibility import body_facts, components
+from clacad.feasibility import body_facts, body_range, components
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window, lens_height
@@ -105,8 +105,8 @@ def held_part(window: Window, present: Sequence[str] | None) -> Window:
     if present is None or set(present) == {body.name for body in window.bodies}:
         return window
     bodies = tuple(b for b in window.bodies if b.name in present)
-    facts = [body_facts(window, body) for body in bodies]
-    return replace(window, bodies=bodies, z_range=(min(b.low for b in facts), max(b.high for b in facts)))
+    low, high = zip(*(body_range(window, body) for body in bodies), strict=True)
+    return replace(window, bodies=bodies, z_range=(min(low), max(high)))
 
 
 def _looked_at(mesh: FileMesh, factor: float, gatherer: Gatherer, progress: Progress) -> Iterator[Floats]:
@@ -277,6 +277,9 @@ def _volume(
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
         return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand", required=False, **common)  # fmt: skip
+    if found.facets and found.volume <= 0.0:
+        return Check("volume", "fail", f"it encloses {found.volume:.4g}: its facets face inwards", found.volume, 0.0,
+                     relation=">=", **common)  # fmt: skip
     if not any(gathered.facets):
         return not_run("volume", "no triangles lie where the design has its cells", **common)
     exact, error = sum(i.value for i in known), sum(i.error for i in known)

@@ -218,10 +218,10 @@ def verify(
     if files is not None:
         delivery = find_files(Path(files))
         file_checks, judged = _judge_files(design, delivery, cells, rays, report)
-        found += file_checks
+        found = [*found, *file_checks]
         if any(f.subject.is_mesh for f in judged):
             convergence, check = _convergence(design, window, report)
-            found.append(check)
+            found = [*found, check]
     report("done", 1.0)
     return Report(
         design,

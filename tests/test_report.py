@@ -1,0 +1,192 @@
+"""The page and its numbers: one object, no network, nothing a design writes can act."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from clacad.design import Design
+from clacad.report import write_report
+from clacad.report.page import number
+from clacad.verify import verify
+from clacad.verify.checks import Check
+
+TEXT = {
+    "format": 1, "name": "page", "unit": "mm", "notes": ["<script>alert(1)</script> & \"quotes\""],
+    "law": {"eta": [-1.0, -1.0]}, "pair": {"form": "slab", "separation": 10.0, "index": 1.5},
+    "lattice": {"pitch": 0.5, "count": 6},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def report():
+    return verify(Design.from_dict(TEXT), rays=2048)
+
+
+@pytest.fixture(scope="module")
+def page(report, tmp_path_factory):
+    html, _ = write_report(report, tmp_path_factory.mktemp("report"))
+    return html.read_text(encoding="utf-8")
+
+
+class Outline(HTMLParser):
+    """Collects tags with their attributes, and notices what would load or run something."""
+
+    VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use"}
+
+    def __init__(self):
+        super().__init__()
+        self.tags, self.open, self.bad, self.text = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name.startswith("on") or (
+                name in ("src", "href", "xlink:href") and not (value or "").startswith(("#", "data:"))
+            ):
+                self.bad.append((tag, name, value))
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def outline(page):
+    parser = Outline()
+    parser.feed(page)
+    parser.close()
+    return parser
+
+
+def test_the_page_is_well_formed_and_loads_nothing(page):
+    found = outline(page)
+    assert found.open == []
+    assert found.bad == []
+    assert not [
+        tag for tag, _ in found.tags if tag in ("script", "iframe", "object", "embed", "link", "form")
+    ]
+    policy = next(
+        a["content"]
+        for t, a in found.tags
+        if t == "meta" and a.get("http-equiv") == "Content-Security-Policy"
+    )
+    assert "default-src 'none'" in policy
+    assert "http" not in policy
+    assert not re.search(r"url\((?!#)", page)
+    assert len(page.encode()) < 5_000_000
+
+
+def test_what_a_design_says_is_text_and_nothing_else(page):
+    assert "<script>" not in page
+    assert '<script>alert(1)</script> & "quotes"' in "".join(outline(page).text)
+
+
+def test_the_verdict_comes_first_and_is_that_of_the_report(report, page):
+    text = "".join(outline(page).text)
+    assert report.verdict() in text
+    assert text.index(report.verdict()) < text.index("Checks")
+
+
+def test_every_check_is_on_the_page_and_in_the_numbers(report, page):
+    text = re.sub(r"\s+", " ", "".join(outline(page).text))
+    numbers = json.loads(report.to_json())
+    assert [c["id"] for c in numbers["checks"]] == [c.id for c in report.checks]
+    for check in report.checks:
+        assert re.sub(r"\s+", " ", check.sentence) in text
+        assert check.code in text
+
+
+def test_every_figure_has_something_drawn_and_a_caption(page):
+    figures = re.findall(r"<figure>(.*?)</figure>", page, flags=re.DOTALL)
+    assert len(figures) >= 6
+    for figure in figures:
+        assert figure.count("<path") + figure.count("<use") > 20
+        assert "<figcaption>" in figure
+        assert 'role="img"' in figure
+        assert "aria-label=" in figure
+
+
+def test_the_page_and_the_exit_status_are_one_object(report, tmp_path):
+    failing = replace(report, checks=(*report.checks, Check("eta", "fail", "off by a lot", 0.5, 0.01)))
+    html, numbers = write_report(failing, tmp_path)
+    assert failing.exit_status == 1
+    assert json.loads(numbers.read_text(encoding="utf-8"))["passed"] is False
+    text = html.read_text(encoding="utf-8")
+    assert "Not passed" in text
+    assert text.count("off by a lot") == 2  # at the head and in the table
+    assert 'class="verdict passed"' not in text
+
+
+def test_a_check_that_did_not_run_is_never_green(report, tmp_path):
+    first = report.checks[0]
+    missing = replace(report, checks=(replace(first, state="not run", value=None), *report.checks[1:]))
+    html, _ = write_report(missing, tmp_path)
+    text = html.read_text(encoding="utf-8")
+    row = re.search(
+        rf'<tr class="([a-z-]+)"><td class="state">([^<]+)</td><td><span class="mono">{first.id}<', text
+    )
+    assert row is not None
+    assert row.groups() == ("not-run", "not run")
+    assert "Not passed" in text
+
+
+def test_the_same_report_gives_the_same_bytes(report, tmp_path):
+    written = []
+    for name in ("a", "b"):
+        html, numbers = write_report(report, tmp_path / name)
+        written.append((html.read_bytes(), numbers.read_bytes()))
+    assert written[0] == written[1]
+
+
+def test_a_report_replaces_a_report_but_nothing_else(report, tmp_path):
+    from clacad.export.errors import CannotWrite
+
+    write_report(report, tmp_path)
+    write_report(report, tmp_path)
+    (tmp_path / "report.html").write_text("a page of somebody else")
+    with pytest.raises(CannotWrite):
+        write_report(report, tmp_path)
+    assert (tmp_path / "report.html").read_text() == "a page of somebody else"
+    write_report(report, tmp_path, overwrite=True)
+
+
+def test_no_number_of_the_page_is_a_nan(page):
+    text = "".join(outline(page).text)
+    assert not re.search(r"\b(nan|NaN|inf)\b", text)
+
+
+def test_numbers_are_shown_in_milliradians_and_missing_ones_as_a_dash():
+    assert number(0.00265, "rad") == "2.65"
+    assert number(None) == "–"
+    assert number(float("inf")) == "none"
+
+
+def test_figures_use_no_global_state_of_matplotlib(report):
+    import matplotlib as mpl
+
+    figures = importlib.import_module("clacad.report.figures")
+    before = dict(mpl.rcParams)
+    figures.transfer(report)
+    assert dict(mpl.rcParams) == before
+
+
+def test_names_inside_the_drawings_are_each_used_once(page):
+    names = [a["id"] for _, a in outline(page).tags if "id" in a]
+    assert len(names) == len(set(names))
+    wanted = set(re.findall(r'url\(#([^)]+)\)|href="#([^"]+)"', page))
+    assert {a or b for a, b in wanted} <= set(names)
