@@ -185,17 +185,8 @@ def forecast(meshes: Meshes, formats: Sequence[str], quads: int, step: str = "au
 def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
     window = meshes.window
     if name in ("stl", "stl-parts"):
-        facets = meshes.facets(quads)
-        size = 84 * (1 if name == "stl" else len(window.bodies)) + 50 * facets
-        return Forecast(
-            name,
-            size,
-            True,
-            facets,
-            quads,
-            (1.2e-6 * facets, 6e-6 * facets + 0.2),
-            (150_000_000, 600_000_000),
-        )
+        files = 1 if name == "stl" else len(window.bodies)
+        return _forecast_stl(name, meshes.facets(quads), files, quads, exact=True)
     if name in WELDED_FORMATS:
         return _forecast_welded(meshes, name, quads)
     if name == "step":
@@ -203,8 +194,13 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
     return _forecast_map(window, name)
 
 
+def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
+    seconds = (6e-7 * facets, 6e-6 * facets + 0.2)
+    return Forecast(name, 84 * files + 50 * facets, exact, facets, quads, seconds, (80_000_000, 400_000_000))
+
+
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
-    from clacad.export.sizes import threemf_bytes
+    from clacad.export.sizes import glb_place_bytes, threemf_bytes
     from clacad.export.tessellation import instanceable
 
     window = meshes.window
@@ -217,7 +213,8 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     if name == "ply":
         size = int(48 * vertices + 13 * held) + 300
     elif name == "glb":
-        size = int(24 * vertices + 12 * held + 62 * places + 2500)
+        nodes = glb_place_bytes(window) * places if places else 0.0
+        size = int(24 * vertices + 12 * held + nodes + 2500)
     else:
         size = threemf_bytes(meshes, quads)
     memory = int(700 * held + 400 * places)
@@ -342,22 +339,31 @@ def free_disk(folder: Path) -> int:
 
 
 def outlook(window: Window) -> list[dict[str, Any]]:
-    """Forecast the common formats for `check`: what an export with default settings would cost.
+    """Forecast the common formats for `check`: roughly what an export with default settings would cost.
 
-    Each row is `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
+    Meant to be quick: only meshes of 4 and 8 quads are counted, finer ones follow from them. Each row is
+    `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
     """
     from clacad.export.tessellation import Meshes
 
-    rows: list[dict[str, Any]] = []
     meshes = Meshes(window)
-    for name in ("step", "stl", "3mf"):
-        try:
-            quads = choose_quads(meshes, (name,)) if name in MESH_FORMATS else QUADS[-1]
-            one = _forecast_one(meshes, name, quads, "auto")
-            rows.append(one.to_dict() | {"refused": None})
-        except LimitRefused as refusal:
-            rows.append({"format": name, "refused": str(refusal)})
-    return rows
+    square = (meshes.facets(8) - 2 * meshes.facets(4)) / 32
+    linear = meshes.facets(4) / 4 - 4 * square
+    facets = {quads: int(linear * quads + square * quads * quads) for quads in QUADS}
+    quads = next(
+        (q for q in QUADS if 84 + 50 * facets[q] <= MOST_BYTES and facets[q] <= MOST_FACETS), QUADS[-1]
+    )
+    plain = _forecast_stl("stl", facets[quads], 1, quads, exact=quads <= 8)
+    rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8, "auto")]
+    return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in rows]
+
+
+def _refusal(meshes: Meshes, row: Forecast) -> str | None:
+    try:
+        refuse_over_limits(meshes, [row], Path())
+    except LimitRefused as refusal:
+        return str(refusal)
+    return None
 
 
 def count_text(n: int) -> str:

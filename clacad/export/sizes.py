@@ -80,6 +80,14 @@ def _deflated(lines: Iterable[str]) -> int:
     return len(zlib.compress("".join(lines).encode(), 6))
 
 
+def glb_place_bytes(window: Window) -> float:
+    """Bytes of one node of a GLB file, from the cells of one row."""
+    row = window.lattice.row(window.lattice.count[1] // 2)
+    centres = (window.lattice.centres(row) * mm(window)).tolist()
+    nodes = [f'{{"mesh":0,"translation":[{x!r},{y!r},0.0]}},{window.lattice.cell_count},' for x, y in centres]
+    return sum(map(len, nodes)) / max(1, len(nodes))
+
+
 # -- pictures, tables, masks -----------------------------------------------------------------------
 
 
