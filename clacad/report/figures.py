@@ -49,7 +49,20 @@ def svg(width: float, height: float, label: str, draw: Callable[[Figure], None])
     # names inside one drawing must not meet those of another drawing on the same page
     mark = re.sub(r"[^a-z]+", "-", label.lower())
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{mark}-", text)
+    text = _numbered(text)
     return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+
+
+def _numbered(text: str) -> str:
+    """Give a name that returns (two equal images have one) a number; what refers to it means the first."""
+    seen: dict[str, int] = {}
+
+    def once(match: re.Match[str]) -> str:
+        name = match[1]
+        seen[name] = seen.get(name, 0) + 1
+        return match[0] if seen[name] == 1 else f'id="{name}-{seen[name]}"'
+
+    return re.sub(r'\bid="([^"]+)"', once, text)
 
 
 def transfer(report: Report) -> str:
@@ -193,7 +206,7 @@ def convergence(report: Report) -> str:
         left, right = figure.subplots(1, 2)
         for panel, value, order, label in (
             (left, 1e3 * found.direction, found.order_direction, "direction error, rms (mrad)"),
-            (right, 100 * found.eta, found.order_eta, "error of measured η (%)"),
+            (right, 100 * found.fitted, found.order_fitted, "error of measured η (%)"),
         ):
             panel.loglog(found.quads, value, "o-", color=ACCENT, ms=4, lw=1.2)
             panel.set_xlabel("quads along a cell side")

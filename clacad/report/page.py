@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.feasibility import describe
 from clacad.report import figures
+from clacad.verify.asked import asked_and_built
 
 if TYPE_CHECKING:
     from clacad.verify import Check, Report
@@ -49,7 +49,7 @@ def page(report: Report, mark: str) -> str:
         failures=[
             _row(c) for c in report.checks if c.state == "fail" or (c.state == "not run" and c.required)
         ],
-        asked=_asked(report),
+        asked=asked_and_built(report),
         derived=_grouped(report),
         budget=[(name, f"{1e3 * value:.4g}", what) for name, value, what in figures.budget_rows(report)],
         figure=drawn,
@@ -109,29 +109,6 @@ def number(value: float | str | None, unit: str = "") -> str:
     if value in (float("inf"), float("-inf")):
         return "none"
     return f"{1e3 * value:.4g}" if unit == "rad" else f"{value:.5g}"
-
-
-def _asked(report: Report) -> list[tuple[str, str, str]]:
-    """Rows of asked against built: name, asked, measured or built."""
-    asked, fit = report.design.law, report.optics.fit
-    spec, window = report.design.law_spec, report.window
-
-    def pair(values: tuple[float, float]) -> str:
-        return ", ".join(f"{v:.6g}" for v in values)
-
-    dark = "not measured"
-    rows = [
-        ("η x, y", pair((asked.eta_x, asked.eta_y)), dark if fit is None else pair((fit.eta_x, fit.eta_y))),
-        ("δ x, y", pair((asked.delta_x, asked.delta_y)), dark if fit is None else pair((fit.delta_x, fit.delta_y))),
-        ("φ, θ, ψ (deg)", ", ".join(f"{a:g}" for a in spec.euler_degrees) + f" ({spec.euler_axes} axes)", "held in the fit"),
-        ("form, recipe", f"{report.design.pair.form}, {report.design.pair.confocal}", window.form),
-        ("cells", " × ".join(str(n) for n in report.design.lattice.count), str(window.lattice.cell_count)),
-        ("refractive index", "" if report.design.pair.index is None else f"{report.design.pair.index:g}",
-         ", ".join(f"{body.index:.6g}" for body in window.bodies)),
-        ("wavelength (nm)", f"{1e9 * report.design.pair.wavelength:g}", f"{1e9 * report.facts.wavelength:g}"),
-        ("cone of test rays (deg)", f"{degrees(report.design.check.field):g}", str(report.optics.main)),
-    ]  # fmt: skip
-    return rows
 
 
 def _grouped(report: Report) -> list[tuple[str, list[tuple[str, str, str]]]]:

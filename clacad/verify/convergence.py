@@ -33,16 +33,16 @@ class Convergence:
 
     quads : (k,) ints
     direction : (k,) radians, rms
-    eta : (k,), relative
-    order_direction, order_eta : float
+    fitted : (k,), relative error of the fitted eta
+    order_direction, order_fitted : float
         Fitted exponents of the facet size.
     """
 
     quads: Floats
     direction: Floats
-    eta: Floats
+    fitted: Floats
     order_direction: float
-    order_eta: float
+    order_fitted: float
 
 
 def converge(
@@ -88,15 +88,15 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
     low, high = ORDERS["direction"]
     row = ", ".join(
         f"{int(q)}: {1e3 * d:.3g} mrad, eta {100 * e:.2g} %"
-        for q, d, e in zip(found.quads, found.direction, found.eta, strict=True)
+        for q, d, e in zip(found.quads, found.direction, found.fitted, strict=True)
     )
     sentence = (
         f"quads a side: {row}; the direction error falls as the facet size to the power {found.order_direction:.2f}, "
-        f"that of eta to the power {found.order_eta:.2f}"
+        f"that of eta to the power {found.order_fitted:.2f}"
     )
-    good = low <= found.order_direction <= high and found.eta[-1] <= found.eta[0]
+    good = low <= found.order_direction <= high and found.fitted[-1] <= found.fitted[0]
     return Check(
         "convergence", "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
-        detail={"quads": found.quads, "direction": found.direction, "eta": found.eta, "order_eta": found.order_eta},
+        detail={"quads": found.quads, "direction": found.direction, "eta": found.fitted, "order_eta": found.order_fitted},
         **common,
     )  # fmt: skip
