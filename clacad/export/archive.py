@@ -125,6 +125,10 @@ def parse_xml(stream: IO[bytes], name: str, start: Callable[[str, Attributes], N
         parser.Parse(b"", True)
     except (xml.parsers.expat.ExpatError, zipfile.BadZipFile, EOFError, OSError, zlib_error()) as error:
         raise UnreadableFile(f"{name}: damaged ({error})") from error
+    except UnreadableFile:
+        raise
+    except (LookupError, ValueError) as error:  # the XML names an encoding that Python does not know, or not for XML
+        raise UnreadableFile(f"{name}: its XML is in no encoding that can be read ({error})") from error
 
 
 def zlib_error() -> type[Exception]:

@@ -153,6 +153,10 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
             raise UnreadableFile(f"{path.name}: a header line that is not PLY: {line[:80]!r}") from error
     if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise UnreadableFile(f"{path.name}: unknown PLY format {form!r}")
+    for e in elements:
+        names = [name for name, *_ in (*e.scalars, *e.lists)]
+        if len(set(names)) < len(names):
+            raise UnreadableFile(f"{path.name}: its element {e.name!r} has a property twice")
     if any(e.count < 0 or e.count > 1 << 31 for e in elements):
         raise UnreadableFile(f"{path.name}: an element count out of range")
     return form, elements, comments
