@@ -160,12 +160,13 @@ def main(chosen, write):
                     f"{mutation.name}: its stable form stands {text.count(mutation.stable)} times in {mutation.file}"
                 )
             file.write_text(text.replace(mutation.stable, mutation.textbook), encoding="utf-8")
-            failed, _ = tested(mutation, workplace)
+            failed, run = tested(mutation, workplace)
             file.write_text(text, encoding="utf-8")
-            first = failed[0].split("::", 1)[1] if failed else "SURVIVED"
+            caught = run.returncode != 0
+            first = failed[0].split("::", 1)[1] if failed else "not even imported" if caught else "SURVIVED"
             print(f"{mutation.name:60s} {first}", flush=True)  # noqa: T201
             rows.append(f"| {mutation.name} | `{mutation.file}` | {first} |".replace("||", "\\|\\|"))
-            survived += [] if failed else [mutation.name]
+            survived += [] if caught else [mutation.name]
     if write:
         head = (
             "# Mutations\n\nEach stable form replaced by its textbook form in a private copy, and the first test that"
