@@ -7,7 +7,7 @@ facets of a mesh. `trace_sequence` is the primitive for surfaces given one by on
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,6 +19,11 @@ from clacad.trace.ledger import Ledger, Rows
 from clacad.trace.sequence import Interface, trace_sequence
 from clacad.trace.surfaces import trace_surfaces
 from clacad.trace.thin import trace_thin
+
+if TYPE_CHECKING:
+    from clacad.effects.passes import Effect
+    from clacad.mesh import Mesh
+    from clacad.trace.mesh_layout import Normals, Tiles
 
 __all__ = ["Interface", "trace", "trace_sequence"]
 
@@ -32,8 +37,10 @@ def trace(
     window: Window,
     rays: Rays,
     rung: Rung = "surfaces",
-    effects: Sequence[object] = (),
+    effects: Sequence[str | Effect] = (),
     record: bool = False,
+    mesh: Mesh | None = None,
+    normals: Normals = "facet",
     threads: int | None = None,
     path: Literal["numpy", "numba"] | None = None,
 ) -> TraceResult:
@@ -46,8 +53,14 @@ def trace(
         Sheet frame, window units, in front of the sheet.
     rung : "law", "thin", "surfaces" or "mesh"
         Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
+    effects : sequence of names or `clacad.effects.Effect`
+        Physics added to the geometry; none costs nothing.
     record : bool
         Keep `hits` and `directions` at every face.
+    mesh : Mesh
+        For rung "mesh".
+    normals : "facet" or "vertex"
+        Rung "mesh": the facets' own, or the exact ones at the vertices, interpolated.
     threads : int or None
         None: the environment variable CLACAD_THREADS, else every core.
     path : "numpy", "numba" or None
@@ -62,8 +75,14 @@ def trace(
     Raises
     ------
     ValueError
-        An unknown rung, or a wavelength outside a material's data.
+        An unknown rung, a mesh missing or of other bodies, or a wavelength outside a material's data.
     """
+    if effects:
+        from clacad.effects.passes import trace_with
+
+        return trace_with(
+            window, rays, rung, effects, record, mesh=mesh, normals=normals, threads=threads, path=path
+        )
     if rung not in ("law", "thin", "surfaces", "mesh"):
         raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
     faces = {"law": 1, "thin": 2}.get(rung, 2 * len(window.bodies))
@@ -72,6 +91,8 @@ def trace(
 
         return trace_with(window, rays, rung, effects, record, threads=threads, path=path)
     recorded = faces if record else 0
+    if rung == "mesh":
+        return _through_mesh(window, rays, mesh, normals, recorded, threads)
     layout = lay_out(window)
     if rung == "surfaces" and (path == "numba" or (path is None and len(rays) * faces > SMALL_JOB)):
         return _compiled(layout, rays, recorded, threads)
@@ -87,19 +108,37 @@ def trace(
     return ledger.closed()
 
 
-def _compiled(layout: Layout, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
-    """Rung "surfaces" by the compiled kernels."""
+def _through_mesh(
+    window: Window, rays: Rays, mesh: Mesh | None, normals: Normals, recorded: int, threads: int | None
+) -> TraceResult:
+    """Rung "mesh"."""
+    from clacad.trace.mesh_layout import lay_out_mesh
+
+    if mesh is None:
+        raise ValueError('rung "mesh" needs mesh=')
+    if normals not in ("facet", "vertex"):
+        raise ValueError(f'normals is {normals!r}, not "facet" or "vertex"')
+    layout, tiles = lay_out_mesh(window, mesh, normals)
+    return _compiled(layout, rays, recorded, threads, tiles)
+
+
+def _compiled(
+    layout: Layout, rays: Rays, recorded: int, threads: int | None, tiles: Tiles | None = None
+) -> TraceResult:
+    """Exact surfaces, or the facets of `tiles`, by the compiled kernels."""
     from clacad.trace.compiled_surfaces import thread_count, trace_compiled
+    from clacad.trace.mesh_layout import NO_TILES
 
     count = thread_count(threads)
+    facets = NO_TILES if tiles is None else tiles
     if rays.wavelength is None:
         ledger = Ledger.blank(len(rays), recorded)
         indices = tuple(body.index for body in layout.window.bodies)
-        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count)
+        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets)
         return ledger.closed()
     ledger = Ledger.opened(rays, recorded)
     for rows, indices in colours(layout, rays, ledger.launchable()):
-        trace_compiled(layout, rays, ledger, rows, indices, count)
+        trace_compiled(layout, rays, ledger, rows, indices, count, facets)
     return ledger.closed()
 
 

@@ -12,6 +12,7 @@ from clacad.rays import Rays
 from clacad.trace.kernel_block import trace_chunk
 from clacad.trace.layout import Layout
 from clacad.trace.ledger import Ledger, Rows
+from clacad.trace.mesh_layout import NO_TILES, Tiles
 from clacad.trace.packing import pack
 
 CHUNK = 1 << 16
@@ -19,16 +20,25 @@ CHUNK = 1 << 16
 
 
 def trace_compiled(
-    layout: Layout, rays: Rays, ledger: Ledger, rows: Rows, indices: Sequence[float], threads: int
+    layout: Layout,
+    rays: Rays,
+    ledger: Ledger,
+    rows: Rows,
+    indices: Sequence[float],
+    threads: int,
+    tiles: Tiles = NO_TILES,
 ) -> None:
-    """Trace the rays `rows`, whatever they are, and write their rows; the results of `surfaces.trace_surfaces`."""
+    """Trace the rays `rows`, whatever they are, and write their rows; the results of `surfaces.trace_surfaces`.
+
+    tiles : facets in place of the smooth faces
+    """
     packed = pack(layout)
     position, direction = np.ascontiguousarray(rays.position), np.ascontiguousarray(rays.direction)
     each = np.asarray(indices, dtype=np.float64)
 
     def one(chosen: Rows) -> int:
         return trace_chunk(
-            packed.faces, packed.bodies, packed.lattice, packed.rows, each, chosen, position, direction,
+            tiles, packed.faces, packed.bodies, packed.lattice, packed.rows, each, chosen, position, direction,
             ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order,
             ledger.surface, ledger.hits, ledger.directions,
         )  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.sheet import Face, lens_height
-from clacad.surface import Quadric, meet_at, refract
+from clacad.surface import Quadric, gradient, meet_at, refract
 from clacad.trace.layout import BodyPlan, FacePlan, Floats, Layout, Mask
 from clacad.trace.sequence import to_sheet, to_surface
 
@@ -53,6 +53,45 @@ def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float
         direction=to_sheet(face.rotation, out),
         upright=upright,
     )
+
+
+def cross_at(
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float
+) -> Hit:
+    """Refract at a crossing that was found already, to be polished: `meet` gives the other one where a ray falls
+    in the lens's frame while it rises in the sheet's.
+    """
+    vx, vy, vz = face.vertex
+    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    start, ray = to_surface(face.rotation, start), to_surface(face.rotation, direction)
+    for _ in range(2):
+        point = start + distance[:, None] * ray
+        normal, over = _upward(face, point)
+        distance = distance - over / (ray * normal).sum(axis=1)
+    point = start + distance[:, None] * ray
+    normal, _ = _upward(face, point)
+    root = (ray * normal).sum(axis=1)
+    out, _ = refract(ray, normal, root, n1, n2)
+    point = to_sheet(face.rotation, point)
+    return Hit(
+        local=point[:, :2] + (vx, vy),
+        z=point[:, 2] + vz,
+        distance=distance,
+        direction=to_sheet(face.rotation, out),
+        upright=root > 0.0,
+    )
+
+
+def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
+    """Normal G towards +z at points near a lens (lens frame), and how far over it they lie, in units of 1/|G|."""
+    surface = face.surface
+    x, y, z = point.T
+    if not isinstance(surface, Quadric):
+        normal = gradient(surface, x, y)
+        return normal, (z - surface.sag(x, y)) * normal[:, 2]
+    cx, cy, kappa, side = surface.curvature_x, surface.curvature_y, surface.kappa, surface.side
+    normal = np.column_stack([-side * cx * x, -side * cy * y, 1.0 - side * kappa * z])
+    return normal, -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
 
 
 def cross_land(direction: Floats, n1: float, n2: float) -> Floats:

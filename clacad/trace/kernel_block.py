@@ -45,10 +45,12 @@ from clacad.trace.kernel_block_slots import (
     Z,
 )
 from clacad.trace.kernel_column import DIVISIONS
+from clacad.trace.kernel_facets import cross_facets
 from clacad.trace.kernel_launch import launch_block, launch_ray
 from clacad.trace.kernel_scalar import height, meet
 from clacad.trace.kernel_walk import SCRATCH_NUMBERS, reach, walk_ray
 from clacad.trace.layout import Floats
+from clacad.trace.mesh_layout import Tiles
 
 Ints = NDArray[np.int64]
 Rows = NDArray[np.intp]
@@ -431,7 +433,7 @@ def _store_hit(
 
 @exact
 def straight(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
     hits: Floats, turns: Floats, carried: Floats,
 ) -> int:  # fmt: skip
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
@@ -468,13 +470,18 @@ def straight(
             if structured:
                 climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
-            _cross(face, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
+            if len(tiles.part) == 0:
+                _cross(face, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
+            else:
+                cross_facets(tiles, tiles.of[b, side], side, face, s, m, n1, n2, climb, ox, oy, oz)
+                if structured:
+                    _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
                 if not columnar:
                     _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy)
-                elif body[slot.COVERED] == 0.0:
+                elif body[slot.COVERED] == 0.0 and len(tiles.part) == 0:
                     _thick(face, other, s, m, 1.0 - 2.0 * side)
             if not columnar:
                 _in_inner(body, lat, s, m, array, ox, oy)
@@ -553,7 +560,7 @@ def _blank(
 
 @exact
 def trace_chunk(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
     ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
     surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
@@ -568,7 +575,7 @@ def trace_chunk(
         _load(block, start, ray, s)
         launch_block(lat, bodies[0], s, m)
         carried[:m] = s[PATH, :m]
-        array = straight(faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
+        array = straight(tiles, faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
         _store(
             lat, faces[last], s, block, array, base, last, position, direction, fate, path, cell, order, surface
         )  # fmt: skip
@@ -584,7 +591,7 @@ def trace_chunk(
             reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies[0], start, ray, row)
             if reaches:
                 walk_ray(
-                    faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
+                    tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
                     fate, path, cell, order, surface, hits, turns, work, causes,
                 )  # fmt: skip
     return walked

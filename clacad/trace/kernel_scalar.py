@@ -409,6 +409,11 @@ def height(face: Floats, x: float, y: float) -> float:
     """Height of the lens over the body's level above a point of the cell frame; NaN where there is none."""
     if face[slot.ARRAY] < 0.0:
         return face[slot.VZ]
+    if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
+        x, y = x - face[slot.VX], y - face[slot.VY]
+        q = face[slot.CX] * x * x + face[slot.CY] * y * y
+        radicand = 1.0 - face[slot.KX] * q
+        return face[slot.VZ] + face[slot.SIDE] * q / (1.0 + sqrt(radicand)) if radicand > 0.0 else nan
     u, v, w = to_lens(face, x - face[slot.VX], y - face[slot.VY], 0.0)
     L, M, N = to_lens(face, 0.0, 0.0, 1.0)
     t, _, _, _, gx, gy, gz, _ = meet(face, u, v, w, L, M, N)
@@ -463,3 +468,18 @@ def _biconic_step(face: Floats, x: float, y: float, z: float, L: float, M: float
 @exact
 def _finite(t: float) -> float:
     return t if isfinite(t) else inf
+
+
+@exact
+def upward(face: Floats, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Normal G towards +z at a point near a lens (lens frame), and how far over it that lies, times |G|."""
+    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
+    if face[slot.BICONIC] == 0.0:
+        kappa = face[slot.KX]
+        over = -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
+        return -side * cx * x, -side * cy * y, 1.0 - side * kappa * z, over
+    w, _ = _biconic_parts(face, x, y)
+    skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+    twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
+    gap = _biconic_gap(face, x, y, z)
+    return -side * cx * x - twist * y, -side * cy * y + twist * x, w, gap * w

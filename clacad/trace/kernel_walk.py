@@ -24,14 +24,18 @@ from clacad.trace.kernel_column import (
     sheet_xy,
     to_array,
 )  # fmt: skip
-from clacad.trace.kernel_scalar import less_steps, meet, snell, to_lens, to_sheet
+from clacad.trace.kernel_facets import NORMAL, first_facet_change
+from clacad.trace.kernel_scalar import less_steps, meet, snell, to_lens, to_sheet, upward
 from clacad.trace.layout import Floats
+from clacad.trace.mesh_layout import Tiles
 
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Cells = NDArray[np.int32]
 
 BEHIND = 8 * ULP
+
+SAME = 1e-6
 
 # Slots of a walker's numbers.
 CI, CJ, X, Y, Z, DX, DY, DZ, PATH, PX, PY, PZ, FIRST, LAST, ODD = (
@@ -58,12 +62,12 @@ TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED
 GOES_ON = 255
 
 # Parts of a walker's scratch array; the first is first_change's own.
-EVENT, WALK, LEFT, LAUNCH, SCRATCH_NUMBERS = 44, 54, 77, 100, 106
+EVENT, WALK, LEFT, LAUNCH, SCRATCH_NUMBERS = 44, 57, 80, 103, 109
 
 
 @exact
 def walk_ray(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
     i: float, j: float, x: float, y: float, z: float, L: float, M: float, N: float, carried: float,
     row: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
     surface: Cells, hits: Floats, turns: Floats, work: Floats, causes: Ints,
@@ -90,7 +94,7 @@ def walk_ray(
                 _record_end(w, row, hits, turns)
                 break
         end = _through_body(
-            faces, bodies, lat, rows, indices, b, gap, w, left, event, work, causes, row, hits, turns
+            tiles, faces, bodies, lat, rows, indices, b, gap, w, left, event, work, causes, row, hits, turns
         )
         if end != GOES_ON:
             break
@@ -123,14 +127,29 @@ def _order(w: Floats) -> tuple[int, int]:
 
 
 @exact
+def _next_change(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
+    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats, work: Floats,
+    causes: Ints,
+) -> None:  # fmt: skip
+    """Find what is met first, on smooth faces or on facets."""
+    if len(tiles.part) > 0:
+        first_facet_change(
+            tiles, faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes
+        )  # fmt: skip
+    else:
+        first_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes)
+
+
+@exact
 def _through_body(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, b: int, gap: float, w: Floats,
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, b: int, gap: float, w: Floats,
     left: Floats, event: Floats, work: Floats, causes: Ints, row: int, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
     body, index = bodies[b], indices[b]
-    first_change(
-        faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
+    _next_change(
+        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
         False, event, work, causes,
     )  # fmt: skip
     kind, distance = int(event[KIND]), event[DISTANCE]
@@ -151,23 +170,23 @@ def _through_body(
         return GOES_ON
     if kind != FRONT and kind != FRONT_LAND:
         return _end_at(faces, bodies, lat, b, w, event, 1.0, row, hits, turns)
-    end = _refract(faces, bodies, lat, rows, b, 0, w, event, 1.0, index, row, hits, turns)
+    end = _refract(tiles, faces, bodies, lat, rows, b, 0, w, event, 1.0, index, row, hits, turns)
     if end != GOES_ON:
         return end
-    first_change(
-        faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
+    _next_change(
+        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
         True, event, work, causes,
     )  # fmt: skip
     kind = int(event[KIND])
     if kind != BACK and kind != BACK_LAND:
         return _end_at(faces, bodies, lat, b, w, event, index, row, hits, turns)
-    end = _refract(faces, bodies, lat, rows, b, 1, w, event, index, 1.0, row, hits, turns)
+    end = _refract(tiles, faces, bodies, lat, rows, b, 1, w, event, index, 1.0, row, hits, turns)
     if end != GOES_ON:
         return end
     if not w[DZ] > 0.0:
         return BACKWARD
-    first_change(
-        faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
+    _next_change(
+        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
         False, event, work, causes,
     )  # fmt: skip
     kind = int(event[KIND])
@@ -194,7 +213,7 @@ def _over(faces: Floats, body: Floats, lat: Floats, rows: Ints, b: int, w: Float
 
 @exact
 def _refract(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, side: int, w: Floats, event: Floats,
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, side: int, w: Floats, event: Floats,
     n1: float, n2: float, row: int, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Refract at the front or back that was met."""
@@ -212,16 +231,27 @@ def _refract(
     x, y, z = event[place + 2], event[place + 3], w[Z]
     ox, oy, oz = snell(L, M, N, 0.0, 0.0, 1.0, N, n1, n2)
     met = False
-    if on_lens:
-        px, py, pz = to_lens(face, x - face[slot.VX], y - face[slot.VY], z - face[slot.VZ])
+    if on_lens and len(tiles.part) > 0:
+        gx, gy, gz = event[NORMAL], event[NORMAL + 1], event[NORMAL + 2]
+        ox, oy, oz = snell(L, M, N, gx, gy, gz, L * gx + M * gy + N * gz, n1, n2)
+    elif on_lens:
+        sx, sy, sz = to_lens(face, x - face[slot.VX], y - face[slot.VY], z - face[slot.VZ])
         u, v, k = to_lens(face, L, M, N)
-        t, px, py, pz, gx, gy, gz, root = meet(face, px, py, pz, u, v, k)
+        t, px, py, pz, gx, gy, gz, root = meet(face, sx, sy, sz, u, v, k)
+        if not abs(t - distance) <= SAME * lat[slot.HALF]:
+            # `meet` gives the other crossing where a ray falls in the lens's frame while it rises in the sheet's
+            t = distance
+            for _ in range(2):
+                gx, gy, gz, over = upward(face, sx + t * u, sy + t * v, sz + t * k)
+                t -= over / (gx * u + gy * v + gz * k)
+            px, py, pz = sx + t * u, sy + t * v, sz + t * k
+            gx, gy, gz, over = upward(face, px, py, pz)
+            root = gx * u + gy * v + gz * k
         ox, oy, oz = snell(u, v, k, gx, gy, gz, root, n1, n2)
         ox, oy, oz = to_sheet(face, ox, oy, oz)
-        if isfinite(t):
-            met, distance = True, t
-            px, py, pz = to_sheet(face, px, py, pz)
-            x, y, z = px + face[slot.VX], py + face[slot.VY], pz + face[slot.VZ]
+        met, distance = True, t
+        px, py, pz = to_sheet(face, px, py, pz)
+        x, y, z = px + face[slot.VX], py + face[slot.VY], pz + face[slot.VZ]
     if not met:
         x, y = x + distance * L, y + distance * M
         z = z + distance * N if on_lens else face[slot.LAND]

@@ -7,6 +7,7 @@ with the size of the sheet or its distance from the origin.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite, nan
 
 import numpy as np
@@ -141,8 +142,9 @@ class Layout:
         return 1e-12 * float(self.halves.max())
 
 
+@lru_cache(maxsize=8)
 def lay_out(window: Window) -> Layout:
-    """Prepare a window for tracing (a few thousand heights are sampled)."""
+    """Prepare a window for tracing (a few thousand heights are sampled); kept, since pictures ask block by block."""
     lattice = window.lattice
     borders = lattice.steps[: len(lattice.steps) // 2]
     offsets = np.array([lattice.offset(*step) for step in borders])

@@ -17,7 +17,9 @@ ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, FACE_NUMBERS = range(20, 27)
 
 # Columns of a body's row.
 LEVEL, BODY_LOW, BODY_HIGH, COLUMNAR, COVERED, BOX = range(6)
-MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, BODY_NUMBERS = range(10, 20)
+MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, JUMP_FROM, JUMP_TO, BODY_NUMBERS = (
+    range(10, 22)
+)
 
 # The lattice's numbers.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
@@ -93,6 +95,8 @@ def _body(body: BodyPlan) -> list[float]:
     row[INNER_X : INNER_R + 1] = body.inner
     row[OUTLINE] = float(("none", "circle", "rectangle").index(body.outline[0]))
     row[OUT_X : OUT_Y + 1] = body.outline[1:]
+    solid = body.separate and all(face.whole or face.land == face.land for face in (body.front, body.back))
+    row[JUMP_FROM], row[JUMP_TO] = (body.front.high, body.back.low) if solid else (1.0, 0.0)
     row[ENTRY] = float(body.arrays[0])  # the array in whose cells rays arrive
     return row
 

@@ -16,13 +16,16 @@ from clacad.rays import NO_CELL, Fate
 from clacad.surface import ULP
 from clacad.trace import baffle
 from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Event, first_change
-from clacad.trace.face import cross, cross_land, in_footprint
+from clacad.trace.face import Hit, cross, cross_at, cross_land, in_footprint
 from clacad.trace.launch import Beam, box_span, on_to, sheet_xy, to_array
 from clacad.trace.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, sheet_position
 from clacad.trace.ledger import Ledger
 
 BEHIND = 8 * ULP
 """Share of a ray's travel by which the first face may seem to lie behind its start: rounding."""
+
+SAME = 1e-6
+"""Share of a cell by which two roots of one crossing may differ: far above rounding, far below two crossings."""
 
 Rows = NDArray[np.intp]
 
@@ -197,16 +200,29 @@ def _cross_face(
     array = scene.body.arrays[0] if face.array is None else face.array
     start = event.starts[array]
     hit = cross(face, start, beam.z, beam.direction, n1, n2)
+    other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * scene.layout.halves.max())
+    if other.any():
+        hit = _where(other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2), hit)
     land = start + event.distance[:, None] * beam.direction[:, :2]
     level = face.land if np.isfinite(face.land) else 0.0
     flat = cross_land(beam.direction, n1, n2)
-    # a root that the lens formula refuses (its far half) is taken where the walk found it
-    lens = on_lens & np.isfinite(hit.distance)
-    local = np.where(lens[:, None], hit.local, land)
-    z = np.where(lens, hit.z, np.where(on_lens, beam.z + event.distance * beam.direction[:, 2], level))
-    distance = np.where(lens, hit.distance, event.distance)
+    local = np.where(on_lens[:, None], hit.local, land)
+    z = np.where(on_lens, hit.z, level)
+    distance = np.where(on_lens, hit.distance, event.distance)
     out = np.where(on_lens[:, None], hit.direction, flat)
     return Beam(beam.rows, array, event.cells[array], local, z, beam.direction), distance, out
+
+
+def _where(chosen: Mask, one: Hit, other: Hit) -> Hit:
+    """Chosen rows of one, the rest of the other."""
+    column = chosen[:, None]
+    return Hit(
+        local=np.where(column, one.local, other.local),
+        z=np.where(chosen, one.z, other.z),
+        distance=np.where(chosen, one.distance, other.distance),
+        direction=np.where(column, one.direction, other.direction),
+        upright=np.where(chosen, one.upright, other.upright),
+    )
 
 
 def _depart(scene: Scene, walkers: Walkers) -> Walkers:

@@ -1,0 +1,303 @@
+"""Compiled tracing of facets: the lookup, the straight path through one face, the walk from facet to facet."""
+
+from __future__ import annotations
+
+from math import copysign, inf, isnan, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.trace import packing as slot
+from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
+from clacad.trace.compiled import exact
+from clacad.trace.kernel_block_slots import DX, DY, DZ, GOOD, PATH, X, Y, Z
+from clacad.trace.kernel_column import (
+    DISTANCE,
+    KIND,
+    PLACE,
+    box_span,
+    divide_outline,
+    in_footprint,
+    jump,
+    kept,
+    sheet_xy,
+    sort_divisions,
+    step_on,
+    to_array,
+)
+from clacad.trace.kernel_scalar import less_steps
+from clacad.trace.layout import Floats
+from clacad.trace.mesh_layout import (
+    BIN,
+    BINS_X,
+    BINS_Y,
+    LAND,
+    LENS,
+    LOW_X,
+    LOW_Y,
+    PER_X,
+    PER_Y,
+    VOID,
+    Tiles,
+)
+
+Ints = NDArray[np.int64]
+
+NORMAL = PLACE + 8
+"""Slot of an event where a facet's normal is kept."""
+
+TRIES = 8
+"""Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
+
+
+@exact
+def locate_facet(tiles: Tiles, tile: int, x: float, y: float) -> int:
+    """Facet over a point of the cell frame: the one the point lies deepest in; −1 far outside the tile."""
+    row = tiles.table[tile]
+    i = min(max(int((x - row[LOW_X]) * row[PER_X]), 0), int(row[BINS_X]) - 1)
+    j = min(max(int((y - row[LOW_Y]) * row[PER_Y]), 0), int(row[BINS_Y]) - 1)
+    b = int(row[BIN]) + j * int(row[BINS_X]) + i
+    best, deepest = -1, -inf
+    for k in range(tiles.start[b], tiles.start[b + 1]):
+        f = tiles.member[k]
+        w = tiles.weight[f]
+        inside = min(
+            w[0, 0] * x + w[0, 1] * y + w[0, 2],
+            min(w[1, 0] * x + w[1, 1] * y + w[1, 2], w[2, 0] * x + w[2, 1] * y + w[2, 2]),
+        )
+        if inside > deepest:
+            best, deepest = f, inside
+            if inside > 0.0:
+                break
+    return best
+
+
+@exact
+def facet_normal(tiles: Tiles, facet: int, side: int, x: float, y: float) -> tuple[float, float, float]:
+    """Normal towards +z: the facet's, or that of its corners interpolated at a point."""
+    if len(tiles.normal) == 0 or tiles.part[facet, side] != LENS:
+        return -tiles.plane[facet, side, 0], -tiles.plane[facet, side, 1], 1.0
+    gx, gy, gz = 0.0, 0.0, 0.0
+    for k in range(3):
+        w = tiles.weight[facet, k]
+        share = w[0] * x + w[1] * y + w[2]
+        n = tiles.normal[facet, side, k]
+        gx, gy, gz = gx + share * n[0], gy + share * n[1], gz + share * n[2]
+    return gx, gy, gz
+
+
+@exact
+def cross_facets(
+    tiles: Tiles, tile: int, side: int, face: Floats, s: Floats, m: int, n1: float, n2: float,
+    climb: float, ox: float, oy: float, oz: float,
+) -> None:  # fmt: skip
+    """Cross one face of facets; positions plus (ox, oy, oz) are relative to cell and level, and are after.
+
+    From a first guess where the ray meets the face's middle height, the facet over the point is met; if that
+    hit lies over the same facet it is the hit, since a ray steeper than every facet has only one.
+    """
+    mu = n1 / n2
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    middle = 0.5 * (face[slot.LOW] + face[slot.HIGH])
+    for i in range(m):
+        if not s[GOOD, i] > 0.0:
+            continue
+        x, y, z = s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz
+        u, v, w = s[DX, i], s[DY, i], s[DZ, i]
+        t = (middle - z) / w
+        found = -1
+        facet = locate_facet(tiles, tile, x + t * u, y + t * v)
+        for _ in range(TRIES):
+            p = tiles.plane[facet, side]
+            t = (p[2] + p[0] * x + p[1] * y - z) / (w - p[0] * u - p[1] * v)
+            if isnan(t):
+                break
+            e = tiles.weight[facet]
+            a, b = x + t * u, y + t * v
+            if (
+                e[0, 0] * a + e[0, 1] * b + e[0, 2] >= 0.0
+                and e[1, 0] * a + e[1, 1] * b + e[1, 2] >= 0.0
+                and e[2, 0] * a + e[2, 1] * b + e[2, 2] >= 0.0
+            ):
+                found = facet
+                break
+            facet = locate_facet(tiles, tile, a, b)
+        if found < 0 or tiles.part[found, side] != LENS:
+            s[GOOD, i] = 0.0
+            continue
+        x, y, z = x + t * u, y + t * v, z + t * w
+        gx, gy, gz = facet_normal(tiles, found, side, x, y)
+        root = u * gx + v * gy + w * gz
+        incident = mu * root
+        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        s[X, i], s[Y, i], s[Z, i] = x, y, z
+        s[DX, i], s[DY, i], s[DZ, i] = mu * u + g * gx, mu * v + g * gy, mu * w + g * gz
+        s[PATH, i] += n1 * t
+        if not (root > 0.0 and s[DZ, i] > 0.0 and s[DZ, i] >= climb):
+            s[GOOD, i] = 0.0
+
+
+# -- the walk ----------------------------------------------------------------------------------
+
+
+@exact
+def _levels(
+    tiles: Tiles, face: Floats, at: int, facet: Ints, side: int, start: Floats, dx: float, dy: float
+) -> tuple[float, float]:  # fmt: skip
+    """Height of a face at the start and its rise along the ray, over the column the ray is in; NaN for none."""
+    if face[slot.ARRAY] < 0.0:
+        return face[slot.LOW], 0.0
+    f = facet[at]
+    if f < 0:
+        return face[slot.LAND], 0.0
+    if tiles.part[f, side] == VOID:
+        return nan, 0.0
+    p = tiles.plane[f, side]
+    return p[0] * start[2 * at] + p[1] * start[2 * at + 1] + p[2], p[0] * dx + p[1] * dy
+
+
+@exact
+def first_facet_change(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
+    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats, work: Floats,
+    causes: Ints,
+) -> None:  # fmt: skip
+    """Find where a ray first enters the facets of body b, or leaves them: `column.first_change` for facets.
+
+    A piece is what lies over one facet of each of the body's tilings; in it both faces are planes.
+    """
+    body = bodies[b]
+    times, base, start = work[:24], work[24:28], work[28:32]
+    home, cell, step = work[32:36], work[36:40], work[40:44]
+    step[:] = 0.0
+    facet = causes[20:22]  # of array 0 and 1
+    main = int(body[slot.ENTRY])
+    for side in range(2):
+        at = int(faces[2 * b + side, slot.ARRAY])
+        if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
+            continue
+        if at == array:
+            home[2 * at], home[2 * at + 1], base[2 * at], base[2 * at + 1] = i, j, x, y
+        else:
+            u, v, p, q = to_array(lat, array, at, i, j, x, y)
+            home[2 * at], home[2 * at + 1], base[2 * at], base[2 * at + 1] = u, v, p, q
+        facet[at] = -2  # not looked up
+    sx, sy = sheet_xy(lat, array, i, j, x, y)
+    aside = max(box_span(lat, body, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (body[slot.BODY_HIGH] - z) / N
+    limit = min(aside, above)
+    since, cause, kind = 0.0, WALL, ASIDE
+    gx, gy, gz = 0.0, 0.0, 1.0
+    walking = not above <= 0.0
+    if not walking:
+        kind = ABOVE
+    entered = 0.0  # where the piece begins
+    while walking:
+        end, across, across_array, sense, edge, edge_array = limit, -1, -1, 1.0, -1, -1
+        for side in range(2):
+            at = int(faces[2 * b + side, slot.ARRAY])
+            if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
+                continue
+            cell[2 * at], cell[2 * at + 1] = home[2 * at] + step[2 * at], home[2 * at + 1] + step[2 * at + 1]
+            u, v = less_steps(lat, base[2 * at], base[2 * at + 1], step[2 * at], step[2 * at + 1])
+            start[2 * at], start[2 * at + 1] = u, v
+            tile = tiles.of[b, side]
+            if facet[at] == -2:
+                facet[at] = -1
+                if kept(lat, rows, cell[2 * at], cell[2 * at + 1]):
+                    # a hair into the piece, so that a ray along an edge is in the facet it goes to
+                    t = entered + 2.0 * lat[slot.TINY]
+                    facet[at] = locate_facet(tiles, tile, u + t * L, v + t * M)
+            for n in range(int(lat[slot.BORDERS])):
+                ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
+                speed = ux * L + uy * M
+                if speed == 0.0:
+                    continue
+                t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
+                if t < end:
+                    end, across, across_array, sense, edge = t, n, at, copysign(1.0, speed), -1
+            f = facet[at]
+            if f < 0:
+                continue
+            for n in range(3):
+                w = tiles.weight[f, n]
+                speed = w[0] * L + w[1] * M
+                if speed >= 0.0 or tiles.beside[f, n] < 0:
+                    continue
+                t = -(w[0] * u + w[1] * v + w[2]) / speed
+                if t < end:
+                    end, across, edge, edge_array = t, -1, n, at
+        front_at = int(faces[2 * b, slot.ARRAY]) if faces[2 * b, slot.ARRAY] >= 0.0 else main
+        back_at = int(faces[2 * b + 1, slot.ARRAY]) if faces[2 * b + 1, slot.ARRAY] >= 0.0 else main
+        low, low_rise = _levels(tiles, faces[2 * b], front_at, facet, 0, start, L, M)
+        high, high_rise = _levels(tiles, faces[2 * b + 1], back_at, facet, 1, start, L, M)
+        times[0], causes[0] = (low - z) / (N - low_rise), _kind(tiles, faces[2 * b], facet[front_at], 0)
+        times[1], causes[1] = (high - z) / (N - high_rise), _kind(tiles, faces[2 * b + 1], facet[back_at], 1)
+        count = 2
+        if facet[main] < 0:
+            count = divide_outline(body, sx, sy, L, M, times, causes, count)
+        end = max(end, entered)
+        count = sort_divisions(times, causes, count, max(entered, since - lat[slot.TINY]), since, end)
+        changed = False
+        for c in range(count + 1):
+            to, why = (times[c], causes[c]) if c < count else (end, WALL)
+            if to - since > lat[slot.TINY]:
+                t = 0.5 * (since + to)
+                level = z + t * N
+                over = in_footprint(
+                    body, sx + t * L, sy + t * M, kept(lat, rows, cell[2 * main], cell[2 * main + 1])
+                )  # fmt: skip
+                now = over and low + t * low_rise <= level <= high + t * high_rise
+                if now != inside:
+                    changed = True
+                    break
+                since, cause = to, why
+            elif c < count and why != WALL:
+                cause = why
+        if changed:
+            kind = cause
+            f = facet[front_at] if kind == FRONT else facet[back_at]
+            if (kind == FRONT or kind == BACK) and f >= 0:
+                at = front_at if kind == FRONT else back_at
+                gx, gy, gz = facet_normal(
+                    tiles, f, 0 if kind == FRONT else 1, start[2 * at] + since * L, start[2 * at + 1] + since * M
+                )  # fmt: skip
+            break
+        if above <= end:
+            kind, since = ABOVE, above
+            break
+        if aside <= end:
+            kind, since = ASIDE, aside
+            break
+        entered = end
+        if inside:
+            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, entered, home, step)
+            if t > entered:
+                entered, since, cause = t, t, WALL
+                facet[0], facet[1] = -2, -2
+                continue
+        if across >= 0:
+            step_on(lat, across, sense, step[2 * across_array : 2 * across_array + 2])
+            facet[across_array] = -2
+        elif edge >= 0:
+            facet[edge_array] = tiles.beside[facet[edge_array], edge]
+        else:
+            break
+    event[KIND], event[DISTANCE] = kind, since
+    event[NORMAL], event[NORMAL + 1], event[NORMAL + 2] = gx, gy, gz
+    for at in range(2):
+        place = PLACE + 4 * at
+        event[place], event[place + 1] = home[2 * at] + step[2 * at], home[2 * at + 1] + step[2 * at + 1]
+        u, v = less_steps(lat, base[2 * at], base[2 * at + 1], step[2 * at], step[2 * at + 1])
+        event[place + 2], event[place + 3] = u, v
+
+
+@exact
+def _kind(tiles: Tiles, face: Floats, facet: int, side: int) -> int:
+    """Which crossing a face's plane is over a facet: of a lens or plane face, or of land."""
+    if face[slot.ARRAY] < 0.0:
+        return FRONT if side == 0 else BACK
+    land = facet < 0 or tiles.part[facet, side] == LAND
+    if side == 0:
+        return FRONT_LAND if land else FRONT
+    return BACK_LAND if land else BACK
