@@ -32,6 +32,7 @@ QUADS = (64, 32, 16, 8, 4)
 
 MESH_FORMATS = ("stl", "stl-parts", "3mf", "ply", "glb")
 WELDED_FORMATS = ("3mf", "ply", "glb")
+FIXTURES = ("baffle", "frame", "coupon", "brep")
 MOST_WELDED = 8_000_000
 """Facets up to which a mesh is welded into shared vertices in memory."""
 
@@ -191,7 +192,21 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
         return _forecast_welded(meshes, name, quads)
     if name == "step":
         return _forecast_step(window, step)
+    if name in FIXTURES:
+        return _forecast_fixture(window, name)
     return _forecast_map(window, name)
+
+
+def _forecast_fixture(window: Window, name: str) -> Forecast:
+    """Price of baffle, frame, coupon and BREP: the first exactly, the modelled ones by size classes."""
+    cells = window.lattice.cell_count
+    if name == "baffle":
+        sides = len(window.lattice.steps)
+        row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None, (0.1, 5.0 + 1e-4 * cells),
+                       (80_000_000, 400_000_000))  # fmt: skip
+        return row
+    size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
+    return Forecast(name, size, False, None, None, (3.0, 60.0), (500_000_000, 2_500_000_000))
 
 
 def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.export.atomic import Stage, canonical_json, file_hash, flush
 from clacad.export.errors import UnknownFormat
+from clacad.export.fixtures import baffle_records, brep_records, coupon_records, frame_records
 from clacad.export.manifest import FileRecord
 from clacad.export.truth import Integral, body_volume, volume_sum
 from clacad.export.worker import Progress, Worker
@@ -264,7 +265,8 @@ def _mask(job: Job) -> list[FileRecord]:
 
 FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
-    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask,
+    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "brep": brep_records,
+    "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""
 
