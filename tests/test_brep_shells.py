@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from clacad.brep import describe_body
 from clacad.brep.kernel import KernelWriter, is_valid, volume
 from clacad.cell_complex.build import cell_complex, pieces
 from clacad.lattice import Circle, Rectangle
+from clacad.sheet import column
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 
@@ -54,7 +56,7 @@ def test_a_covered_body_is_one_valid_solid_with_the_volume_of_its_columns(name):
 
 
 RIMMED = {
-    "web": {"thickness": 0.06, "web": 0.02, "euler": (30.0, 4.0, 0.0)},
+    "web": {"thickness": 0.1, "web": 0.03, "euler": (30.0, 4.0, 0.0)},
     "web untilted": {"thickness": 0.05, "web": 0.02},
     "seam": {"seam": 0.05, "web": 0.02, "thickness": 0.12, "euler": (0.0, 1.0, 0.0)},
     "seam and rim": {"seam": 0.05, "web": 0.03, "thickness": 0.06, "euler": (0.0, 1.0, 0.0)},
@@ -73,6 +75,43 @@ def test_rims_lands_seams_and_outlines_give_valid_solids_as_many_as_the_complex_
         solids, _ = built(window, body)
         assert len(solids) == expected
         assert all(is_valid(solid) for solid in solids)
+
+
+@pytest.mark.parametrize("name", ["web", "web untilted", "seam", "seam and rim", "hexagonal web"])
+def test_rims_and_lands_lie_where_the_columns_of_the_sheet_have_them(name):
+    window = replace(biconvex(**RIMMED[name]), outline=None)
+    window = replace(window, lattice=window.with_cells((1, 1)).lattice)
+    extent = window.lattice.extent()
+    n = 600
+    x, y = (low + (high - low) * (np.arange(n) + 0.5) / n for low, high in (extent[:2], extent[2:]))
+    x, y = (grid.ravel() for grid in np.meshgrid(x, y))
+    index, _, _ = window.lattice.locate(x, y)
+    inside = window.lattice.contains(index)
+    cell = (extent[1] - extent[0]) * (extent[3] - extent[2]) / n**2
+    for body in window.bodies:
+        front, back = column(window, body, x[inside], y[inside])
+        solids, _ = built(window, body)
+        # Midpoints of a grid of 600 meet jumps of the height within 1/600 of the cell.
+        assert volume(solids[0]) == pytest.approx(float(np.sum(back - front)) * cell, rel=2e-3)
+
+
+def test_a_web_too_thin_for_the_rim_of_its_tilted_lens_is_refused_with_the_thickness_that_holds_it():
+    thin = biconvex(count=(1, 1), thickness=0.02, web=0.002, euler=(0.0, 5.0, 0.0))
+    with pytest.raises(ValueError, match=r"a web of at least ([0-9.]+) mm") as found:
+        describe_body(thin, thin.bodies[0], KernelWriter())
+    needed = float(str(found.value).split("at least ")[1].split(" mm")[0])
+    enough = biconvex(count=(1, 1), thickness=0.02, web=needed * 1.001, euler=(0.0, 5.0, 0.0))
+    solids, _ = built(enough, enough.bodies[0])
+    assert is_valid(solids[0])
+
+
+def test_a_biconic_slab_is_a_valid_solid_of_fitted_faces():
+    raw = tomllib.loads((DESIGNS / "tilted.toml").read_text())
+    raw["pair"]["surface"] = "biconic"
+    window = clacad.prescribe(clacad.Design.from_dict(raw)).with_cells((2, 2))
+    solids, counts = built(window, window.bodies[0])
+    assert counts.faces["lens"] == 8
+    assert is_valid(solids[0])
 
 
 TOUCHING = {
@@ -200,6 +239,12 @@ def check_design(path):
         solids, _ = built(window, body)
         assert len(solids) == expected
         assert all(is_valid(solid) for solid in solids)
+
+
+def test_a_lens_too_steep_for_one_patch_is_refused_in_words():
+    window = biconvex(eta=(-1.0, -1.0), separation=0.4, thickness=0.3)
+    with pytest.raises(ValueError, match="too steep"):
+        describe_body(window, window.bodies[0], KernelWriter())
 
 
 def test_a_surface_that_ends_inside_its_cell_is_refused_in_words():

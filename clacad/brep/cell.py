@@ -130,8 +130,12 @@ def make_cell(window: Window, front: Face | None, back: Face | None, scale: floa
     built: list[CellFace | None] = [
         _flat_face(face, side, level) for face, side, level in zip(faces, (1, -1), (front_level, back_level))
     ]
-    holed = all(face is not None and face.array is not None and face.land is None for face in faces)
-    meeting = _meeting(window, zone, faces) if holed else None
+    meeting = None
+    if all(face is not None and face.array is not None for face in faces):
+        meeting = _meeting(window, zone, faces)
+        if meeting is not None and None not in [face.land for face in faces if face is not None]:
+            _check_web(faces, meeting)
+            meeting = None
     for n, face in enumerate(faces):
         if built[n] is None:
             assert face is not None
@@ -191,6 +195,34 @@ def _meeting(window: Window, zone: Floats, faces: list[Face | None]) -> _Meeting
             return np.asarray(first.height(px, py) < second.height(px, py))
 
     return _Meeting(plane, divided_pattern(zone, _conic(first, plane), proud, "none"))
+
+
+def _check_web(faces: list[Face | None], meeting: _Meeting) -> None:
+    """Refuse a web out of which the rim of a tilted lens sticks: the overhang could not be a column.
+
+    Raises
+    ------
+    ValueError
+        With the thickness of web that holds the rim.
+    """
+    front, back = faces
+    assert front is not None
+    assert back is not None
+    quadric = posed_quadric(front)
+    assert quadric is not None
+    assert front.land is not None
+    assert back.land is not None
+    plane = meeting.plane
+    normal = np.array([-plane[1], -plane[2], 1.0])
+    middle, reach = 0.5 * (front.land + back.land), 0.0
+    for chain in meeting.pattern.chains:
+        for arc in _rim_arcs(quadric, chain.points, chain.first is None, plane, normal):
+            reach = max(reach, float(np.abs(arc.at(np.linspace(0.0, 1.0, 17))[:, 2] - middle).max()))
+    if 2.0 * reach > (back.land - front.land) * (1.0 + 1e-9):
+        raise ValueError(
+            f"the rim of the tilted lens sticks out of its web; a web of at least {2.0 * reach:.6g} mm holds it "
+            "(or give the lens more thickness, so that its rim leaves the cell)"
+        )
 
 
 def _samples(zone: Floats) -> tuple[Floats, Floats]:

@@ -29,6 +29,9 @@ from clacad.surface import Quadric
 
 Floats = NDArray[np.float64]
 
+STEEPEST = 0.02
+"""Smallest weight of a patch; it falls from 1 on a flat lens to 0 where a corner of the patch meets the equator."""
+
 HIGHEST_DEGREE = 15
 """Degree of a fitted patch in each direction beyond which it is refused."""
 
@@ -162,12 +165,24 @@ def posed_quadric(face: Face) -> PosedQuadric | None:
 
 
 def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
-    """Give a quadric lens whose patch covers the poles of its boundary arcs (k, 3) with 1 % to spare."""
+    """Give a quadric lens whose patch covers the poles of its boundary arcs (k, 3) with 1 % to spare.
+
+    Raises
+    ------
+    ValueError
+        The lens is so steep that the patch would have to pass its equator.
+    """
     parameters, _ = quadric.parameters(boundary)
     low, high = parameters.min(axis=0), parameters.max(axis=0)
     spare = 0.01 * (high - low)
     low, high = low - spare, high + spare
-    return QuadricLens(quadric, (float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+    lens = QuadricLens(quadric, (float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
+    if float(lens.patch.weights.min()) < STEEPEST:
+        raise ValueError(
+            "the lens is too steep for one rational patch: over its cell it comes near its equator; "
+            "give it a longer radius, a smaller cell or a thicker web"
+        )
+    return lens
 
 
 def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
