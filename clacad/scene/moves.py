@@ -47,4 +47,5 @@ def still(scene: Scene, frame: int) -> Scene:
     if scene.animation is None:
         raise ValueError(f"the scene {scene.name} has no animation")
     made = scene.replace(values_at(scene.animation, frame))
-    return replace(made, animation=None)
+    given = {key: value for key, value in made.given.items() if key != "animation"}
+    return replace(made, animation=None, given=given)
