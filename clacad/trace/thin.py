@@ -36,7 +36,9 @@ class Patch:
     rotation : (3, 3), lens → sheet
     power : (1/f_x, 1/f_y)
     level, low, high, box
-        The room the patches take, see `Extent`.
+        The room the patches and the land round them take, see `Extent`.
+    centre : (x, y)
+        Of the window's outline, sheet frame.
     """
 
     array: int
@@ -47,6 +49,7 @@ class Patch:
     low: float
     high: float
     box: tuple[float, float, float, float]
+    centre: tuple[float, float]
 
     def over(self, local: Floats, z: Floats) -> Floats:
         """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
@@ -109,10 +112,9 @@ def thin_layout(layout: Layout) -> Layout:
 def _patches(layout: Layout) -> tuple[Patch, Patch]:
     """Both arrays of patches: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
     pair = layout.window.thin
-    x0, x1, y0, y1 = layout.lattice.extent()
     first, second = (
-        _patch(layout, array, vertex, (x0 + sx, x1 + sx, y0 + sy, y1 + sy))
-        for array, vertex, (sx, sy) in (
+        _patch(layout, array, vertex, shift)
+        for array, vertex, shift in (
             (0, (0.0, 0.0, 0.0), (0.0, 0.0)),
             (1, (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2]), pair.shift),
         )
@@ -124,9 +126,21 @@ def _patch(
     layout: Layout,
     array: int,
     vertex: tuple[float, float, float],
-    box: tuple[float, float, float, float],
+    shift: tuple[float, float],
 ) -> Patch:
     pair = layout.window.thin
+    x0, x1, y0, y1 = layout.lattice.extent()
+    box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
+    centre = (0.0, 0.0) if layout.window.form == "slab" else shift
+    outline = layout.window.outline
+    if outline is not None:
+        hx, hy = (
+            (0.5 * outline.diameter, 0.5 * outline.diameter)
+            if isinstance(outline, Circle)
+            else (0.5 * outline.width, 0.5 * outline.height)
+        )
+        cx, cy = centre
+        box = (min(box[0], cx - hx), max(box[1], cx + hx), min(box[2], cy - hy), max(box[3], cy + hy))
     axis = pair.rotation[:, 2]
     tile = layout.lattice.tile() - np.array(vertex[:2])
     heights = -(tile @ axis[:2]) / axis[2]
@@ -141,6 +155,7 @@ def _patch(
         low=float(heights.min()) - pad,
         high=float(heights.max()) + pad,
         box=box,
+        centre=centre,
     )
 
 
@@ -277,8 +292,7 @@ def _next_border(layout: Layout, local: Floats, ray: Floats) -> tuple[Floats, In
 def _in_outline(layout: Layout, patch: Patch, xy: Floats) -> Mask:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
-    middle = np.array([0.5 * (patch.box[0] + patch.box[1]), 0.5 * (patch.box[2] + patch.box[3])])
-    x, y = (xy - middle).T
+    x, y = (xy - np.asarray(patch.centre)).T
     if isinstance(outline, Circle):
         return np.asarray(np.hypot(x, y) <= 0.5 * outline.diameter)
     if isinstance(outline, Rectangle):
