@@ -290,8 +290,10 @@ def _judge_files(
 def _judge_one(
     design: Design, window: Window | None, subject: Subject, rays: int, progress: Progress
 ) -> tuple[list[Check], FileReport]:
+    whole = prescribe(design) if window is None else window
+    if subject.entry and not {body.name for body in whole.bodies} >= set(subject.entry.get("bodies", ())):
+        return [], FileReport(subject, "no part of the optics; judged by its bytes alone")
     if subject.is_solid:
-        whole = prescribe(design) if window is None else window
         found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
         return found, FileReport(subject, solid=facts)
     if subject.is_mesh:
