@@ -56,7 +56,7 @@ def test_a_covered_body_is_one_valid_solid_with_the_volume_of_its_columns(name):
 
 
 RIMMED = {
-    "web": {"thickness": 0.1, "web": 0.03, "euler": (30.0, 4.0, 0.0)},
+    "web": {"thickness": 0.14, "web": 0.03, "euler": (30.0, 4.0, 0.0)},
     "web untilted": {"thickness": 0.05, "web": 0.02},
     "seam": {"seam": 0.05, "web": 0.02, "thickness": 0.12, "euler": (0.0, 1.0, 0.0)},
     "seam and rim": {"seam": 0.05, "web": 0.03, "thickness": 0.06, "euler": (0.0, 1.0, 0.0)},

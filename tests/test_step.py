@@ -58,7 +58,7 @@ def test_a_written_file_reads_back_as_the_designed_solids(tmp_path, mode, schema
 @pytest.mark.parametrize("case", [
     {"kind": "hexagonal", "euler": (10.0, 2.0, 0.0)},
     {"euler": (45.0, 0.0, 0.0)},
-    {"thickness": 0.1, "web": 0.03, "euler": (30.0, 4.0, 0.0), "delta": (0.05, 0.02)},
+    {"thickness": 0.14, "web": 0.03, "euler": (30.0, 4.0, 0.0), "delta": (0.05, 0.02)},
     {"seam": 0.05, "web": 0.03, "thickness": 0.06, "outline": Circle(3.0)},
     {"web": 0.03, "thickness": 0.06, "outline": Rectangle(1.5, 1.9)},
     {"eta": (0.5, 0.3), "thickness": 0.3},
