@@ -27,8 +27,21 @@ def turn(phi, theta, psi):
     return about_z(psi) @ about_x(theta) @ about_z(phi)
 
 
-def biconvex(euler=(0.0, 0.0, 0.0), eta=(-0.25, -1.0), delta=(0.0, 0.0), pitch=0.5, separation=5.0, thickness=0.15,
-             count=(3, 3), kind="square", seam=0.0, web=None, outline=None, unit=1e-3, n=1.5):
+def biconvex(
+    euler=(0.0, 0.0, 0.0),
+    eta=(-0.25, -1.0),
+    delta=(0.0, 0.0),
+    pitch=0.5,
+    separation=5.0,
+    thickness=0.15,
+    count=(3, 3),
+    kind="square",
+    seam=0.0,
+    web=None,
+    outline=None,
+    unit=1e-3,
+    n=1.5,
+):
     """A pair of biconvex arrays, lengths in mm unless `unit` says otherwise."""
     rotation = np.eye(3) if not any(euler) else turn(*euler)
     f1 = [separation / (1.0 - e) for e in eta]
@@ -40,8 +53,13 @@ def biconvex(euler=(0.0, 0.0, 0.0), eta=(-0.25, -1.0), delta=(0.0, 0.0), pitch=0
         kappa = np.copysign(np.sqrt(cx * cy), cx) if cx * cy > 0.0 else 0.0
         half = 0.5 * thickness * rotation[:, 2]
         faces = [
-            Face(Quadric(cx, cy, kappa, side), (-side * half[0], -side * half[1], z - side * half[2]), rotation, k,
-                 None if web is None else z - side * 0.5 * web)
+            Face(
+                Quadric(cx, cy, kappa, side),
+                (-side * half[0], -side * half[1], z - side * half[2]),
+                rotation,
+                k,
+                None if web is None else z - side * 0.5 * web,
+            )
             for side in (1, -1)
         ]
         bodies.append(Body(faces[0], faces[1], n, f"array{k + 1}"))
@@ -49,8 +67,18 @@ def biconvex(euler=(0.0, 0.0, 0.0), eta=(-0.25, -1.0), delta=(0.0, 0.0), pitch=0
     thin = ThinPair(((f1[0], f1[1]), (f2[0], f2[1])), tuple(second), rotation, shift)
     law = Law(eta[0], eta[1], delta[0], delta[1], *np.radians(euler))
     lattice = Lattice(kind, (pitch, pitch), count)
-    return Window("biconvex", tuple(bodies), lattice, ((0.0, 0.0), shift), unit, (-1.0, separation + 1.0), law, thin,
-                  land=Land(seam=seam), outline=outline)
+    return Window(
+        "biconvex",
+        tuple(bodies),
+        lattice,
+        ((0.0, 0.0), shift),
+        unit,
+        (-1.0, separation + 1.0),
+        law,
+        thin,
+        land=Land(seam=seam),
+        outline=outline,
+    )
 
 
 def one_body(window, k):
