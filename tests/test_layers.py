@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "clacad"
 
 LAYER = {
     # arithmetic and tables without optics: anything may use them, they use nothing
-    "compensated": -1, "sobol": -1, "process": -1,
+    "compensated": -1, "sobol": -1, "process": -1, "log": -1,
     # 0 mathematics: numpy only, not each other
     "law": 0, "lattice": 0, "surface": 0, "material": 0, "rays": 0,
     # 1 nouns
@@ -27,7 +27,7 @@ LAYER = {
     # 5 judgement
     "verify": 5, "accuracy": 5, "stability": 5,
     # 6 presentation
-    "report": 6, "render": 6,
+    "report": 6, "render": 6, "doctor": 6,
     # 7 surface
     "cli": 7, "__init__": 7, "__main__": 7,
 }  # fmt: skip

@@ -64,6 +64,28 @@ def _version(value: bool) -> None:
         raise typer.Exit
 
 
+def _circumstances() -> dict[str, Any]:
+    import os
+    import platform
+    import sys
+
+    from clacad import __version__
+
+    return {
+        "version": __version__, "python": platform.python_version(), "system": f"{platform.system()} {platform.machine()}",
+        "arguments": sys.argv[1:], "folder": os.getcwd(),
+    }  # fmt: skip
+
+
+def _logged(value: bool) -> bool:
+    if value:
+        from clacad import log
+
+        log.start()
+        log.note("start", **_circumstances())
+    return value
+
+
 @app.callback()
 def _main(
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")]
@@ -83,7 +105,8 @@ Set = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Result on stdout as JSON, everything else on stderr.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Errors only.")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Log what is done, and tracebacks.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", callback=_logged, help="Log what is done on stderr, one JSON "
+                                      "object a line, with tracebacks.")]  # fmt: skip
 Out = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.", show_default=False)
 ]
@@ -236,3 +259,16 @@ def accuracy(
     from clacad.cli.accuracy_command import measure_accuracy
 
     return measure_accuracy(design, set or [], rays, target, out, overwrite=overwrite, json=json, quiet=quiet)
+
+
+@app.command()
+def doctor(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder whose disk is tried.")] = Path("."),
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:
+    """What this installation can do: packages, kernel, memory, disk, caches."""
+    from clacad.cli.doctor_command import show_findings
+
+    return show_findings(folder, json=json, quiet=quiet)

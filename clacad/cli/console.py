@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from clacad import log
+
 
 def show_json(value: Any) -> None:
     """Print one JSON document on stdout: sorted keys, no NaN (null instead)."""
@@ -92,6 +94,10 @@ class Progress:
             self._stage, self._stage_start, fresh = stage, now, True
         else:
             fresh = False
+        if log.on():  # the log says what the line would
+            if fresh:
+                log.note("stage", name=stage)
+            return
         if self._quiet or now - self._start < self._after:
             return
         if not self._terminal:

@@ -9,6 +9,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
+
+from clacad import log
 
 OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 
@@ -21,9 +24,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Without the program's name; default sys.argv[1:].
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = _answered(given)
+        log.note("end", status=status, seconds=round(log.seconds(), 3), memory=log.memory())
+        return status
+    finally:
+        log.stop()
+
+
+def _answered(given: list[str]) -> int:
     from clacad.cli.app import app
 
-    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         status = app(given, prog_name="clacad", standalone_mode=False)
         sys.stdout.flush()
@@ -36,23 +48,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")
         return OK
     except Exception as error:
-        return _explained(error, given)
+        return _explained(error)
 
 
-def _explained(error: Exception, given: list[str]) -> int:
+def _explained(error: Exception) -> int:
     """Say what went wrong and give its exit status."""
     status = status_of(error)
-    if status is None:
-        if "-v" in given or "--verbose" in given:
-            import traceback
-
-            traceback.print_exc()
-        _say(f"internal error: {type(error).__name__}: {error}\n  run again with -v for the details")
-        return INTERNAL
     if type(error).__module__.startswith(("click", "typer")):
         return _usage(error)
+    if log.on():
+        log.note("error", **_facts(error), status=INTERNAL if status is None else status)
+    if status is None:
+        text = f"internal error: {type(error).__name__}: {error}".rstrip(": ")
+        _say(text if log.on() else f"{text}\n  run again with -v for the details")
+        return INTERNAL
     _say(str(error))
     return status
+
+
+def _facts(error: Exception) -> dict[str, Any]:
+    """What the log keeps of an error: all that the sentence leaves out."""
+    import traceback
+
+    return {
+        "kind": type(error).__name__, "sentence": str(error), "details": getattr(error, "details", ""),
+        "traceback": "".join(traceback.format_exception(error)).splitlines(),
+    }  # fmt: skip
 
 
 def status_of(error: Exception) -> int | None:

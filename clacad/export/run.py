@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad import log
 from clacad.export import forecast as limits
 from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
 from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, WorkerDied
@@ -148,15 +149,18 @@ def _produced(
     seconds: dict[str, float] = {}
     for name in formats:
         began = time.monotonic()
-        before = set(job.stage.written())
+        before, done = set(job.stage.written()), len(records)
         try:
             with translated(job.stage.folder):
                 records += FORMATS[name](job)
         except (ExportError, MemoryError) as error:
             failures[name] = error if isinstance(error, ExportError) else _starved(name)
+            log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))
             for path in set(job.stage.written()) - before:
                 path.unlink(missing_ok=True)
         seconds[name] = time.monotonic() - began
+        for made in records[done:]:
+            log.note("file", seconds=round(seconds[name], 4), **made.to_dict())
     return records, failures, seconds
 
 
