@@ -9,7 +9,7 @@ lens in its own plane is the cell's column cut by that plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,15 +65,24 @@ def focal_ratio(pair: ThinPair) -> tuple[float, float]:
 def thin_cells(window: Window) -> ThinCells:
     """Describe the window's telescopelet as two thin lenses with cells."""
     pair = window.thin
-    zone = _in_lens_plane(pair.rotation, optical_tile(window))
+    lit = _lit_tile(window)
+    zone = _in_lens_plane(pair.rotation, lit)
     image = zone * np.array(focal_ratio(pair))
     if _area(image) < 0.0:
         image = image[::-1]
     # the middle of cell 2: above `shift`, in the plane through lens 2's centre across the axis
     rest = np.array([[pair.shift[0] - pair.offset[0], pair.shift[1] - pair.offset[1]]])
     centre = np.asarray(pair.offset) @ pair.rotation[:, :2] + _in_lens_plane(pair.rotation, rest)[0]
-    part = abs(_area(optical_tile(window))) / window.lattice.cell_area
+    part = abs(_area(lit)) / window.lattice.cell_area
     return ThinCells(zone, image, centre, pair.separation, part, pair, window)
+
+
+def _lit_tile(window: Window) -> Floats:
+    """Part of a cell that light may use: the optical zone, and the channel of a baffle."""
+    if window.baffle is None:
+        return optical_tile(window)
+    widest = max(window.land.seam, window.baffle.wall)
+    return optical_tile(replace(window, land=replace(window.land, seam=widest)))
 
 
 def _in_lens_plane(rotation: Floats, points: Floats) -> Floats:
@@ -97,8 +106,11 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     Returns
     -------
     (n,) array, 0 … 1
-        Over all orders it sums to the share of the cell that is optical zone (1 without a seam).
+        Over all orders it sums to the share of the cell that is optical zone (1 without a seam). A baffle
+        stops every ghost, and what meets its walls.
     """
+    if cells.window.baffle is not None and order != (0, 0):
+        return np.zeros(len(np.asarray(directions)))
     arrival = cells.separation * cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
     whole = _area(cells.image)
