@@ -15,6 +15,7 @@ from clacad.sheet import PLANE, Body, Face, Window
 
 Bools = NDArray[np.bool_]
 _EPS = float(np.finfo(np.float64).eps)
+_GAUSS = 47  # nodes on a stretch; odd, so that one lies in its middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,28 +32,30 @@ class ColumnLine:
 
     def heights(self, t: Floats) -> tuple[Floats, Floats]:
         """Front and back height (n,) at t; NaN where void."""
-        (front, _), (back, _) = self._side(t, self.front, 1), self._side(t, self.back, -1)
-        void = self._rimless(t)
-        return (
-            np.where(void, _land(self.front.face), front),
-            np.where(void, _land(self.back.face), back),
-        )
+        z, _ = self.evaluate(t)
+        return z[0], z[1]
 
-    def parts(self, t: Floats) -> tuple[list[Part], list[Part]]:
-        """What front and back are at t: "lens", "land" or "void"."""
-        void = self._rimless(t)
-        out: list[list[Part]] = []
+    def evaluate(self, t: Floats) -> tuple[Floats, Bools]:
+        """Front and back height (2, n) at t, NaN where void, and where each is lens (or plane), (2, n)."""
+        columnar = self.front.face.array is not None and self.back.face.array is not None
+        alone, proud, bare = [], [], []
         for profile, side in ((self.front, 1), (self.back, -1)):
-            z, is_lens = self._side(t, profile, side)
-            z = np.where(void, _land(profile.face), z)
-            is_lens = is_lens & ~void
-            out.append(
-                [
-                    "lens" if lens else "void" if np.isnan(height) else "land"
-                    for lens, height in zip(is_lens, z)
-                ]
-            )
-        return out[0], out[1]
+            if profile.face.array is None:
+                lens = profile.lens(t)
+                alone.append(lens)
+                proud.append(np.ones(np.shape(t), dtype=bool))
+                bare.append(lens)
+                continue
+            land = np.full(np.shape(t), _land(profile.face))
+            lens = profile.lens(t) if self.zone else np.full(np.shape(t), np.nan)
+            with np.errstate(invalid="ignore"):
+                proud.append(np.isfinite(lens) & ~(side * (lens - land) >= 0.0))
+            alone.append(np.where(proud[-1], lens, land))
+            bare.append(lens if self.zone else land)
+        with np.errstate(invalid="ignore"):
+            rimless = ~(bare[0] <= bare[1]) | (columnar and not self.zone)
+        lands = np.array([_land(self.front.face), _land(self.back.face)])[:, None]
+        return np.where(rimless, lands, np.stack(alone)), np.stack(proud) & ~rimless
 
     def differences(self) -> list[Callable[[Floats], Floats]]:
         """Functions of t whose sign changes are where this column changes its parts."""
@@ -67,35 +70,6 @@ class ColumnLine:
             if profile.face.array is not None and land is not None:
                 found.append(partial(_above_land, profile))
         return found
-
-    def _side(self, t: Floats, profile: Profile, side: int) -> tuple[Floats, Bools]:
-        """Height where a lens-and-land face stands alone, and where it is lens."""
-        if profile.face.array is None:
-            return profile.lens(t), np.ones(np.shape(t), dtype=bool)
-        lens = profile.lens(t) if self.zone else np.full(np.shape(t), np.nan)
-        land = _land(profile.face)
-        with np.errstate(invalid="ignore"):
-            proud = np.isfinite(lens) & ~(side * (lens - land) >= 0.0)
-        return np.where(proud, lens, land), proud
-
-    def _rimless(self, t: Floats) -> Bools:
-        """Where front and back lens do not enclose material."""
-        columnar = self.front.face.array is not None and self.back.face.array is not None
-        if columnar and not self.zone:
-            return np.ones(np.shape(t), dtype=bool)
-        front, back = self.heights_of_lenses(t)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(~(front <= back))
-
-    def heights_of_lenses(self, t: Floats) -> tuple[Floats, Floats]:
-        """Front and back height of what stands against each other: lens, or the land of a bare plane pair."""
-        out = []
-        for profile in (self.front, self.back):
-            if profile.face.array is not None and not self.zone:
-                out.append(np.full(np.shape(t), _land(profile.face)))
-            else:
-                out.append(profile.lens(t))
-        return out[0], out[1]
 
 
 def column_line(
@@ -141,9 +115,10 @@ def make_border(
     candidates = _candidates(left, right, sides, columnar)
     roots = np.unique(np.concatenate(candidates)) if candidates else np.empty(0)
     breaks = _spaced(roots, spacing / length)
-    steps = tuple(_step(left, right, side, breaks, merge) for side in sides)
-    joint = _joint(left, right, breaks) if columnar else None
-    kept = _kept_breaks(left, right, steps, joint, breaks)
+    on = _stretches(left, right, breaks)
+    steps = tuple(_step(getattr(left, side), getattr(right, side), side, on, merge) for side in sides)
+    joint = _joint(on) if columnar else None
+    kept = _kept_breaks(steps, joint, breaks)
     return Border(
         k, lattice.steps[k], lattice.offset(*lattice.steps[k]), tuple(a), tuple(b), steps, joint, kept, roots
     )
@@ -206,38 +181,69 @@ def _spaced(t: Floats, spacing: float) -> Floats:
     return np.asarray(kept)
 
 
-def _step(left: ColumnLine, right: ColumnLine, side: Side, breaks: Floats, merge: float) -> Step:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stretches:
+    """Both columns on the stretches between a border's breaks, evaluated once.
+
+    edges : (k + 1,); t : (k, n) parameters, ends just inside; weights : (n,) sum to 1, 0 at the ends
+    left, right : (2, k, n) heights; left_lens, right_lens : (2, k) whether lens in the middle
+    """
+
+    edges: Floats
+    weights: Floats
+    left: Floats
+    right: Floats
+    left_lens: Bools
+    right_lens: Bools
+
+
+def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretches:
+    edges = np.concatenate([[0.0], breaks, [1.0]])
+    nodes, weights = np.polynomial.legendre.leggauss(_GAUSS)
+    # limits from within at the ends: at a rim without a web the height itself may jump
+    u = np.concatenate([[1e-12], 0.5 * (nodes + 1.0), [1.0 - 1e-12]])
+    t = edges[:-1, None] + np.diff(edges)[:, None] * u
+    (z_l, lens_l), (z_r, lens_r) = left.evaluate(t.ravel()), right.evaluate(t.ravel())
+    shape = (2, *t.shape)
+    middle = len(u) // 2
+    return _Stretches(
+        edges, np.concatenate([[0.0], 0.5 * weights, [0.0]]), z_l.reshape(shape), z_r.reshape(shape),
+        lens_l.reshape(shape)[..., middle], lens_r.reshape(shape)[..., middle],
+    )  # fmt: skip
+
+
+def _step(left: Profile, right: Profile, side: Side, on: _Stretches, merge: float) -> Step:
     """Pieces, crossings and sizes of one face's step."""
     at = 0 if side == "front" else 1
-    edges = np.concatenate([[0.0], breaks, [1.0]])
     raw: list[Piece] = []
     area = length = 0.0
-    nodes, weights = np.polynomial.legendre.leggauss(48)
-    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist()):
-        t = start + (stop - start) * 0.5 * (nodes + 1.0)
-        with np.errstate(invalid="ignore"):
-            d = left.heights(t)[at] - right.heights(t)[at]
-            # limits from within: at a rim without a web the height itself may jump
-            ends = np.array([start + 1e-12 * (stop - start), stop - 1e-12 * (stop - start)])
-            d_ends = left.heights(ends)[at] - right.heights(ends)[at]
-        part_l, part_r = (line.parts(t[len(t) // 2 : len(t) // 2 + 1])[at][0] for line in (left, right))
-        if part_l == "void" or part_r == "void" or np.isnan(d).all():
-            raw.append(Piece(start, stop, False, 0, part_l, part_r, 0.0, 0.0))
+    for n, (start, stop) in enumerate(zip(on.edges[:-1].tolist(), on.edges[1:].tolist())):
+        parts = [
+            _part(z[at, n], bool(lens[at, n]))
+            for z, lens in ((on.left, on.left_lens), (on.right, on.right_lens))
+        ]
+        d = on.left[at, n] - on.right[at, n]
+        if "void" in parts or np.isnan(d[1:-1]).all():
+            raw.append(Piece(start, stop, False, 0, parts[0], parts[1], 0.0, 0.0))
             continue
-        inner = d[np.isfinite(d)]
-        every = np.abs(np.concatenate([inner, d_ends[np.isfinite(d_ends)]]))
-        largest, least = float(every.max()), float(every.min())
-        area += float(0.5 * (stop - start) * np.nansum(weights * np.abs(d)))
+        size = np.abs(d[np.isfinite(d)])
+        largest, least = float(size.max()), float(size.min())
+        area += (stop - start) * float(np.nansum(on.weights * np.abs(d)))
         length += stop - start
         flat = largest <= merge
-        sign = 0 if flat else int(np.sign(inner[np.argmax(np.abs(inner))]))
-        raw.append(Piece(start, stop, flat, sign, part_l, part_r, largest, least))
+        inner = d[1:-1]
+        sign = 0 if flat else int(np.sign(inner[np.nanargmax(np.abs(inner))]))
+        raw.append(Piece(start, stop, flat, sign, parts[0], parts[1], largest, least))
     pieces = _joined_pieces(raw)
     # Where a merged piece or nothing lies between two signs, the sign still changes, but not at a point.
     crossings = [a.stop for a, b in zip(pieces[:-1], pieces[1:]) if a.sign * b.sign < 0]
     largest = max((p.gap_max for p in pieces), default=0.0)
-    return Step(side, getattr(left, side), getattr(right, side), np.asarray(crossings, dtype=np.float64), tuple(pieces),
-                largest, float(area / length) if length else 0.0)  # fmt: skip
+    mean = float(area / length) if length else 0.0
+    return Step(side, left, right, np.asarray(crossings, dtype=np.float64), tuple(pieces), largest, mean)
+
+
+def _part(z: Floats, lens: bool) -> Part:
+    return "lens" if lens else "void" if np.isnan(z[len(z) // 2]) else "land"
 
 
 def _joined_pieces(raw: list[Piece]) -> list[Piece]:
@@ -255,12 +261,11 @@ def _joined_pieces(raw: list[Piece]) -> list[Piece]:
     return out
 
 
-def _joint(left: ColumnLine, right: ColumnLine, breaks: Floats) -> Joint:
+def _joint(on: _Stretches) -> Joint:
     """Where the two columns share material."""
-    edges = np.concatenate([[0.0], breaks, [1.0]])
-    middle = 0.5 * (edges[:-1] + edges[1:])
-    front_l, back_l = left.heights(middle)
-    front_r, back_r = right.heights(middle)
+    middle = on.left.shape[-1] // 2
+    (front_l, back_l), (front_r, back_r) = on.left[..., middle], on.right[..., middle]
+    edges = on.edges.tolist()
     with np.errstate(invalid="ignore"):
         shared = np.minimum(back_l, back_r) - np.maximum(front_l, front_r) > 0.0
     intervals: list[tuple[float, float]] = []
@@ -273,9 +278,7 @@ def _joint(left: ColumnLine, right: ColumnLine, breaks: Floats) -> Joint:
     return Joint(state, tuple(intervals))
 
 
-def _kept_breaks(
-    left: ColumnLine, right: ColumnLine, steps: tuple[Step, ...], joint: Joint | None, breaks: Floats
-) -> Floats:
+def _kept_breaks(steps: tuple[Step, ...], joint: Joint | None, breaks: Floats) -> Floats:
     """Drop the breaks at which nothing visible changes (crossings hidden under land, say)."""
     kept = {t for step in steps for piece in step.pieces for t in (piece.start, piece.stop)}
     if joint is not None:

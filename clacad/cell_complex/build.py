@@ -10,7 +10,7 @@ from clacad.sheet import Body, Window
 
 
 def cell_complex(
-    window: Window, body: Body, merge: float | None = None, spacing: float | None = None
+    window: Window, body: Body, merge: float | None = None, spacing: float | None = None, rims: bool = True
 ) -> CellComplex:
     """Give the one topology of a body that mesh and B-Rep share.
 
@@ -24,6 +24,8 @@ def cell_complex(
         the uncertainty a STEP file states), at most 1e-3 of the pitch.
     spacing : length, optional
         Crossings closer than this to a node or to one another are dropped. Default: `merge`.
+    rims : bool
+        Trace the rims inside the cell too (they take longer than all the rest).
 
     Returns
     -------
@@ -58,8 +60,8 @@ def cell_complex(
         )
         nodes = make_nodes(window, body, names, merge)
         shift = window.shifts[array]
-        rims = find_rims(window, body) if columnar else ()
-        tilings.append(Tiling(array, shift, window.lattice.tile(), borders, nodes, rims))
+        curves = find_rims(window, body) if columnar and rims else ()
+        tilings.append(Tiling(array, shift, window.lattice.tile(), borders, nodes, curves))
     return CellComplex(window, body, merge, tuple(tilings))
 
 
@@ -77,11 +79,11 @@ def pieces(window: Window) -> tuple[int, ...]:
     """Count the connected pieces of each body in closed form (no mesh)."""
     from clacad.cell_complex.count import count_pieces
 
-    return tuple(count_pieces(cell_complex(window, body)) for body in window.bodies)
+    return tuple(count_pieces(cell_complex(window, body, rims=False)) for body in window.bodies)
 
 
 def holes(window: Window) -> tuple[int, ...]:
     """Count the holes through each body in closed form (no mesh)."""
     from clacad.cell_complex.count import count_holes
 
-    return tuple(count_holes(cell_complex(window, body)) for body in window.bodies)
+    return tuple(count_holes(cell_complex(window, body, rims=False)) for body in window.bodies)

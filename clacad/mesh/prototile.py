@@ -156,7 +156,7 @@ def make_prototile(
         material, proud = _again(make, plan, lens, proud)
         proud.append(material & positive)
     part = _parts(make, material, proud)
-    whole = not (part == VOID).any() and len(tiling.rims) == 0
+    whole = not (part == VOID).any()
     plane = (make.held[0] and whole, make.held[1] and whole)
     return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t))
 

@@ -101,7 +101,8 @@ class _Parts:
 def _parts(window: Window, body: Body, merge: float | None) -> _Parts:
     step = z_step(window)
     gap = merge_steps(merge, step)
-    return _Parts(window, body, cell_complex(window, body, merge=gap * step, spacing=0.0), step, gap)
+    cells = cell_complex(window, body, merge=gap * step, spacing=0.0, rims=False)
+    return _Parts(window, body, cells, step, gap)
 
 
 def count_facets(window: Window, quads: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from math import fsum
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.cell_complex import one_tiling
-from clacad.cell_complex.roots import sign_changes
+from clacad.cell_complex.roots import bisect, sign_changes
 from clacad.lattice import Circle
 from clacad.sheet import Body, Face, Window, lens_height, optical_tile
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from clacad.mesh.body import BodyMesh
 
 Floats = NDArray[np.float64]
-_ANGLES, _RADII = 48, 40  # Gauss nodes per smooth stretch
+_ANGLES, _RADII = 40, 24  # Gauss nodes per smooth stretch
+_SAMPLES = 129  # on a ray; rims that a ray crosses twice between two of them are not seen
 
 
 def flux(corners: Floats) -> Floats:
@@ -99,9 +101,14 @@ def _cell_volume(window: Window, body: Body) -> float:
     borders: list[Along] = [lambda x, y: lens(back, x, y) - lens(front, x, y)]
     for face in (front, back):
         if face.array is not None and face.land is not None:
-            borders.append(lambda x, y, f=face: lens(f, x, y) - f.land)  # type: ignore[misc]
+            borders.append(partial(_above_land, face))
     total = _polar(window, thickness, borders)
     return total + _flat_thickness(body) * _ring_area(window)
+
+
+def _above_land(face: Face, x: Floats, y: Floats) -> Floats:
+    """Positive where a lens stands proud of its land."""
+    return np.asarray(face.side * (_land(face) - lens_height(face, x, y)))
 
 
 def _flat_thickness(body: Body) -> float:
@@ -131,37 +138,56 @@ def _polar(window: Window, integrand: Along, rims: list[Along]) -> float:
     zone = optical_tile(window)
     noise = 64.0 * np.finfo(float).eps * max(abs(window.z_range[0]), abs(window.z_range[1]))
     nodes, weights = np.polynomial.legendre.leggauss(_ANGLES)
-    total = []
+    ends, areas = [], []
     for a, b in zip(zone, np.roll(zone, -1, axis=0)):
         # t along the side is as good as the angle: area element = |a × b| r dr dt
         twice = float(a[0] * b[1] - a[1] * b[0])
         cuts = [0.0, 1.0]
         for rim in rims:
-            cuts += sign_changes(lambda t, f=rim, p=a, q=b: _on_line(f, p, q, t), noise).tolist()  # type: ignore[misc]
+            cuts += sign_changes(partial(_on_line, rim, a, b), noise).tolist()
         cuts.sort()
         for start, stop in zip(cuts[:-1], cuts[1:]):
-            for u, w in zip(0.5 * (nodes + 1.0), 0.5 * weights):
-                end = a + (start + (stop - start) * u) * (b - a)
-                total.append(twice * w * (stop - start) * _ray(integrand, rims, end, noise))
-    return fsum(total)
+            t = start + (stop - start) * 0.5 * (nodes + 1.0)
+            ends.append(a + t[:, None] * (b - a))
+            areas.append(twice * 0.5 * weights * (stop - start))
+    return fsum((np.concatenate(areas) * _rays(integrand, rims, np.concatenate(ends))).tolist())
 
 
 def _on_line(function: Along, p: Floats, q: Floats, t: Floats) -> Floats:
     return function(p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]))
 
 
-def _ray(integrand: Along, rims: list[Along], end: Floats, noise: float) -> float:
-    """∫ f(r·end) r dr from 0 to 1, between the rims."""
-    zero = np.zeros(2)
-    cuts = [0.0, 1.0]
+def _rays(integrand: Along, rims: list[Along], ends: Floats) -> Floats:
+    """∫ f(r·end) r dr from 0 to 1 for each ray (n, 2), piece by piece between the rims it crosses, (n,)."""
+    cuts = [np.zeros(len(ends)), np.ones(len(ends))]
     for rim in rims:
-        probe = _on_line(rim, zero, end, np.linspace(0.0, 1.0, 33))
-        if np.isnan(probe).any() or (np.sign(probe[1:]) != np.sign(probe[:-1])).any():
-            cuts += sign_changes(lambda r, f=rim: _on_line(f, zero, end, r), noise).tolist()  # type: ignore[misc]
-    cuts.sort()
+        cuts += _crossings(rim, ends)
+    edges = np.sort(np.stack(cuts, axis=1), axis=1)
     nodes, weights = np.polynomial.legendre.leggauss(_RADII)
-    total = 0.0
-    for start, stop in zip(cuts[:-1], cuts[1:]):
-        r = start + (stop - start) * 0.5 * (nodes + 1.0)
-        total += 0.5 * (stop - start) * float(np.sum(weights * r * _on_line(integrand, zero, end, r)))
-    return total
+    r = edges[:, :-1, None] + np.diff(edges)[:, :, None] * 0.5 * (nodes + 1.0)
+    f = integrand((r * ends[:, 0, None, None]).ravel(), (r * ends[:, 1, None, None]).ravel()).reshape(r.shape)
+    return np.asarray((0.5 * np.diff(edges) * np.sum(weights * r * f, axis=2)).sum(axis=1))
+
+
+def _crossings(rim: Along, ends: Floats) -> list[Floats]:
+    """Where each ray crosses a rim, as lists of equal length: 1 stands for no (further) crossing."""
+    samples = np.linspace(0.0, 1.0, _SAMPLES)
+    grid = samples * np.ones((len(ends), 1))
+    inside = rim((grid * ends[:, :1]).ravel(), (grid * ends[:, 1:]).ravel()).reshape(grid.shape) > 0.0
+    change = inside[:, 1:] != inside[:, :-1]
+    ray, at = np.nonzero(change)
+    direction = ends[ray]
+    begins = inside[ray, at]
+
+    def signed(t: Floats) -> Floats:
+        same = (rim(t * direction[:, 0], t * direction[:, 1]) > 0.0) == begins
+        return np.where(same, -1.0, 1.0)
+
+    root = bisect(signed, samples[at], samples[at + 1])
+    number = np.cumsum(change, axis=1)[ray, at] - 1
+    found = []
+    for n in range(int(change.sum(axis=1).max(initial=0))):
+        column = np.ones(len(ends))
+        column[ray[number == n]] = root[number == n]
+        found.append(column)
+    return found
