@@ -99,7 +99,7 @@ def test_the_share_of_every_ghost_order_is_the_closed_form(eta, slope, rung):
 @pytest.mark.parametrize("eta", [-0.25, -1.0, -2.0])
 def test_ghosts_leave_at_their_own_slopes(eta):
     window = biconvex(eta=(eta, eta), thickness=0.0012, count=(81, 81))
-    position, direction = beam(window, 4000, 2, steepest=0.2, spread=-30.0)
+    position, direction = beam(window, 4000, 2, steepest=0.2, spread=-30.3)
     result = trace(window, Rays(position, direction), rung="thin")
     ghost = result.fate == Fate.GHOST
     assert ghost.sum() > 300
