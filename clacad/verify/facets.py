@@ -41,6 +41,8 @@ class FacetFace:
     start : (bins + 1,) ints, member : ints
         Facets of bin b are member[start[b] : start[b + 1]].
     z_range : (low, high), lengths, relative to origin
+    land : (t,) bool
+        Facets that are flat land: light through them is no lens light.
     """
 
     corners: Floats
@@ -52,6 +54,7 @@ class FacetFace:
     start: Ints
     member: Ints
     z_range: tuple[float, float]
+    land: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +79,15 @@ class FacetBody:
     index: float
 
 
-def facet_face(corners: Floats, origin: Floats) -> FacetFace:
-    """Bin facets (t, 3, 3), given in the sheet frame, about `origin` (3,)."""
+def facet_face(corners: Floats, origin: Floats, land: NDArray[np.bool_] | None = None) -> FacetFace:
+    """Bin facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
+    flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
     normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
     if len(local) == 0:
         return FacetFace(
             local, normals, origin, np.zeros(2), np.ones(2), 1, np.zeros(2, dtype=np.int64),
-            np.empty(0, dtype=np.int64), (0.0, 0.0),
+            np.empty(0, dtype=np.int64), (0.0, 0.0), flat_land,
         )  # fmt: skip
     flat = local[..., :2]
     least, most = flat.min(axis=1), flat.max(axis=1)
@@ -98,7 +102,7 @@ def facet_face(corners: Floats, origin: Floats) -> FacetFace:
     start = np.searchsorted(number[order], np.arange(count * count + 1))
     return FacetFace(
         local, normals, origin, low, size, count, start.astype(np.int64), facet[order],
-        (float(local[..., 2].min()), float(local[..., 2].max())),
+        (float(local[..., 2].min()), float(local[..., 2].max())), flat_land,
     )  # fmt: skip
 
 
@@ -150,15 +154,18 @@ def first_crossing(
 
 def _meet(
     face: FacetFace | ExactFace, position: Floats, direction: Floats, entering: bool
-) -> tuple[Floats, Floats]:
-    """Distance (n,) along each ray, NaN for none, and the normal (n, 3) turned the way the light goes."""
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Distance (n,) along each ray, NaN for none; normal (n, 3) turned the way the light goes; whether it is land."""
     if isinstance(face, FacetFace):
+        if not len(face.normals):
+            return np.full(len(position), np.nan), position, np.zeros(len(position), dtype=bool)
         distance, facet = first_crossing(face, position, direction, entering)
-        return distance, face.normals[facet] * (-1.0 if entering else 1.0) if len(face.normals) else position
+        return distance, face.normals[facet] * (-1.0 if entering else 1.0), face.land[facet]
     turn = face.face.rotation
     apex = face.origin + np.asarray(face.face.vertex)
     met = meet(face.face.surface, (position - apex) @ turn, direction @ turn)
-    return np.where(met.distance >= 0.0, met.distance, np.nan), met.gradient @ turn.T
+    land = np.zeros(len(position), dtype=bool)
+    return np.where(met.distance >= 0.0, met.distance, np.nan), met.gradient @ turn.T, land
 
 
 def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
@@ -174,8 +181,8 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
     Returns
     -------
     TraceResult
-        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards; TIR,
-        BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
+        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND where it
+        did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
     """
     n = len(rays)
     position = rays.position.copy()
@@ -185,14 +192,16 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
     path = np.zeros(n)
     live = np.arange(n)
     before = 1.0
+    aside = np.zeros(n, dtype=bool)
     steps = [
         (f, body.index if k == 0 else 1.0, k == 0)
         for body in bodies
         for k, f in ((0, body.front), (1, body.back))
     ]
     for number, (face, after, entering) in enumerate(steps):
-        distance, normal = _meet(face, position[live], direction[live], entering)
+        distance, normal, on_land = _meet(face, position[live], direction[live], entering)
         met = np.isfinite(distance)
+        aside[live[met & on_land]] = True
         fate[live[~met]] = Fate.WALL
         live, distance, normal = live[met], distance[met], normal[met]
         position[live] += distance[:, None] * direction[live]
@@ -208,5 +217,6 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
         fate[live[back]] = Fate.BACKWARD
         live = live[~back]
         before = after
+    fate[live[aside[live]]] = Fate.LAND
     unknown = np.full((n, 2), NO_CELL, dtype=np.int32)
     return TraceResult(position, direction, fate, path, unknown, unknown, surface, np.ones(n))

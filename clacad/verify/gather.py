@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.feasibility import body_range
-from clacad.sheet import Body, Face, Window, face_height
+from clacad.sheet import Body, Face, Window, lens_height
 from clacad.verify.bundle import central_cell
 from clacad.verify.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face
 
@@ -147,18 +148,37 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
             if present is None or body.name in present:
                 corners = found.corners(number, side, cell)
                 corners = onto_face(window, face, corners, place) if onto_design else corners
-                faces.append(facet_face(corners, np.array([*place, body.front.vertex[2]])))
+                flat = on_land(window, face, found.corners(number, side, cell))
+                faces.append(facet_face(corners, np.array([*place, body.front.vertex[2]]), flat))
             else:
                 faces.append(ExactFace(face, np.array([*place, 0.0])))
         bodies.append(FacetBody(faces[0], faces[1], body.index))
     return tuple(bodies)
 
 
+def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
+    """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
+    if face.land is None:
+        return np.zeros(len(corners), dtype=bool)
+    reach = max(abs(v) for v in window.z_range)
+    room = 1e-6 * min(window.lattice.pitch) + 2.0**-23 * reach
+    return np.asarray((np.abs(corners[..., 2] - face.land) <= room).all(axis=1))
+
+
+def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
+    """Height (k, m) of the design under points (k, m, ≥ 2) of facets, cell frame: of the land under land facets,
+    else of the lens, beyond its border too; NaN where it has none.
+    """
+    if face.array is None:
+        return np.full(points.shape[:2], face.vertex[2])
+    z = lens_height(face, points[..., 0].ravel(), points[..., 1].ravel()).reshape(points.shape[:2])
+    return z if face.land is None else np.where(flat[:, None], face.land, z)
+
+
 def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Floats:
     """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; kept where it has none."""
     moved = corners.copy()
-    local = corners[..., :2] - place
-    z = face_height(window, face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:2])
+    z = exact_height(face, on_land(window, face, corners), corners - [*place, 0.0])
     moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])
     return moved
 

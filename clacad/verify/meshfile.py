@@ -4,23 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.export.closed import Measure, crowded_edges, measure
 from clacad.export.filemesh import FileMesh, Part
-from clacad.export.truth import body_volume, whole_extent
+from clacad.export.truth import Integral, body_volume, whole_extent
 from clacad.feasibility import body_facts, body_range, components
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
-from clacad.sheet import Window, lens_height
+from clacad.sheet import Body, Window
 from clacad.trace import trace
 from clacad.verify.bundle import Bundle, bundle, launched
 from clacad.verify.checks import Check, State, judge, not_run
-from clacad.verify.deviation import Deviation, corner_distance, deviation, forecast_rms
+from clacad.verify.deviation import FEWER, POINTS, Deviation, corner_distance, deviation, forecast_rms
 from clacad.verify.facets import Floats, trace_facets
-from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, owner, telescopelet
+from clacad.verify.gather import (
+    Gathered,
+    Gatherer,
+    Progress,
+    chosen_cells,
+    exact_height,
+    on_land,
+    owner,
+    telescopelet,
+)
 from clacad.vignetting import half_field, thin_cells
 
 if TYPE_CHECKING:
@@ -94,7 +104,10 @@ def judge_mesh(
     checks = [_closed(found, gathered, mesh, name), scale_check(design, held, found, name)]
     checks += _pieces(held, found, mesh, name, stated)
     checks.append(_volume(held, chord_volume(window, gathered, 0), found, gathered, name, stated))
-    off = [deviation(window, telescopelet(window, gathered, k, present)) for k in range(len(gathered.cells))]
+    off = [
+        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
+        for k in range(len(gathered.cells))
+    ]
     checks.append(_shape(design, window, gathered, off, name, stated, present))
     light, evidence = _light(design, window, gathered, off, found, name, rays, progress, present)
     return checks + light, evidence
@@ -250,17 +263,19 @@ def chord_volume(window: Window, gathered: Gathered, cell: int) -> float:
             centre = window.lattice.centres(np.array([gathered.cells[cell]], dtype=np.int64))[0] + shift
             local = facets - [*centre, 0.0]
             points = np.einsum("pk,tkx->tpx", _NODES, local)
-            exact = lens_height(face, points[..., 0].ravel(), points[..., 1].ravel()).reshape(
-                points.shape[:2]
-            )
-            lens = np.isfinite(exact).all(axis=1)
-            if face.land is not None:
-                lens &= (np.abs(local[..., 2] - face.land) > 1e-9 * np.ptp(local[..., 2])).any(axis=1)
-            (ax, ay), (bx, by) = ((local[lens, k, :2] - local[lens, 0, :2]).T for k in (1, 2))
+            exact = exact_height(face, on_land(window, face, facets), points)
+            known = np.isfinite(exact).all(axis=1)
+            (ax, ay), (bx, by) = ((local[known, k, :2] - local[known, 0, :2]).T for k in (1, 2))
             area = 0.5 * np.abs(ax * by - ay * bx)
-            above = ((points[lens, :, 2] - exact[lens]) @ _WEIGHTS) * area
+            above = ((points[known, :, 2] - exact[known]) @ _WEIGHTS) * area
             total += float(above.sum()) * (-1.0 if side == 0 else 1.0)
     return total
+
+
+@lru_cache(maxsize=8)
+def volume_of(window: Window, body: Body) -> Integral | None:
+    """Volume of a body by quadrature, once for all files of a window; None where an outline cuts lenslets."""
+    return body_volume(window, body, depth=11)
 
 
 def _volume(
@@ -273,7 +288,7 @@ def _volume(
 ) -> Check:
     """Enclosed volume against quadrature of the design plus what facets cut off."""
     common: dict[str, Any] = {"where": "file", "subject": name, "unit": "design unit³"}
-    integrals = [body_volume(window, body) for body in window.bodies]
+    integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
         return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand", required=False, **common)  # fmt: skip

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import ExportError
-from clacad.export.truth import body_volume
 from clacad.sheet import Window
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.gather import Progress
+from clacad.verify.meshfile import volume_of
 from clacad.vignetting import focal_ratio
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def _volume(
 ) -> Check:
     if not found["kernel"]:
         return not_run("volume", "too large for the kernel", required=False, unit="mm³", **common)
-    parts = [body_volume(window, body, depth=11) for body in window.bodies]
+    parts = [volume_of(window, body) for body in window.bodies]
     if any(p is None for p in parts):
         return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand",
                        required=False, unit="mm³", **common)  # fmt: skip
