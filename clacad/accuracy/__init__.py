@@ -7,8 +7,7 @@ table has a reference, and the reference has an error of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from clacad.accuracy.table import Row, Table, TargetOutOfReach
 
@@ -68,18 +67,25 @@ def accuracy(
     report("floors of the file formats", 0.9)
     found = floors(ladder, rows)
     report("done", 1.0)
-    table = Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
-    return replace(table)
+    return Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note, found), rays=rays)
 
 
 def _silent(_stage: str, _done: float) -> None:
     return
 
 
-def _notes(rows: Sequence[Row], step_note: str) -> tuple[str, ...]:
+def _notes(rows: Sequence[Row], step_note: str, floors: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     surfaces = next(row for row in rows if row.rung == "surfaces")
     notes = [
         "rung law's model error equals rung surfaces' error to the law by definition: "
         f"{1e3 * surfaces.law_rms:.3g} mrad rms; it also leaves out the ray offset and the ghosts",
     ]
+    for floor in floors:
+        if floor["best_quads"] is not None:
+            notes.append(
+                f"floor of {floor['formats']} ({floor['float']} vertices, facet normals): "
+                f"{1e3 * floor['floor']:.2g} mrad at {floor['best_quads']:.3g} quads a cell side, "
+                f"{floor['facets']:.2g} facets; at {floor['confirmed_quads']} quads forecast "
+                f"{1e3 * floor['forecast']:.3g} mrad, traced {1e3 * floor['traced']:.3g} mrad"
+            )
     return (*notes, *([step_note] if step_note else []))
