@@ -6,16 +6,19 @@ its paths. Facets are exact where the surfaces are planes, so rung "mesh" is hel
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hard.measure import ULP, assert_whole, error, fate_of, interfaces, off
+from hard.measure import ULP, assert_whole, error, fate_of, interfaces, off, relative
 from hard.rays import HARD
 from hard.sheets import SHEETS, window_of
+from mpmath import mp, mpf
 from oracle import law as law_oracle
 from oracle import sheet as sheet_oracle
 from oracle import trace as trace_oracle
 
-from clacad import trace
+from clacad import tessellate, trace
 from clacad.rays import NO_CELL, Fate, Rays
 from clacad.surface import Biconic, Quadric, meet
 from clacad.trace import packing as slot
@@ -119,3 +122,82 @@ def test_a_hard_ray_through_a_whole_sheet_is_traced_as_the_oracle_does(case, pat
     assert error(result.position[0], exact.position) <= 8 * ULP * (
         np.abs(result.position[0]).max() + abs(gone)
     )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_kernel_tells_a_nearly_tangent_ray_from_a_miss_to_the_last_bit(seed):
+    rng, sphere, centre = np.random.default_rng(seed), packed(Quadric(1, 1, 1)), np.array([0.0, 0.0, 1.0])
+    direction = np.append(rng.uniform(-1, 1, 2), rng.uniform(0.2, 0.9))
+    below = direction * direction[2] - centre * (direction @ direction) + 0.5 * np.cross(direction, centre)
+    touching = centre + below / np.linalg.norm(below)
+    for step in range(-30, 31):
+        start = touching - rng.uniform(0.5, 3) * direction + below * step * 2.0**-53
+        exact = trace_oracle.trace([trace_oracle.quadric(1, 1, 1, after=1.0)], start, direction)
+        assert np.isfinite(kernel.meet(sphere, *start, *direction)[0]) == (exact.status == "ok")
+
+
+@pytest.mark.parametrize("step", [1e-6, 1e-10, -1e-13])
+def test_the_kernel_tells_how_little_a_small_index_step_bends(step):
+    """An axial ray on a slope of 1/2: its x component behind is the bending alone, and keeps its digits."""
+    out = kernel.snell(0.0, 0.0, 1.0, -0.5, 0.0, 1.0, 1.0, 1.0, 1 + step)
+    with mp.workdps(60):
+        length2, mu = mpf(5) / 4, 1 / mpf(1 + step)
+        bend = mp.sqrt(1 - mu**2 * (1 - 1 / length2)) / mp.sqrt(length2) - mu / length2
+        assert relative(out[0], -bend / 2) <= 4
+
+
+@pytest.mark.parametrize("path", ["numpy", "numba"])
+@pytest.mark.parametrize("power", [10, 20, 30])
+def test_the_distance_of_the_source_costs_a_sheet_nothing(path, power):
+    # everything in binary fractions, so that both starts lie on the very same line
+    window = window_of({"lattice.pitch": 2.0**-8})
+    near, ray = np.array([[3 * 2.0**-12, 5 * 2.0**-12, -(2.0**-5)]]), np.array([[2.0**-5, -3 * 2.0**-7, 1.0]])
+    one = trace(window, Rays(near, ray), path=path)
+    far = trace(window, Rays(near - 2.0**power * ray, ray), path=path)
+    assert one.fate[0] == far.fate[0] == Fate.ALIVE
+    assert np.array_equal(one.cell, far.cell)
+    np.testing.assert_allclose(far.direction, one.direction, rtol=0, atol=4 * ULP)
+    np.testing.assert_allclose(far.position, one.position, rtol=0, atol=4 * ULP)
+
+
+PLAIN = [
+    case
+    for case in SHEETS
+    if not any(word in case.name for word in ("border", "corner", "rim", "ghost", "out", "apex", "plano"))
+]
+
+
+@pytest.mark.parametrize("case", PLAIN, ids=[case.name for case in PLAIN])
+def test_facets_give_the_same_fate_and_cell_and_nearly_the_same_direction(case):
+    """Rung mesh: facets of slope error e turn light by a few e, telescopes multiply it by 1/η."""
+    window = window_of(dict(case.changes))
+    mesh = tessellate(window, quads=32)
+    rays = Rays([case.start], [case.direction])
+    exact, faceted = trace(window, rays), trace(window, rays, rung="mesh", mesh=mesh)
+    assert_whole(faceted, 1)
+    assert faceted.fate[0] == exact.fate[0], case.why
+    assert np.array_equal(faceted.cell, exact.cell)
+    assert np.array_equal(faceted.order, exact.order)
+    stretch = 1 + np.linalg.svd(window.law.matrix(), compute_uv=False)[0]
+    bound = 6 * mesh.slope_error * stretch * max(body.index - 1 for body in window.bodies)
+    assert law_oracle.angle(faceted.direction[0], exact.direction[0]) <= bound
+
+
+def test_facets_of_planes_are_exact():
+    """A sheet as good as flat (R = 1e12): facets and surfaces are the same, to rounding."""
+    window = window_of({"lattice.count": [5, 5]})
+    flat = {1: Quadric(1e-12, 1e-12, 1e-12, 1), -1: Quadric(1e-12, 1e-12, 1e-12, -1)}
+    bodies = tuple(
+        replace(b, front=replace(b.front, surface=flat[1]), back=replace(b.back, surface=flat[-1]))
+        for b in window.bodies
+    )
+    window = replace(window, bodies=bodies)
+    rng = np.random.default_rng(4)
+    start = np.column_stack([rng.uniform(-0.01, 0.01, (200, 2)), np.full(200, -0.01)])
+    rays = Rays(start, np.column_stack([rng.uniform(-0.1, 0.1, (200, 2)), np.ones(200)]))
+    exact, faceted = trace(window, rays), trace(window, rays, rung="mesh", mesh=tessellate(window, quads=4))
+    assert np.array_equal(exact.fate, faceted.fate)
+    assert np.array_equal(exact.cell, faceted.cell)
+    np.testing.assert_allclose(faceted.direction, exact.direction, rtol=0, atol=1e-11)
+    # vertices stand on the grid of single precision that STL files have
+    np.testing.assert_allclose(faceted.position, exact.position, rtol=0, atol=2 * 0.0505 * 2.0**-24)

@@ -20,7 +20,7 @@ class HardLaw:
     @property
     def upright(self):
         """Whether no turn is made, so that every component keeps its relative accuracy."""
-        return self.law[4] == self.law[5] == self.law[6] == 0
+        return self.law[5] == 0 and self.law[4] + self.law[6] == 0
 
 
 def law(eta_x, eta_y, delta_x=0.0, delta_y=0.0, phi=0.0, theta=0.0, psi=0.0):
@@ -64,9 +64,9 @@ LAWS = [
     HardLaw("slope 1e-300 beside 1", "relative accuracy of a tiny component", law(-0.25, -1), (1e-300, 0.3, 1)),
     HardLaw("tilt 60 degrees", "slopes against the axis are large", law(-0.5, -1.5, 0.05, -0.1, 0, -pi / 3, 0.5), (-0.06, 0.34, 0.94)),
     HardLaw("tilt 60 degrees, turned back", "the exit runs towards -z", law(-0.5, -1.5, 0.05, -0.1, 0, pi / 3), (-0.06, 0.34, 0.94)),
-    HardLaw("beyond the lens's hemisphere", "d·n < 0: slopes alone give a plausible wrong answer", law(-0.5, -0.5, 0, 0, 0, pi / 4), (0, 0.72, 0.69)),
+    HardLaw("beyond the lens's hemisphere", "d·n < 0: slopes alone give a plausible wrong answer", law(0.5, 0.5, 0, 0, 0, pi / 4), (0, 0.72, 0.69)),
     HardLaw("1e-9 inside the hemisphere", "d·n = 1e-9 of d", law(-0.5, -0.5, 0, 0, 0, pi / 6), beyond(-1e-9)),
-    HardLaw("1e-9 outside the hemisphere", "d·n = -1e-9 of d", law(-0.5, -0.5, 0, 0, 0, pi / 6), beyond(1e-9)),
+    HardLaw("1e-9 outside the hemisphere", "d·n = -1e-9 of d", law(0.5, 0.5, 0, 0, 0, pi / 6), beyond(1e-9)),
     HardLaw("on the edge of the hemisphere", "d·n is rounding only", law(-0.5, -0.5, 0, 0, 0, pi / 6), beyond(0.0), undecidable=True),
     HardLaw("along the sheet", "d_z = 0: neither forwards nor back", PAPER, (1, 0, 0)),
     HardLaw("towards -z", "backwards from the start", PAPER, (0.1, 0, -0.9)),
@@ -76,6 +76,7 @@ LAWS = [
     HardLaw("turned by 45 degrees", "both meridians mix", law(-0.25, -1, 0, 0, pi / 4), (-0.02, 0.03, 1)),
     HardLaw("turned by 90 degrees", "cos 90° is 6e-17 in doubles, 0 in truth", law(-0.25, -1, 0.1, 0, pi / 2), (0.02, 0.03, 1)),
     HardLaw("phi and psi cancel", "θ = 0: only φ + ψ means anything", law(-0.25, -1, 0.1, 0, 1.2, 0, -1.2), (0.1, 1e-9, 1)),
+    HardLaw("phi and psi cancel, slope 1e-200", "R must be 1 exactly, not to rounding", law(-0.25, -1, 0, 0, 1.2, 0, -1.2), (1e-200, 0.3, 1)),
     HardLaw("degenerate Euler angles", "θ = 0 with φ ≠ -ψ", law(-0.25, -1, 0.1, 0, 1.2, 0, 0.4), (0.1, 0.2, 1)),
     HardLaw("a hundred turns", "angles far from 0 are reduced first", law(-0.25, -1, 0.1, 0, 200 * pi + 0.3, 0.01, -77.0), (0.1, 0.2, 1)),
     HardLaw("needle: eta_x / eta_y = 1e6", "the two stretches a million apart", law(1e-3, 1e3, 0.01, 0.01, 0.3, 0.1, 0.2), (0.1, -0.04, 1)),

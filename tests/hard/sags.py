@@ -44,6 +44,7 @@ SAGS = [
     HardSag("cylinder near its equator", "one curvature is 0, the root nearly", oq(2.0, 0.0, 2.0), 0.4999999, 7.0),
     HardSag("biconic", "no quadric", ob(1, 0.7, -0.444, -0.444), 0.1, 0.2),
     HardSag("biconic near its equator", "its own radicand cancels", ob(1, 0.7, 0.5, -2.0), 0.81649658, 1e-3),
+    HardSag("biconic near its equator, K = 0.1", "1 + K is rounded before it is multiplied", ob(1, 0.7, 0.1, -0.3), 0.9534625891978545, 0.0),
     HardSag("saddle biconic round K = -1", "Q changes sign, 1 + K does", ob(1, -0.7, -1.0, -1.0 + 1e-12, -1), 0.3, 0.1),
     HardSag("scale 1e-9", "nanometres in metres", oq(4e10, 3e10, 3.5e10), 1e-12, 2e-12),
     HardSag("scale 1e9", "the same from the other end", oq(4e-8, 3e-8, 3.5e-8), 1e6, 2e6),
