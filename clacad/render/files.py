@@ -112,11 +112,12 @@ def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: 
     if target.suffix.lower() not in STILLS:
         raise UnknownPicture(f"{target.name}: a picture is one of {' '.join(STILLS)}")
     write_file(
-        target, lambda private: _save(pixels_of(picture), private, facts(picture)), overwrite=overwrite
+        target, lambda private: save(pixels_of(picture), private, facts(picture)), overwrite=overwrite
     )
 
 
-def _save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:
+def save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:
+    """Write encoded pixels with metadata, format by the name's ending."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
@@ -144,6 +145,18 @@ def _exif(notes: dict[str, str]) -> Any:
 
 def _one_text(notes: dict[str, str]) -> str:
     return "\n".join(f"{key}: {value}" for key, value in notes.items())
+
+
+def labelled(pixels: Bytes, text: str) -> Bytes:
+    """A picture with a line of text on a strip below it."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    height, width = pixels.shape[:2]
+    size = max(10, min(14, width // 32))
+    strip = Image.new("RGB", (width, 2 * size - 2), (255, 255, 255))
+    font = ImageFont.load_default(size)
+    ImageDraw.Draw(strip).text((size // 2, size // 4), text, fill=(40, 40, 40), font=font)
+    return np.concatenate([pixels, np.asarray(strip)])
 
 
 def write_movie(
@@ -180,13 +193,14 @@ def write_movie(
         if writer is not None:
             writer(private, pixels(), fps)
         else:
-            _animate(private, pixels(), fps, notes)
+            animate(private, pixels(), fps, notes)
 
     write_file(target, write, overwrite=overwrite)
     return told
 
 
-def _animate(path: Path, frames: Iterator[Bytes], fps: float, notes: dict[str, str]) -> None:
+def animate(path: Path, frames: Iterator[Bytes], fps: float, notes: dict[str, str]) -> None:
+    """Write encoded frames as WebP, GIF or PNG."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

@@ -94,6 +94,18 @@ def look_all(
 
 
 @exact
+def reach_all(
+    world: Floats, cluster: Floats, prim: Floats, store: Floats, origin: Floats, direction: Floats,
+    limit: Floats, distance: Floats,
+) -> None:  # fmt: skip
+    """Write the distance of the first hit of each ray, its limit where there is none."""
+    for i in range(len(origin)):
+        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
+        u, v, w = direction[i, 0], direction[i, 1], direction[i, 2]
+        distance[i], _, _ = nearest(cluster, prim, store, x, y, z, u, v, w, limit[i])
+
+
+@exact
 def nearest(
     cluster: Floats, prim: Floats, store: Floats, x: float, y: float, z: float, u: float, v: float, w: float,
     limit: float,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clacad.render import knight
 from clacad.render.tree import Tree, behind_one_another, grow
-from clacad.scene import Scene, SceneObject
+from clacad.scene import Background, Light, Scene, SceneObject
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -136,10 +136,13 @@ def set_stage(scene: Scene) -> Stage:
     UnreadableFile
         A mesh is damaged; a picture raises OSError.
     """
-    clusters = [list(_primitives(scene, thing)) for thing in scene.objects]
+    return stage_of([list(_primitives(scene, thing)) for thing in scene.objects], scene.light, scene.background)
+
+
+def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> Stage:
+    """Lay out primitives, those of one object together."""
     clusters = [cluster for cluster in clusters if cluster]
     flat = [one for cluster in clusters for one in cluster]
-    light = scene.light
     towards = np.array(light.direction) / math.hypot(*light.direction)
     outlines = [one.outline if one.outline is not None else np.zeros((0, 2)) for one in flat]
     images = [one.image if one.image is not None else np.zeros((0, 0, 3)) for one in flat]
@@ -169,8 +172,8 @@ def set_stage(scene: Scene) -> Stage:
         ambient=light.ambient,
         key=light.key,
         towards_light=towards,
-        sky=np.array(scene.background.sky),
-        ground=np.array(scene.background.ground),
+        sky=np.array(sky.sky),
+        ground=np.array(sky.ground),
     )
 
 
