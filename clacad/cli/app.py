@@ -262,6 +262,25 @@ def accuracy(
 
 
 @app.command()
+def effects(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file; or a design file.", show_default=False)],
+    exact: Annotated[bool, typer.Option("--exact-bounds", help="Measure every bound by a trace with and without the "
+                                        "effect.")] = False,
+    force: Annotated[str, typer.Option("--force", metavar="A,B", help="Effects to switch on anyway.")] = "",
+    without: Annotated[str, typer.Option("--without", metavar="A,B", help="Effects to leave out anyway.")] = "",
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Which physical effects the scene calls for, why, and what is left out."""
+    from clacad.cli.effects_command import show_effects
+
+    forced, left = ([name for name in names.split(",") if name] for names in (force, without))
+    return show_effects(scene, set or [], exact=exact, force=forced, without=left, json=json, quiet=quiet)
+
+
+@app.command()
 def doctor(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder whose disk is tried.")] = Path("."),
     json: Json = False,
@@ -272,3 +291,69 @@ def doctor(
     from clacad.cli.doctor_command import show_findings
 
     return show_findings(folder, json=json, quiet=quiet)
+
+
+@app.command()
+def render(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file; with --preset eye the design file.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="Picture (.png .webp .tiff) or movie (.webp "
+                                      ".apng .gif .mp4).")],
+    photo: Annotated[Path | None, typer.Argument(metavar="PHOTO", help="With --preset eye: the picture behind the "
+                                                 "sheet.", show_default=False)] = None,
+    preset: Annotated[str | None, typer.Option("--preset", help="eye: a photograph behind a design's sheet, seen by an "
+                                               "eye; also writes the view without the sheet.")] = None,
+    eye: Annotated[str | None, typer.Option("--eye", metavar="L", help="Preset eye: distance of the eye before the "
+                                            "sheet, e.g. '400 mm'; default four widths.")] = None,
+    distance: Annotated[str | None, typer.Option("--distance", metavar="L", help="Preset eye: distance of the picture "
+                                                 "behind the sheet; default two widths.")] = None,
+    pixels: Annotated[int | None, typer.Option("--pixels", min=1, max=32768, help="Pixels across.")] = None,
+    samples: Annotated[int | None, typer.Option("--samples", min=1, max=65536, help="Rays a pixel.")] = None,
+    noise: Annotated[float | None, typer.Option("--noise", help="Sample until a pixel's standard error is below this.")]
+    = None,
+    rung: Annotated[str | None, typer.Option("--rung", help="auto, law, thin, surfaces or mesh.")] = None,
+    frame: Annotated[int | None, typer.Option("--frame", min=0, help="One frame of an animation, as a still.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """View through the sheet: picture or movie."""
+    from clacad.cli.render_command import RenderRequest, render_eye, render_scene
+
+    request = RenderRequest(out, pixels, samples, noise, rung, frame, overwrite)
+    if preset is None:
+        if photo is not None or eye is not None or distance is not None:
+            raise typer.BadParameter("PHOTO, --eye and --distance belong to --preset eye")
+        return render_scene(scene, set or [], request, json=json, quiet=quiet)
+    if preset != "eye":
+        raise typer.BadParameter(f"there is no preset {preset!r}; there is: eye", param_hint="--preset")
+    if photo is None:
+        raise typer.BadParameter("--preset eye needs a DESIGN and a PHOTO", param_hint="PHOTO")
+    return render_eye(scene, photo, set or [], request, eye, distance, json=json, quiet=quiet)
+
+
+@app.command()
+def atlas(
+    out: Out,
+    scenes: Annotated[Path, typer.Option("--scenes", metavar="DIR", help="Folder of the scene files.")]
+    = Path("designs/scenes"),
+    rows: Annotated[str, typer.Option("--rows", metavar="F1,F2", help="Only these; default all.")] = "",
+    size: Annotated[int, typer.Option("--size", min=16, max=8192, help="Pixels across a figure.")] = 440,
+    samples: Annotated[int, typer.Option("--samples", min=1, max=4096, help="Rays a pixel.")] = 16,
+    movie_size: Annotated[int, typer.Option("--movie-size", min=16, max=4096, help="Pixels across a movie.")] = 220,
+    movies: Annotated[bool, typer.Option("--movies/--no-movies", help="Make the movies.")] = True,
+    measure: Annotated[bool, typer.Option("--measure/--no-measure", help="Measure the rows in rendered pictures.")]
+    = True,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Every figure and movie of the paper, each with its numbers measured in the picture."""
+    from clacad.cli.render_command import make_atlas
+
+    return make_atlas(
+        scenes, out, rows, size, samples, movie_size, movies=movies, measured=measure, overwrite=overwrite, json=json,
+        quiet=quiet,
+    )  # fmt: skip

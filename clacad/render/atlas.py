@@ -152,7 +152,11 @@ def _first_figure(stage: Stage, request: AtlasRequest, load: Callable[[str], Sce
     scene = load("fig1b")
     image = solid_picture(_sized(scene, request.size, max(4, request.samples // 4)))
     text = "F1b  the sheet of Fig. 8 at reduced separation, drawn as tinted solids"
-    save(labelled(image, text), stage.path("fig1b.png"), {"Title": scene.name, "clacad:design": scene.design().name})
+    save(
+        labelled(image, text),
+        stage.path("fig1b.png"),
+        {"Title": scene.name, "clacad:design": scene.design().name},
+    )
 
 
 def _names(stage: Stage) -> tuple[str, ...]:
@@ -171,7 +175,10 @@ def _manifest(stage: Stage) -> dict[str, Any]:
 
 def _record(findings: dict[str, tuple[Finding, ...]]) -> dict[str, Any]:
     passed = all(one.passed for found in findings.values() for one in found)
-    return {"passed": passed, "rows": {row: [one.to_dict() for one in found] for row, found in findings.items()}}
+    return {
+        "passed": passed,
+        "rows": {row: [one.to_dict() for one in found] for row, found in findings.items()},
+    }
 
 
 # -- the page ----------------------------------------------------------------------------------
@@ -193,13 +200,20 @@ def _page(
     parts = [f"<p>{html.escape(NOTE)}</p>"]
     if "fig1a.svg" in names:
         parts.append(
-            "<h2>F1 &ndash; Fig. 1: geometry</h2>" + _img("fig1a.svg", "one telescopelet, to scale, rays traced")
+            "<h2>F1 &ndash; Fig. 1: geometry</h2>"
+            + _img("fig1a.svg", "one telescopelet, to scale, rays traced")
         )
         parts.append(_img("fig1b.png", "both arrays, drawn as tinted solids (no refraction)"))
     for figure in figures:
-        parts.append(f"<h2>{figure.row} &ndash; {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>")
+        parts.append(
+            f"<h2>{figure.row} &ndash; {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
+        )
         parts += [_img(f"{stem}.png", label) for stem, label in figure.scenes]
-        parts += [_img(f"{stem}.webp", title) for stem, title in movies if title.startswith(figure.title.split(":")[0])]
+        parts += [
+            _img(f"{stem}.webp", title)
+            for stem, title in movies
+            if title.startswith(figure.title.split(":")[0])
+        ]
         if figure.row in findings:
             parts.append(_table(findings[figure.row]))
     return (

@@ -111,9 +111,7 @@ def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: 
     target = Path(path)
     if target.suffix.lower() not in STILLS:
         raise UnknownPicture(f"{target.name}: a picture is one of {' '.join(STILLS)}")
-    write_file(
-        target, lambda private: save(pixels_of(picture), private, facts(picture)), overwrite=overwrite
-    )
+    write_file(target, lambda private: save(pixels_of(picture), private, facts(picture)), overwrite=overwrite)
 
 
 def save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:

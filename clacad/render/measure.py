@@ -74,7 +74,9 @@ def coordinate_scene(scene: Scene, z: float, pixels: int = 400) -> Scene:
     light = replace(scene.light, spectrum=550e-9)
     none = EffectsSpec("none", (), (), (), None, scene.effects.radiance, "none", 1)
     black = replace(scene.background, sky=(grey, grey), ground=grey)
-    return replace(scene, objects=(screen,), camera=camera, light=light, effects=none, background=black, animation=None)
+    return replace(
+        scene, objects=(screen,), camera=camera, light=light, effects=none, background=black, animation=None
+    )
 
 
 def measure(scene: Scene, z: float, pixels: int = 400, threads: int | None = None) -> ScreenMap:

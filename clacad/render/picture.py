@@ -137,8 +137,11 @@ def checked_frames(scene: Scene) -> list[Scene]:
 
 
 def view_through(scene: Scene, *, threads: int | None = None, progress: Progress | None = None,
-                 compiled: bool | None = None, passage: Passage | None = None) -> Picture:  # fmt: skip
-    """Render a still and tell how; parameters as in `render`."""
+                 compiled: bool | None = None, passage: Passage | None = None, sheet: bool = True) -> Picture:  # fmt: skip
+    """Render a still and tell how; parameters as in `render`.
+
+    With `passage` the plan is the caller's; with ``sheet=False`` the view is that without the sheet.
+    """
     from clacad.trace.compiled_surfaces import thread_count
 
     still = scene.at(0) if scene.animation is not None else scene
@@ -146,7 +149,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     view = aim(still.camera)
     count = view.width * view.height * still.camera.samples
     fast = count > SMALL_PICTURE if compiled is None else compiled
-    viewing = set_up(still, window, fast, passage)
+    viewing = set_up(still, window, fast, passage, sheet)
     light = np.empty((view.height, view.width, 3))
     samples = np.empty((view.height, view.width), dtype=np.int64)
     error = np.empty((view.height, view.width))

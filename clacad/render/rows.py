@@ -93,9 +93,7 @@ def _distance(load: Loader) -> Iterator[Finding]:
     scene = load("fig3-movie").at(0)
     for z in (2.0, 8.0, 10.0, 15.0, 38.0):
         found = _map(scene, z).matrix
-        yield Finding(
-            f"z = {z:g}: 1/stretch in x", float(found[0, 0]), 1.0 - 4.0 * z / D, 0.01 + 0.005 * z
-        )
+        yield Finding(f"z = {z:g}: 1/stretch in x", float(found[0, 0]), 1.0 - 4.0 * z / D, 0.01 + 0.005 * z)
         yield Finding(f"z = {z:g}: 1/stretch in y", float(found[1, 1]), 1.0 - z / D, 0.01 + 0.001 * z)
     for axis, name, pole, near in ((0, "x", 5.0, 1.0), (1, "y", 20.0, 2.0)):
         before, after = (float(_map(scene, pole + step).matrix[axis, axis]) for step in (-near, near))

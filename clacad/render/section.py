@@ -74,7 +74,13 @@ def _interfaces(window: Window) -> list[Interface]:
             shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
             vertex = (face.vertex[0] + shift[0], face.vertex[1] + shift[1], face.vertex[2])
             found.append(
-                Interface(face.surface, vertex=vertex, index_before=before, index_after=after, rotation=face.rotation)
+                Interface(
+                    face.surface,
+                    vertex=vertex,
+                    index_before=before,
+                    index_after=after,
+                    rotation=face.rotation,
+                )
             )
     return found
 
@@ -154,7 +160,9 @@ def _labels(canvas: _Canvas, window: Window, focus: Floats, plane: Floats, half:
     ]
     if rotation[0, 2] != 0.0:
         angle = np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))
-        found.append(canvas.text(0.5 * f1 * axis + 0.12 * half * across, f"axis at θ = {angle:.3g}°", "start"))
+        found.append(
+            canvas.text(0.5 * f1 * axis + 0.12 * half * across, f"axis at θ = {angle:.3g}°", "start")
+        )
     return found
 
 

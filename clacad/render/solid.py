@@ -49,7 +49,9 @@ def solid_picture(scene: Scene) -> Bytes:
     for first in range(0, len(light), 4096):
         pixels = np.arange(first, min(first + 4096, len(light)))
         position, direction = rays(view, pixels, offsets(pixels, 1, count, count))
-        light[pixels] = _seen(background, glass, position, direction).reshape(len(pixels), count, 3).mean(axis=1)
+        light[pixels] = (
+            _seen(background, glass, position, direction).reshape(len(pixels), count, 3).mean(axis=1)
+        )
     return encode(light.reshape(view.height, view.width, 3), scene.camera.exposure, scene.camera.encoding)
 
 

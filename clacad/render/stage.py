@@ -136,7 +136,9 @@ def set_stage(scene: Scene) -> Stage:
     UnreadableFile
         A mesh is damaged; a picture raises OSError.
     """
-    return stage_of([list(_primitives(scene, thing)) for thing in scene.objects], scene.light, scene.background)
+    return stage_of(
+        [list(_primitives(scene, thing)) for thing in scene.objects], scene.light, scene.background
+    )
 
 
 def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> Stage:

@@ -45,6 +45,8 @@ class Viewing:
         Scene z up to which objects stand before the sheet.
     opaque : bool
         Whether nothing is seen beside the sheet.
+    present : bool
+        Whether there is a sheet at all.
     compiled : bool
         Compiled code or numpy.
     tables : Tables
@@ -59,11 +61,14 @@ class Viewing:
     box: Floats
     front: float
     opaque: bool
+    present: bool
     compiled: bool
     tables: Any
 
 
-def set_up(scene: Scene, window: Window, compiled: bool, passage: Passage | None = None) -> Viewing:
+def set_up(
+    scene: Scene, window: Window, compiled: bool, passage: Passage | None = None, sheet: bool = True
+) -> Viewing:
     """Prepare a still scene for looking at.
 
     Parameters
@@ -74,6 +79,8 @@ def set_up(scene: Scene, window: Window, compiled: bool, passage: Passage | None
     compiled : bool
     passage : Passage or None
         None: planned from the scene.
+    sheet : bool
+        False: the view without the sheet.
     """
     stage = set_stage(scene)
     planned = plan_passage(scene, window) if passage is None else passage
@@ -87,7 +94,7 @@ def set_up(scene: Scene, window: Window, compiled: bool, passage: Passage | None
     return Viewing(
         stage, window, planned, lines(scene.light, window, "dispersion" in planned.names), scale,
         sheet_box(window) / scale,
-        front, scene.sheet.surround == "opaque", compiled, made,
+        front, sheet and scene.sheet.surround == "opaque", sheet, compiled, made,
     )  # fmt: skip
 
 
@@ -130,7 +137,7 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     light = np.zeros((len(position), 3))
     rows = np.flatnonzero(may_cross(viewing.box, position, direction))
     beside = np.ones(len(position), dtype=bool)
-    if len(rows):
+    if len(rows) and viewing.present:
         start = position[rows] * viewing.scale
         waves = None if wavelength is None else np.full(len(rows), wavelength)
         beyond, result = viewing.passage.light(

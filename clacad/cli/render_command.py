@@ -1,0 +1,190 @@
+"""`clacad render` and `clacad atlas`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.cli.console import Progress, say, show_json, show_text, table
+
+if TYPE_CHECKING:
+    from clacad.render.picture import Picture
+    from clacad.scene import Scene
+
+MOVIE_ENDINGS = (".webp", ".apng", ".gif", ".mp4")
+
+
+class BadRequest(ValueError):
+    """Options that do not go together; exit status 2."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True, slots=True)
+class RenderRequest:
+    """What to render and how."""
+
+    out: Path
+    pixels: int | None = None
+    samples: int | None = None
+    noise: float | None = None
+    rung: str | None = None
+    frame: int | None = None
+    overwrite: bool = False
+
+
+def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
+    """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
+    from clacad.render.files import write_picture
+    from clacad.render.picture import view_through
+    from clacad.scene import load_scene
+
+    scene = _adjusted(load_scene(path, tuple(overrides)), request)
+    progress = Progress(quiet=quiet)
+    if scene.animation is not None and request.frame is None and request.out.suffix.lower() in MOVIE_ENDINGS:
+        return _movie(scene, request, progress, json=json, quiet=quiet)
+    if scene.animation is not None:
+        scene = scene.at(request.frame or 0)
+    picture = view_through(scene, progress=progress)
+    progress.done()
+    write_picture(picture, request.out, overwrite=request.overwrite)
+    _told([picture], [request.out], json=json, quiet=quiet)
+    return 0
+
+
+def _adjusted(scene: Scene, request: RenderRequest) -> Scene:
+    """The scene with the options of the command line, checked as a file would be."""
+    changes: dict[str, Any] = {}
+    if request.pixels is not None:
+        width, height = scene.camera.pixels
+        changes["camera.pixels"] = [request.pixels, max(1, round(request.pixels * height / width))]
+    for key in ("samples", "noise"):
+        value = getattr(request, key)
+        if value is not None:
+            changes[f"camera.{key}"] = value
+    if request.rung is not None:
+        changes["sheet.rung"] = request.rung
+    return scene.replace(changes) if changes else scene
+
+
+def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
+    from clacad.render.files import write_movie
+    from clacad.render.picture import render_movie
+
+    assert scene.animation is not None
+    frames = write_movie(
+        render_movie(scene, progress=progress), request.out, scene.animation.fps, overwrite=request.overwrite
+    )
+    progress.done()
+    if json:
+        show_json({"files": [str(request.out)], "frames": frames})
+    else:
+        rays = sum(frame["rays"] for frame in frames)
+        show_text(f"wrote {request.out}: {len(frames)} frames, {rays:,} camera rays", quiet=quiet)
+    return 0
+
+
+def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool) -> None:
+    """Say what was written and how it was made."""
+    from clacad.render.files import facts
+
+    if json:
+        shown = []
+        for picture, file in zip(pictures, files, strict=True):
+            plan = picture.passage.plan
+            shown.append({
+                "file": str(file), "metadata": facts(picture), "samples": int(picture.samples.sum()),
+                "error": float(picture.error.mean()), "plan": None if plan is None else plan.to_dict(),
+            })  # fmt: skip
+        show_json({"pictures": shown})
+        return
+    for picture, file in zip(pictures, files, strict=True):
+        height, width = picture.light.shape[:2]
+        show_text(
+            f"wrote {file}: {width} x {height}, {int(picture.samples.sum()):,} camera rays", quiet=quiet
+        )
+    notes = facts(pictures[-1])
+    rows = [(key.removeprefix("clacad:"), notes[key]) for key in notes if key.startswith("clacad:")]
+    say(table(rows), quiet=quiet)
+
+
+def render_eye(
+    design: Path, photo: Path, overrides: list[str], request: RenderRequest, eye: str | None, distance: str | None,
+    *, json: bool, quiet: bool,
+) -> int:  # fmt: skip
+    """Render a photograph behind the sheet, seen by an eye, with and without the sheet."""
+    from clacad.render.eye import EyeRequest, before_and_after, eye_scene
+    from clacad.render.files import write_picture
+
+    if not photo.is_file():
+        raise BadRequest(f"{photo}: there is no such picture")
+    asked = EyeRequest(
+        design, photo, _length(design, overrides, "--eye", eye), _length(design, overrides, "--distance", distance),
+        pixels=request.pixels or 480, samples=request.samples or 16,
+    )  # fmt: skip
+    progress = Progress(quiet=quiet)
+    scene = _adjusted(eye_scene(asked, tuple(overrides)), replace(request, pixels=None, samples=None))
+    before, after = before_and_after(scene, progress)
+    progress.done()
+    out = request.out
+    bare = out.with_name(f"{out.stem}-without{out.suffix}")
+    write_picture(after, out, overwrite=request.overwrite)
+    write_picture(before, bare, overwrite=request.overwrite)
+    _told([before, after], [bare, out], json=json, quiet=quiet)
+    return 0
+
+
+def _length(design: Path, overrides: list[str], option: str, text: str | None) -> float | None:
+    """A length of the command line in design units: bare, or with a unit."""
+    if text is None:
+        return None
+    from clacad.design import load, units
+    from clacad.design.kinds import Refusal
+    from clacad.design.quantity import Quantity
+
+    unit = units.design_unit(load(design, tuple(overrides)).unit)
+    assert unit is not None  # the design was read
+    try:
+        value: object = float(text)
+    except ValueError:
+        value = text
+    try:
+        return Quantity("length", "a length > 0", above=0.0).read(value, unit)
+    except Refusal as refusal:
+        raise BadRequest(f"{option} {text}: {refusal.complaint}; {refusal.allowed}") from None
+
+
+def make_atlas(
+    scenes: Path, out: Path, rows: str, size: int, samples: int, movie_size: int, *, movies: bool, measured: bool,
+    overwrite: bool, json: bool, quiet: bool,
+) -> int:  # fmt: skip
+    """Make the paper's figures and movies, measure their rows; exit 1 when one fails."""
+    from clacad.render.atlas import AtlasRequest
+    from clacad.render.atlas import make_atlas as make
+
+    if not scenes.is_dir():
+        raise BadRequest(
+            f"{scenes}: there is no such folder; give the folder of the scene files with --scenes"
+        )
+    chosen = tuple(row.strip().upper() for row in rows.split(",") if row.strip())
+    progress = Progress(quiet=quiet)
+    request = AtlasRequest(scenes, out, size, samples, movies, movie_size, chosen, measured, overwrite)
+    atlas = make(request, progress)
+    progress.done()
+    findings = [(row, one) for row, found in atlas.findings.items() for one in found]
+    if json:
+        show_json({
+            "folder": str(atlas.folder), "files": list(atlas.files), "passed": atlas.passed,
+            "rows": {row: [one.to_dict() for one in found] for row, found in atlas.findings.items()},
+        })  # fmt: skip
+    else:
+        lines = [
+            (row, "pass" if one.passed else "FAIL", f"{one.measured:.4g}", f"{one.expected:.4g}", one.what)
+            for row, one in findings
+        ]
+        show_text(table([("row", "", "measured", "formula", ""), *lines]) if lines else "", quiet=quiet)
+        failed = sum(not one.passed for _, one in findings)
+        verdict = f"{len(findings)} numbers measured, {failed} outside their tolerance"
+        show_text(f"wrote {atlas.folder / 'index.html'}: {verdict}", quiet=quiet)
+    return 0 if atlas.passed else 1
