@@ -153,7 +153,10 @@ def test_the_same_report_gives_the_same_bytes(report, tmp_path):
     assert written[0] == written[1]
 
 
-def test_a_report_replaces_a_report_but_nothing_else(report, tmp_path):
+def test_a_report_replaces_a_report_but_nothing_else(report, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        importlib.import_module("clacad.report.page"), "page", lambda _report, mark: f"{mark}\n<p>page</p>"
+    )
     from clacad.export.errors import CannotWrite
 
     write_report(report, tmp_path)
