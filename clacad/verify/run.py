@@ -31,7 +31,8 @@ from clacad.verify.files import (
 )
 from clacad.verify.gather import Progress
 from clacad.verify.geometry import design_checks
-from clacad.verify.meshfile import MeshEvidence, judge_mesh
+from clacad.verify.meshfile import judge_mesh
+from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.optics import Optics, confocality_check, law_checks, measure, throughput_check
 from clacad.verify.solidfile import judge_solid
 

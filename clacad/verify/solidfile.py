@@ -9,7 +9,7 @@ from clacad.export.errors import ExportError
 from clacad.sheet import Window
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.gather import Progress
-from clacad.verify.meshfile import volume_of
+from clacad.verify.meshshape import volume_of
 from clacad.vignetting import focal_ratio
 
 if TYPE_CHECKING:

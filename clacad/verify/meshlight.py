@@ -1,0 +1,175 @@
+"""Does light through a file's triangles go where the exact surfaces send it?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.export.closed import Measure
+from clacad.law import Law, angle_between
+from clacad.rays import Fate
+from clacad.sheet import Window
+from clacad.trace import trace
+from clacad.verify.bundle import Bundle, bundle, launched
+from clacad.verify.checks import Check, judge, not_run
+from clacad.verify.deviation import Deviation, forecast_rms
+from clacad.verify.facets import Floats, trace_facets
+from clacad.verify.gather import Gathered, Progress, telescopelet
+from clacad.vignetting import half_field, thin_cells
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+CELL_RAYS = 4096
+LOST = 0.2
+"""Share of the design's ALIVE rays that may get lost in the file before that is a failure."""
+
+FIT_FIELD = 0.35
+"""Cone of the fit through facets over the half field of view: wide, so that facets average out."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeshEvidence:
+    """What was measured on a mesh file, for the report.
+
+    measure : Measure, design units
+    cells : tuple of (i, j), rms : (cells,) radians
+        Direction error of the file's triangles against the exact surfaces, cell by cell.
+    forecast : (cells,) radians
+        What the facets' slope errors make of it.
+    slope_error : (faces,) radians
+        Rms, over the middle cell.
+    law, law_design : Law or None
+        Fitted through the file's triangles, and through the design cut into the same triangles; same rays.
+    """
+
+    measure: Measure
+    cells: tuple[tuple[int, int], ...]
+    rms: Floats
+    law_rms: float
+    forecast: Floats
+    slope_error: Floats
+    law: Law | None
+    law_design: Law | None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def light_checks(
+    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], found: Measure, name: str, rays: int,
+    progress: Progress, present: Sequence[str] | None,
+) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
+    """Trace the same rays through the file's triangles and through the exact surfaces."""
+    common: dict[str, Any] = {"where": "file", "subject": name}
+    field_angle = design.check.field
+    main = bundle(window, rays, field_angle, design.check.field_centre)
+    truth = trace(window, main.rays)
+    rms, lost, law_rms = [], [], np.nan
+    for number, cell in enumerate(gathered.cells):
+        progress("tracing the triangles", number / len(gathered.cells))
+        count = rays if number == 0 else min(rays, CELL_RAYS)
+        lit = _moved(window, main, cell, count)
+        seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
+        good = truth.fate[:count] == Fate.ALIVE
+        both = good & (seen.fate == Fate.ALIVE)
+        error = angle_between(seen.direction[both], truth.direction[:count][both])
+        rms.append(float(np.sqrt(np.mean(error**2))) if both.any() else np.nan)
+        lost.append(1.0 - both.sum() / max(1, good.sum()))
+        if number == 0 and both.any():
+            asked = window.law.refract(lit.rays.direction[both])
+            law_rms = float(np.sqrt(np.mean(angle_between(seen.direction[both], asked) ** 2)))
+    law, exact = _fits(design, window, gathered, rays, present)
+    forecasts = np.array([forecast_rms(window, d) for d in off])
+    evidence = MeshEvidence(
+        found, gathered.cells, np.array(rms), law_rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost}
+    )
+    checks = [_file_rms(design, evidence, lost, str(main), common)]
+    checks += _file_fit(design, evidence, common)
+    limit = design.check.mesh_law_rms
+    if limit is not None:
+        checks.append(
+            judge("file_law_rms", law_rms, limit, f"through the triangles light is {1e3 * law_rms:.4g} mrad rms off the law",
+                  unit="rad", bundle=str(main), source="design file", **common)
+        )  # fmt: skip
+    return checks, evidence
+
+
+def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> Bundle:
+    """The first rays of a bundle, over another cell."""
+    return launched(window, main.points[:count], main.rays.direction[:count], cell, main.middle, main.field)
+
+
+def _file_rms(
+    design: Design, evidence: MeshEvidence, lost: list[float], bundle_text: str, common: Mapping[str, Any]
+) -> Check:
+    rms = evidence.rms
+    if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
+        dark = [str(c) for c, r in zip(evidence.cells, rms, strict=True) if np.isnan(r)]
+        if np.isnan(rms).all():
+            return not_run("file_rms", "no ray gets through the file's triangles", unit="rad", **common)
+        return Check(
+            "file_rms", "fail", f"no ray gets through the triangles over the cells {', '.join(dark)}", None,
+            unit="rad", bundle=bundle_text, **common,
+        )  # fmt: skip
+    worst = int(np.argmax(rms / evidence.forecast))
+    limit = design.check.file_rms * float(evidence.forecast[worst]) + 1e-9
+    sentence = (
+        f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces send it "
+        f"(cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast {1e3 * evidence.forecast[worst]:.4g}"
+    )
+    check = judge(
+        "file_rms", float(rms[worst]), limit, sentence, unit="rad", bundle=bundle_text,
+        source=f"{design.check.file_rms:g} × forecast of its slope errors",
+        detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms}, **common,
+    )  # fmt: skip
+    if max(lost) > LOST:
+        text = f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the triangles"
+        return Check(
+            **{
+                **{n: getattr(check, n) for n in Check.__dataclass_fields__},
+                "state": "fail",
+                "sentence": text,
+            }
+        )
+    return check
+
+
+def _fits(
+    design: Design, window: Window, gathered: Gathered, rays: int, present: Sequence[str] | None
+) -> tuple[Law | None, Law | None]:
+    """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays.
+
+    Facets alone bias a fit by about the inverse square of their number a side; both sides share that.
+    """
+    angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
+    lit = bundle(window, rays, angle, design.check.field_centre)
+    seen = trace_facets(telescopelet(window, gathered, 0, present), lit.rays)
+    ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
+    both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
+    if both.sum() < 1024:
+        return None, None
+    into = lit.rays.direction[both]
+    try:
+        laws = [Law.fit(into, result.direction[both], axes=window.law).law for result in (seen, ideal)]
+    except ValueError:  # light that leaves without depending on how it came
+        return None, None
+    return laws[0], laws[1]
+
+
+def _file_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, Any]) -> list[Check]:
+    law, exact = evidence.law, evidence.law_design
+    if law is None or exact is None:
+        why = "too few rays get through the file's triangles to fit a law"
+        return [not_run(name, why, **common) for name in ("file_eta", "file_delta")]
+    eta = max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0))
+    delta = max(abs(law.delta_x - exact.delta_x), abs(law.delta_y - exact.delta_y))
+    text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
+    return [
+        judge("file_eta", eta, design.check.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
+              unit="relative", source="eta", detail={"measured": (law.eta_x, law.eta_y)}, **common),
+        judge("file_delta", delta, design.check.delta,
+              text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope",
+              source="delta", detail={"measured": (law.delta_x, law.delta_y)}, **common),
+    ]  # fmt: skip
