@@ -61,6 +61,7 @@ def light(rng, window, count):
     aim = np.column_stack(
         [rng.uniform(x0, x1, count), rng.uniform(y0, y1, count), rng.uniform(low, high, count)]
     )
+    aim[rng.random(count) < 0.8, 2] = low  # most of them onto lens 1
     edge = rng.random(count) < 0.1  # onto borders and corners exactly
     cells = window.lattice.centres(rng.integers(0, window.lattice.count, (count, 2)))
     corners = window.lattice.tile()[rng.integers(0, len(window.lattice.tile()), count)]
@@ -101,7 +102,7 @@ def broken(result, invalid, count):
     return +found
 
 
-def soak(total, seed, report=lambda text: None):
+def soak(total, seed, report=lambda text: None, path="numba"):
     """Send so many rays; return counts of fates, of broken promises, and what was used."""
     rng = np.random.default_rng(seed)
     fates, wrong, designs, refused, sent = Counter(), Counter(), 0, 0, 0
@@ -117,7 +118,7 @@ def soak(total, seed, report=lambda text: None):
         rung = str(rng.choice([name for name, _ in RUNGS], p=[share for _, share in RUNGS]))
         count = int(min(BATCH if rung == "surfaces" else BATCH // 5, math.ceil(total - sent)))
         rays, invalid = light(rng, window, count)
-        result = trace(window, rays, rung=rung)
+        result = trace(window, rays, rung=rung, path=path if rung == "surfaces" else None)
         found = broken(result, invalid, count)
         if rung == "law":  # the homogeneous sheet has no cells
             found.pop("GHOST of order 0", None), found.pop("ALIVE of another order", None)
