@@ -34,21 +34,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _answered(given: list[str]) -> int:
-    from clacad.cli.app import app
+    from clacad.export.worker import ended_by_signals
 
     try:
-        status = app(given, prog_name="clacad", standalone_mode=False)
-        sys.stdout.flush()
+        from clacad.cli.app import app
+
+        with ended_by_signals():
+            status = app(given, prog_name="clacad", standalone_mode=False)
+            sys.stdout.flush()
         return int(status or 0)
     except KeyboardInterrupt:
         _say("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader of our output went away; what it did not read is not ours to report
-        sys.stdout = open(os.devnull, "w")
-        return OK
+        return _unread()
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # the command-line library makes this of it
+            return _unread()
+        raise
     except Exception as error:
         return _explained(error)
+
+
+def _unread() -> int:
+    """The reader of our output went away: what it did not read is not ours to report."""
+    sys.stdout = open(os.devnull, "w")
+    return OK
 
 
 def _explained(error: Exception) -> int:
@@ -99,6 +110,7 @@ def _usage(error: Exception) -> int:
     if name == "Exit":
         return int(getattr(error, "exit_code", 0))
     if name == "Abort":
+        _say("interrupted")
         return INTERRUPTED
     if name == "NoArgsIsHelpError":
         show = getattr(error, "show", None)

@@ -80,18 +80,22 @@ def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> N
     LimitRefused
     """
     n1, n2 = (int(n) for n in design.lattice.count)
+    _refuse_cells(n1, n2)
     cells = n1 * n2
-    if cells > MOST_CELLS:
-        side = isqrt(MOST_CELLS)
-        raise LimitRefused(
-            f"{count_text(cells)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that are written; "
-            f"use lattice.count up to [{side}, {side}], or export a part with cells=({min(n1, 100)}, {min(n2, 100)})"
-        )
     grid = quads if quads is not None else QUADS[-1]
     if any(f in MESH_FORMATS for f in formats) and design.lattice.outline is None:
         faces = 4 if design.pair.form == "biconvex" else 2
         if "stl" in formats or "stl-parts" in formats:
             _refuse_facets("stl", grid * grid * cells * faces, grid, (n1, n2))
+
+
+def _refuse_cells(n1: int, n2: int) -> None:
+    if n1 * n2 > MOST_CELLS:
+        side = isqrt(MOST_CELLS)
+        raise LimitRefused(
+            f"{count_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that are written; "
+            f"use lattice.count up to [{side}, {side}], or export a part with cells=({min(n1, 100)}, {min(n2, 100)})"
+        )
 
 
 def _refuse_facets(
@@ -361,6 +365,11 @@ def outlook(window: Window) -> list[dict[str, Any]]:
     """
     from clacad.export.tessellation import Meshes
 
+    try:
+        n1, n2 = window.lattice.count
+        _refuse_cells(int(n1), int(n2))
+    except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
+        return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
     meshes = Meshes(window)
     square = (meshes.facets(8) - 2 * meshes.facets(4)) / 32
     linear = meshes.facets(4) / 4 - 4 * square
