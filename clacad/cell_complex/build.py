@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from clacad.cell_complex.borders import make_border
 from clacad.cell_complex.nodes import make_nodes
 from clacad.cell_complex.nouns import CellComplex, Tiling
@@ -9,6 +11,7 @@ from clacad.cell_complex.rims import find_rims
 from clacad.sheet import Body, Window
 
 
+@lru_cache(maxsize=16)  # windows and bodies are immutable: every grid of a sheet shares its complex
 def cell_complex(
     window: Window, body: Body, merge: float | None = None, spacing: float | None = None, rims: bool = True
 ) -> CellComplex:

@@ -255,10 +255,9 @@ def _plano(intent: Intent) -> Window:
         )
 
     def built(trial: float) -> tuple[tuple[Body, ...], tuple[Pair2, Pair2]]:
+        # without the offset: off its axis lens 2 adds aberration that is no matter of the gap
         lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, trial)
-        window = _plano_placed(
-            intent, lenses, lens_2 + intent.turn @ np.array([*offset, 0.0]), intent.turn, offset
-        )
+        window = _plano_placed(intent, lenses, lens_2, intent.turn, offset)
         return window.bodies, window.shifts
 
     if intent.law.theta != 0.0:
