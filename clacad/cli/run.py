@@ -42,6 +42,8 @@ def _answered(given: list[str]) -> int:
         with ended_by_signals():
             status = app(given, prog_name="clacad", standalone_mode=False)
             sys.stdout.flush()
+        if status == INTERRUPTED:  # the command-line library makes a status of Ctrl-C
+            _say("interrupted")
         return int(status or 0)
     except KeyboardInterrupt:
         _say("interrupted")

@@ -1,0 +1,55 @@
+"""For the whole test run: nothing may leave this machine."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+
+class NetworkUsed(Exception):
+    """Something wanted to talk to another machine."""
+
+
+def _local(address: Any) -> bool:
+    """Unix sockets, and this machine's own numbers: test tools may use those among themselves."""
+    if not isinstance(address, tuple):
+        return True
+    host = str(address[0])
+    if host in ("", "localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_network() -> Iterator[None]:
+    """Refuse every connection, datagram and name look-up that leads elsewhere."""
+    kept = {name: getattr(socket.socket, name) for name in ("connect", "connect_ex", "sendto")}
+    look_up = socket.getaddrinfo
+
+    def guarded(name: str) -> Any:
+        def call(self: socket.socket, *arguments: Any) -> Any:
+            address = arguments[-1]
+            if self.family != getattr(socket, "AF_UNIX", None) and not _local(address):
+                raise NetworkUsed(f"{name} {address}")
+            return kept[name](self, *arguments)
+
+        return call
+
+    def looked_up(host: Any, *arguments: Any, **options: Any) -> Any:
+        if host is not None and not _local((host,)):
+            raise NetworkUsed(f"look-up of {host}")
+        return look_up(host, *arguments, **options)
+
+    patch = pytest.MonkeyPatch()
+    for name in kept:
+        patch.setattr(socket.socket, name, guarded(name))
+    patch.setattr(socket, "getaddrinfo", looked_up)
+    yield
+    patch.undo()
