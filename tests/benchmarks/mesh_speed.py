@@ -40,7 +40,7 @@ def main(cells: int = 200, quads: tuple[int, ...] = (8, 32)) -> None:
     health = check_closed(body.rows)
     seconds = time.process_time() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(
+    sys.stdout.write(
         f"examined {health.triangles} facets in {seconds:.1f} s, {peak:.0f} MB: {health.closed}, {health.pieces} pieces\n"
     )
 
