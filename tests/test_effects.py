@@ -643,3 +643,39 @@ def test_a_plate_stands_for_a_lens_on_the_homogeneous_sheet():
     inside = inside_plate(ray, axis, 1.5)
     assert inside[0, 0] == pytest.approx(0.6 / 1.5, rel=1e-15)
     assert np.linalg.norm(inside) == pytest.approx(1.0, rel=1e-15)
+
+
+# -- compiled passes ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper-a-covered", "tilted-biconvex", "hexagonal"])
+@pytest.mark.parametrize("wave", [None, 486e-9])
+def test_compiled_passes_say_what_the_numpy_ones_say(name, wave):
+    sheet, rays = window(name), bundle(name)
+    if wave is not None:
+        rays = Rays(rays.position, rays.direction, np.full(len(rays), wave))
+    for setting in (Setting(extinction=1e-6), Setting(extinction=1e-6, analyser=0.4, polariser=1.0),
+                    Setting(polariser=0.2), Setting(coating="quarter-wave", roughness=5e-9, slope_rms=1e-4)):  # fmt: skip
+        for effects in (("fresnel", "absorption"), ("polarisation",), ("reflections", "walls", "tir_paths"),
+                        ("diffraction", "scatter")):  # fmt: skip
+            plain, fast = (
+                trace_with(sheet, rays, "surfaces", effects, setting=setting, path=path)
+                for path in ("numpy", "numba")
+            )
+            assert same(plain, fast, ("fate", "cell", "order", "surface"))
+            going = plain.fate <= Fate.WALL
+            assert np.allclose(plain.flux[going], fast.flux[going], rtol=0, atol=1e-11)
+            # both tracers agree to rounding, but draws hang on the rays alone
+            assert np.abs(plain.direction - fast.direction).max() < 1e-10
+
+
+def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by_one(monkeypatch):
+    sheet, rays = window("slab"), bundle("slab")
+    monkeypatch.setattr("clacad.effects.passes.BLOCK", 300)
+    one, two = (
+        trace_with(sheet, rays, "surfaces", ("fresnel",), record=True, path="numba", threads=n)
+        for n in (1, 2)
+    )
+    assert same(one, two)
+    assert np.array_equal(one.hits, two.hits)
+    assert np.array_equal(one.directions, two.directions)

@@ -32,6 +32,12 @@ def effect(window: Window, setting: Setting) -> Effect:
         rates = attenuations(window, setting, block.wavelength)
         if not any(rates):
             return
+        if block.compiled:
+            from clacad.effects.kernels import absorption_pass
+
+            assert block.result.hits is not None
+            absorption_pass(block.result.hits, np.array(rates), block.result.flux)
+            return
         depth = optical_depth(block, rates)
         np.exp(-depth, out=depth)
         block.result.flux[:] *= depth

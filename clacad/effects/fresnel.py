@@ -44,7 +44,25 @@ def effect(window: Window, setting: Setting) -> Effect:
         else:
             np.multiply(flux, passed, out=flux, where=crossing.through)
 
-    return Effect(NAME, Stage.HIT, needs=("hits",), apply=apply)
+    return Effect(
+        NAME,
+        Stage.HIT,
+        needs=("hits",),
+        apply=apply,
+        compiled=_compiled if setting.coating == "none" else None,
+    )
+
+
+def _compiled(block: Block) -> None:
+    from clacad.effects.kernels import fresnel_pass
+
+    rays, result = block.rays, block.result
+    assert result.hits is not None
+    assert result.directions is not None
+    fresnel_pass(
+        rays.position, rays.direction, result.hits, result.directions, result.fate, result.surface,
+        block.indices, result.flux,
+    )  # fmt: skip
 
 
 def losses(situation: Situation) -> Floats:

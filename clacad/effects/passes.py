@@ -36,8 +36,8 @@ NAMES = (
 FOLLOWED = ("walls", "tir_paths")
 """Effects that trace ended rays anew, with every loss: they run last and have the last word on those rows."""
 
-BLOCK = 65536
-"""Rays at a time: the hits of four faces are then 12 MB, and preparing the window costs nothing."""
+BLOCK = 16384
+"""Rays at a time: the hits of four faces take 3 MB."""
 
 
 class Stage(Enum):
@@ -82,6 +82,8 @@ class Block:
     rung : str
     wavelength : float or None, metres
         Of all rays of the block; None: the design wavelength.
+    compiled : bool
+        The tracer's compiled kernels are at work, so compiled passes may be.
     """
 
     window: Window
@@ -89,6 +91,7 @@ class Block:
     result: TraceResult
     rung: Rung
     wavelength: float | None
+    compiled: bool = False
     state: dict[str, Any] = field(default_factory=dict)
     """What passes of one effect keep from face to face."""
 
@@ -99,6 +102,11 @@ class Block:
     def emerging(self) -> Mask:
         """Rays that go on behind the sheet."""
         return np.asarray(self.result.fate <= Fate.LAND)
+
+    @property
+    def indices(self) -> Floats:
+        """Refractive index before the first face and behind each, (faces + 1,)."""
+        return np.array([1.0] + [n for body in self.window.bodies for n in (self.index(body), 1.0)])
 
     @property
     def air_wavelength(self) -> float:
@@ -133,6 +141,8 @@ class Effect:
         `apply(block, crossing)` at HIT, `apply(block, None)` at EXIT: changes the block's columns in place.
     finish : callable or None
         `finish(block)` after the last face, for effects at HIT that gather over the faces.
+    compiled : callable or None
+        `compiled(block)`: the same as `apply` over all faces at once, by compiled code.
     launch : callable or None
         `launch(window, rays)` → rays, at LAUNCH.
     rung : str or None
@@ -148,6 +158,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     apply: Pass | None = None
     finish: Callable[[Block], None] | None = None
+    compiled: Callable[[Block], None] | None = None
     launch: Launch | None = None
     rung: Rung | None = None
     options: dict[str, Any] = field(default_factory=dict)
@@ -233,28 +244,68 @@ def trace_with(
         if effect.launch is not None:
             rays = effect.launch(window, rays)
     passes = [effect for effect in passes if effect.apply is not None]
-    if not passes:
+    if not passes and not (rung == "surfaces" and one_colour(rays)):
         return trace(window, rays, rung, record=record, **options)
     keep = record or any("hits" in effect.needs for effect in passes)
-    by_colour = any(effect.colours for effect in passes)
-    parts: list[TraceResult] = []
-    places: list[NDArray[np.intp]] = []
-    for rows, wavelength in blocks(rays, by_colour):
-        part = rays if len(rows) == len(rays) and not places else take_rays(rays, rows)
-        result = trace(window, part, rung, record=keep, **options)
-        block = Block(window, part, result, rung, wavelength)
-        run(passes, block)
-        parts.append(result if record else replace(result, hits=None, directions=None))
-        places.append(rows)
-    return gather(parts, places)
+    by_colour = not passes or any(effect.colours for effect in passes)
+    threads, options["path"] = _workers(window, rays, rung, options)
+    places = list(blocks(rays, by_colour))
+    fast = options["path"] == "numba" and rung == "surfaces"
+    gathered = Gathered(len(rays), window, record if fast else None)
+
+    def one(place: tuple[Chosen, float | None]) -> None:
+        rows, wavelength = place
+        part = take_rays(rays, rows)
+        if fast and isinstance(rows, slice):
+            result = gathered.traced_in_place(rows, part, wavelength, keep)
+            run(passes, Block(window, part, result, rung, wavelength, compiled=True))
+            return
+        result = trace(window, part, rung, record=keep, threads=1, **options)
+        if not result.flux.flags.writeable:
+            result = replace(result, flux=result.flux.copy())
+        run(passes, Block(window, part, result, rung, wavelength, options["path"] == "numba"))
+        gathered.enter(rows, result, record)
+
+    one(places[0])  # its columns say what the others' look like
+    if threads == 1 or len(places) <= 2:
+        for place in places[1:]:
+            one(place)
+    else:
+        from concurrent.futures import ThreadPoolExecutor
+
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(one, places[1:]))
+    return gathered.closed()
+
+
+def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) -> tuple[int, str]:
+    """Threads for the blocks and the tracer's path, as `trace` would choose them for all rays together."""
+    from clacad.trace import SMALL_JOB
+
+    threads, path = options.pop("threads", None), options.pop("path", None)
+    if rung in ("law", "thin"):
+        return 1, "numpy"
+    if path is None:
+        path = "numba" if len(rays) * 2 * len(window.bodies) > SMALL_JOB else "numpy"
+    if path == "numpy":
+        return 1, path
+    from clacad.trace.compiled_surfaces import thread_count
+
+    return thread_count(threads), path
 
 
 def run(passes: Sequence[Effect], block: Block) -> None:
     """Run the passes over one block."""
-    at_hits = [e.apply for e in passes if e.stage is Stage.HIT and e.apply is not None]
-    if at_hits:
+    at_hits = [e for e in passes if e.stage is Stage.HIT]
+    fast = [e.compiled for e in at_hits if block.compiled and e.compiled is not None]
+    slow = [
+        e.apply for e in at_hits if e.apply is not None and not (block.compiled and e.compiled is not None)
+    ]
+    for whole in fast:
+        whole(block)
+    if slow:
         for crossing in crossings(block):
-            for apply in at_hits:
+            for apply in slow:
                 apply(block, crossing)
     for effect in passes:
         if effect.finish is not None:
@@ -263,44 +314,103 @@ def run(passes: Sequence[Effect], block: Block) -> None:
             effect.apply(block, None)
 
 
-def blocks(rays: Rays, by_colour: bool) -> Iterator[tuple[NDArray[np.intp], float | None]]:
+Chosen = slice | NDArray[np.intp]
+
+
+def blocks(rays: Rays, by_colour: bool) -> Iterator[tuple[Chosen, float | None]]:
     """Rows of rays a block at a time, each of one wavelength where that matters."""
-    if rays.wavelength is None or not by_colour:
+    if rays.wavelength is None or not by_colour or len(rays) == 0:
         for first in range(0, max(len(rays), 1), BLOCK):
-            yield np.arange(first, min(first + BLOCK, len(rays))), None
+            yield slice(first, min(first + BLOCK, len(rays))), None
+        return
+    if one_colour(rays):
+        first_wave = float(rays.wavelength[0])
+        for first in range(0, len(rays), BLOCK):
+            yield slice(first, min(first + BLOCK, len(rays))), _real(first_wave)
         return
     waves, which = np.unique(rays.wavelength, return_inverse=True)
-    if len(waves) == 1:
-        for first in range(0, len(rays), BLOCK):
-            yield np.arange(first, min(first + BLOCK, len(rays))), float(waves[0])
-        return
     for k, wave in enumerate(waves):
         rows = np.flatnonzero(which == k)
         for first in range(0, len(rows), BLOCK):
-            yield rows[first : first + BLOCK], float(wave) if np.isfinite(wave) and wave > 0 else None
+            yield rows[first : first + BLOCK], _real(float(wave))
 
 
-def take_rays(rays: Rays, rows: NDArray[np.intp]) -> Rays:
+def one_colour(rays: Rays) -> bool:
+    """Whether rays have a wavelength, and all the same."""
+    waves = rays.wavelength
+    return waves is not None and len(waves) > 0 and bool((waves == waves[0]).all())
+
+
+def _real(wave: float) -> float | None:
+    """A wavelength that exists, or None: rays without one are INVALID anyway."""
+    return wave if np.isfinite(wave) and wave > 0.0 else None
+
+
+def take_rays(rays: Rays, rows: Chosen) -> Rays:
     """Chosen rays."""
     waves = None if rays.wavelength is None else rays.wavelength[rows]
     return Rays(rays.position[rows], rays.direction[rows], waves)
 
 
-def gather(parts: Sequence[TraceResult], places: Sequence[NDArray[np.intp]]) -> TraceResult:
-    """Put blocks back in the order of launch."""
-    if len(parts) == 1:
-        return parts[0]
-    order = np.argsort(np.concatenate(places), kind="stable")
-    columns: dict[str, Any] = {}
-    for name in TraceResult.__dataclass_fields__:
-        values = [getattr(part, name) for part in parts]
-        if values[0] is None:
-            columns[name] = None
-        elif name in ("hits", "directions"):
-            columns[name] = np.concatenate(values, axis=1)[:, order]
-        else:
-            columns[name] = np.concatenate(values)[order]
-    return TraceResult(**columns)
+class Gathered:
+    """Results of blocks on their way back into the order of launch."""
+
+    def __init__(self, count: int, window: Window, direct: bool | None) -> None:
+        """`direct`: the compiled tracer writes slices of the whole itself, with hits recorded or not."""
+        self.count, self.window = count, window
+        self.columns: dict[str, Any] = {}
+        self.whole: TraceResult | None = None
+        if direct is not None:
+            faces = 2 * len(window.bodies) if direct else 0
+            self.columns = {
+                "position": np.empty((count, 3)), "direction": np.empty((count, 3)),
+                "fate": np.empty(count, dtype=np.uint8), "optical_path": np.empty(count),
+                "cell": np.empty((count, 2), dtype=np.int32), "order": np.empty((count, 2), dtype=np.int32),
+                "surface": np.empty(count, dtype=np.int32), "flux": np.ones(count),
+                "hits": np.empty((faces, count, 3)) if direct else None,
+                "directions": np.empty((faces, count, 3)) if direct else None,
+            }  # fmt: skip
+
+    def traced_in_place(self, rows: slice, rays: Rays, wavelength: float | None, keep: bool) -> TraceResult:
+        """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it alone."""
+        from clacad.trace.compiled_surfaces import trace_compiled
+        from clacad.trace.layout import lay_out
+        from clacad.trace.ledger import Ledger
+
+        own = {
+            name: column[rows] for name, column in self.columns.items() if name not in ("hits", "directions")
+        }
+        faces = 2 * len(self.window.bodies) if keep else 0
+        for name in ("hits", "directions"):
+            whole = self.columns[name]
+            own[name] = np.empty((faces, len(rays), 3)) if whole is None else whole[:, rows]
+        indices = tuple(body.index_at(wavelength) for body in self.window.bodies)
+        ledger = Ledger(**own)
+        trace_compiled(lay_out(self.window), rays, ledger, np.arange(len(rays)), indices, 1)
+        return ledger.closed()
+
+    def enter(self, rows: Chosen, result: TraceResult, record: bool) -> None:
+        """Write a block's rows."""
+        if len(result) == self.count:
+            self.whole = result if record else replace(result, hits=None, directions=None)
+            return
+        for name in TraceResult.__dataclass_fields__:
+            kept = name in ("hits", "directions")
+            if kept and not record:
+                self.columns[name] = None
+                continue
+            block = getattr(result, name)
+            if name not in self.columns:
+                shape = (len(block), self.count, 3) if kept else (self.count, *block.shape[1:])
+                self.columns[name] = np.empty(shape, dtype=block.dtype)
+            if kept:
+                self.columns[name][:, rows] = block
+            else:
+                self.columns[name][rows] = block
+
+    def closed(self) -> TraceResult:
+        """All rows."""
+        return TraceResult(**self.columns) if self.whole is None else self.whole
 
 
 # -- what faces did to the rays --------------------------------------------------------------------

@@ -48,6 +48,8 @@ class Row:
         Predicted time of a trace with this effect over the bare trace.
     measured : bool
         The bounds were measured rather than estimated.
+    known : bool
+        False: what is left out without the effect is not bounded, for want of a number.
     """
 
     effect: str
@@ -57,6 +59,7 @@ class Row:
     radiance: float
     cost: float
     measured: bool = False
+    known: bool = True
 
     @property
     def on(self) -> bool:
@@ -134,7 +137,7 @@ class Plan:
         """One line for reports and pictures."""
         angle, radiance = self.left_out()
         simulated = ", ".join(self.names) or "none"
-        unknown = [row.effect for row in self.rows if row.state == "unknown"]
+        unknown = [row.effect for row in self.rows if not (row.known or row.on)]
         note = f"; not bounded: {', '.join(unknown)}" if unknown else ""
         return (
             f"rung {self.rung}; simulated: {simulated}; left out: at most {radiance:.2%} of the light and "
@@ -153,7 +156,7 @@ class Plan:
             "effects": [
                 {
                     "effect": row.effect, "state": row.state, "why": row.why, "angle": row.angle,
-                    "radiance": row.radiance, "cost": row.cost, "measured": row.measured,
+                    "radiance": row.radiance, "cost": row.cost, "measured": row.measured, "known": row.known,
                 }
                 for row in self.rows
             ],
@@ -280,7 +283,8 @@ def _matters(bound: Bound, situation: Situation) -> bool:
 
 
 def _row(name: str, bound: Bound, state: State, measured: bool) -> Row:
-    return Row(name, state, bound.why, bound.angle, bound.radiance, bound.cost, measured and bound.known)
+    measured = measured and bound.known
+    return Row(name, state, bound.why, bound.angle, bound.radiance, bound.cost, measured, bound.known)
 
 
 def _measured(situation: Situation, name: str, bound: Bound) -> Bound:

@@ -52,9 +52,30 @@ def effect(window: Window, setting: Setting) -> Effect:
         block.state[NAME] = [_crossed(field, crossing, setting.coating, ratio) for field in fields]
 
     def finish(block: Block) -> None:
+        if NAME not in block.state:  # compiled code has done all
+            return
         block.result.flux[:] *= passed(setting, block.state.pop(NAME), block.result.direction)
 
-    return Effect(NAME, Stage.HIT, needs=("hits",), apply=apply, finish=finish)
+    def compiled(block: Block) -> None:
+        from clacad.effects.kernels import polarisation_pass
+
+        rays, result = block.rays, block.result
+        assert result.hits is not None
+        assert result.directions is not None
+        polarisation_pass(
+            rays.position, rays.direction, result.hits, result.directions, result.fate, result.surface,
+            block.indices, _pointing(setting.analyser), _pointing(setting.polariser), result.flux,
+        )  # fmt: skip
+
+    bare = setting.coating == "none"
+    return Effect(
+        NAME, Stage.HIT, needs=("hits",), apply=apply, finish=finish, compiled=compiled if bare else None
+    )
+
+
+def _pointing(angle: float | None) -> Floats:
+    """Unit vector (2,) of an angle, NaN where there is none."""
+    return np.array([np.nan, np.nan] if angle is None else [cos(angle), sin(angle)])
 
 
 def analysed(setting: Setting, direction: Floats) -> list[Floats]:

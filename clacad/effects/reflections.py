@@ -27,7 +27,7 @@ COST = 12.0
 def effect(window: Window, setting: Setting) -> Effect:
     """The losses of the straight path."""
     own = straight(window, setting)
-    return Effect(NAME, own.stage, own.needs, own.apply)
+    return Effect(NAME, own.stage, own.needs, own.apply, compiled=own.compiled)
 
 
 def bound(situation: Situation) -> Bound:

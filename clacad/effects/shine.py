@@ -110,7 +110,9 @@ def split(window: Window, rays: Rays, result: TraceResult, names: Sequence[str],
 
     parts = []
     active = replace(setting, active=tuple(names))
-    for rows, wavelength in blocks(rays, by_colour=True):
+    every = np.arange(len(rays))
+    for chosen, wavelength in blocks(rays, by_colour=True):
+        rows = every[chosen]
         met = np.flatnonzero(result.fate[rows] < Fate.MISSED)
         if not len(met):
             continue

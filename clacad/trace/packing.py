@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -57,8 +58,9 @@ class Packed:
     rows: NDArray[np.int64]
 
 
+@lru_cache(maxsize=8)
 def pack(layout: Layout) -> Packed:
-    """Pack a layout for the kernels."""
+    """Pack a layout for the kernels; kept, since pictures ask block by block."""
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
     return Packed(
         faces=np.array(faces),

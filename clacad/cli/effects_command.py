@@ -1,0 +1,94 @@
+"""`clacad effects`: which effects a scene (or a design) calls for, why, and what the others would change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clacad.cli.console import show_json, show_text, table
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.effects import Plan
+    from clacad.scene import Scene
+
+SIGNS = {"on": "on", "off": "-", "forced": "forced", "without": "LEFT OUT", "unknown": "unknown"}
+
+
+class BadTolerance(ValueError):
+    """A threshold that is none; exit status 2."""
+
+    exit_status = 2
+
+
+def show_effects(
+    path: Path,
+    overrides: list[str],
+    *,
+    exact: bool,
+    force: list[str],
+    without: list[str],
+    json: bool,
+    quiet: bool,
+) -> int:
+    """Print the plan, or the plan as JSON."""
+    from clacad.effects import NAMES, plan_effects
+
+    for name in (*force, *without):
+        if name not in NAMES:
+            raise BadTolerance(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
+    plan = plan_effects(load_target(path, overrides), exact=exact, force=force, without=without)
+    if json:
+        show_json(plan.to_dict())
+    else:
+        show_text(plan_text(plan), quiet=quiet)
+    return 0
+
+
+def load_target(path: Path, overrides: list[str]) -> Scene | Design:
+    """Read a scene; a file with a [law] and no [sheet] is read as a design."""
+    import tomllib
+
+    try:
+        keys = set(tomllib.loads(path.read_text(encoding="utf-8")))
+    except tomllib.TOMLDecodeError:
+        keys = set()  # the reader names line and column
+    if "law" in keys and "sheet" not in keys:
+        from clacad.design import load
+
+        return load(path, tuple(overrides))
+    from clacad.scene import load_scene
+
+    return load_scene(path, tuple(overrides))
+
+
+def plan_text(plan: Plan) -> str:
+    """The plan as a person reads it."""
+    head = [["effect", "", "angle", "radiance", "cost", "why"]]
+    rows = [
+        [
+            row.effect,
+            SIGNS[row.state],
+            amount(1e3 * row.angle, " mrad"),
+            amount(100.0 * row.radiance, " %"),
+            f"x{row.cost:.3g}",
+            row.why,
+        ]
+        for row in plan.rows
+    ]
+    kind = "measured" if any(row.measured for row in plan.rows) else "first-order"
+    return "\n".join(
+        [
+            f"rung {plan.rung}: {plan.rung_why}",
+            f"what matters: {1e3 * plan.angle:.3g} mrad, {plan.radiance:.2%} of the light; {kind} bounds of what each "
+            "effect changes:",
+            table(head + rows),
+            f"predicted time: {plan.cost:.3g} x the bare trace",
+            plan.summary(),
+        ]
+    )
+
+
+def amount(value: float, unit: str) -> str:
+    """A bound, or nothing where there is none."""
+    return f"{value:.3g}{unit}" if value else ""
