@@ -207,6 +207,10 @@ def test_a_mistake_of_our_own_is_70_and_v_tells_where(design: Path) -> None:
     assert events["end"]["status"] == 70
 
 
+def _no_json(word: str) -> None:
+    pytest.fail(f"{word} is no JSON")
+
+
 def _is_log(line: str) -> bool:
     return line.startswith("{")
 
@@ -265,7 +269,7 @@ def test_json_is_all_there_is_on_stdout_and_the_log_is_json_on_stderr(design: Pa
     ):
         ended = clacad(*arguments, "--json")
         assert ended.status in statuses, ended.err
-        json.loads(ended.out, parse_constant=lambda word: pytest.fail(f"{arguments[0]} prints {word}"))
+        json.loads(ended.out, parse_constant=_no_json)
         if "-v" in arguments:
             events = [json.loads(line) for line in talk(ended)]
             assert [events[0]["event"], events[-1]["event"]] == ["start", "end"]
