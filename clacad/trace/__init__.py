@@ -6,6 +6,7 @@ facets of a mesh. `trace_sequence` is the primitive for surfaces given one by on
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from clacad.effects.passes import Effect
     from clacad.mesh import Mesh
     from clacad.trace.mesh_layout import Normals, Tiles
+    from clacad.trace.soup import TriangleSoup
 
 __all__ = ["Interface", "trace", "trace_sequence"]
 
@@ -39,7 +41,7 @@ def trace(
     rung: Rung = "surfaces",
     effects: Sequence[str | Effect] = (),
     record: bool = False,
-    mesh: Mesh | None = None,
+    mesh: Mesh | TriangleSoup | str | os.PathLike[str] | None = None,
     normals: Normals = "facet",
     threads: int | None = None,
     path: Literal["numpy", "numba"] | None = None,
@@ -57,8 +59,8 @@ def trace(
         Physics added to the geometry; none costs nothing.
     record : bool
         Keep `hits` and `directions` at every face.
-    mesh : Mesh
-        For rung "mesh".
+    mesh : Mesh, TriangleSoup or path
+        For rung "mesh": the sheet's own, triangles from anywhere, or a file of them (STL, 3MF, PLY, OBJ, GLB).
     normals : "facet" or "vertex"
         Rung "mesh": the facets' own, or the exact ones at the vertices, interpolated.
     threads : int or None
@@ -109,16 +111,27 @@ def trace(
 
 
 def _through_mesh(
-    window: Window, rays: Rays, mesh: Mesh | None, normals: Normals, recorded: int, threads: int | None
+    window: Window,
+    rays: Rays,
+    mesh: Mesh | TriangleSoup | str | os.PathLike[str] | None,
+    normals: Normals,
+    recorded: int,
+    threads: int | None,
 ) -> TraceResult:
     """Rung "mesh"."""
     from clacad.trace.mesh_layout import lay_out_mesh
+    from clacad.trace.soup import TriangleSoup, lay_out_soup, read_soup
 
     if mesh is None:
         raise ValueError('rung "mesh" needs mesh=')
     if normals not in ("facet", "vertex"):
         raise ValueError(f'normals is {normals!r}, not "facet" or "vertex"')
-    layout, tiles = lay_out_mesh(window, mesh, normals)
+    if isinstance(mesh, (str, os.PathLike)):
+        mesh = read_soup(mesh, window)
+    if isinstance(mesh, TriangleSoup):
+        layout, tiles = lay_out_soup(window, mesh, normals)
+    else:
+        layout, tiles = lay_out_mesh(window, mesh, normals)
     return _compiled(layout, rays, recorded, threads, tiles)
 
 

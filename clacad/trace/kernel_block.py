@@ -199,10 +199,10 @@ def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float
 
 
 @fused
-def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float) -> None:
-    """Rays must be in their cell where they cross a level; everything times N, so no division."""
+def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
+    """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
-    half, half_y, slant = lat[slot.HALF], lat[slot.HALF + 1], lat[slot.NORMAL + 3]
+    half, half_y, slant = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin, lat[slot.NORMAL + 3]
     if lat[slot.HEXAGONAL] == 0.0:
         for i in range(m):
             rise = level - z[i]
@@ -445,7 +445,7 @@ def straight(
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
-        if not columnar and body[slot.COVERED] == 0.0:
+        if len(tiles.corner) > 0 or (not columnar and body[slot.COVERED] == 0.0):
             s[GOOD, :m] = 0.0
             return array
         if b:
@@ -464,6 +464,8 @@ def straight(
                     _carry(lat, s, m, level - oz, level, n1, change, ox, oy)
                     ox, oy, oz = 0.0, 0.0, 0.0
                 _arrive(lat, rows, s, m, face[slot.CLIMB])
+                if not columnar and lat[slot.MARGIN] > 0.0:  # a lenslet with a seam is an island with walls
+                    _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
                 if met == 0:
                     s[CI0, :m], s[CJ0, :m] = s[CI, :m], s[CJ, :m]
             climb = 0.0
@@ -480,7 +482,7 @@ def straight(
             if structured:
                 met += 1
                 if not columnar:
-                    _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy)
+                    _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy, lat[slot.MARGIN])
                 elif body[slot.COVERED] == 0.0 and len(tiles.part) == 0:
                     _thick(face, other, s, m, 1.0 - 2.0 * side)
             if not columnar:
@@ -494,7 +496,7 @@ def straight(
                     lat, face, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
                 )  # fmt: skip
         if columnar:
-            _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy)
+            _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
     return array
 
 

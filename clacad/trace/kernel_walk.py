@@ -26,6 +26,7 @@ from clacad.trace.kernel_column import (
 )  # fmt: skip
 from clacad.trace.kernel_facets import NORMAL, first_facet_change
 from clacad.trace.kernel_scalar import less_steps, meet, snell, to_lens, to_sheet, upward
+from clacad.trace.kernel_soup import first_soup_change
 from clacad.trace.layout import Floats
 from clacad.trace.mesh_layout import Tiles
 
@@ -133,7 +134,9 @@ def _next_change(
     causes: Ints,
 ) -> None:  # fmt: skip
     """Find what is met first, on smooth faces or on facets."""
-    if len(tiles.part) > 0:
+    if len(tiles.corner) > 0:
+        first_soup_change(tiles, faces, bodies, lat, b, array, i, j, x, y, z, L, M, N, inside, event)
+    elif len(tiles.part) > 0:
         first_facet_change(
             tiles, faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes
         )  # fmt: skip
@@ -148,6 +151,7 @@ def _through_body(
 ) -> int:  # fmt: skip
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
     body, index = bodies[b], indices[b]
+    event[DISTANCE] = -1.0  # nothing of this body has been met
     _next_change(
         tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
         False, event, work, causes,
@@ -231,7 +235,7 @@ def _refract(
     x, y, z = event[place + 2], event[place + 3], w[Z]
     ox, oy, oz = snell(L, M, N, 0.0, 0.0, 1.0, N, n1, n2)
     met = False
-    if on_lens and len(tiles.part) > 0:
+    if len(tiles.corner) > 0 or (on_lens and len(tiles.part) > 0):
         gx, gy, gz = event[NORMAL], event[NORMAL + 1], event[NORMAL + 2]
         ox, oy, oz = snell(L, M, N, gx, gy, gz, L * gx + M * gy + N * gz, n1, n2)
     elif on_lens:
@@ -254,7 +258,8 @@ def _refract(
         x, y, z = px + face[slot.VX], py + face[slot.VY], pz + face[slot.VZ]
     if not met:
         x, y = x + distance * L, y + distance * M
-        z = z + distance * N if on_lens else face[slot.LAND]
+        smooth = len(tiles.corner) == 0
+        z = z + distance * N if on_lens or not smooth else face[slot.LAND]
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = event[place], event[place + 1], x, y, z, array
     w[PATH] += n1 * distance
     w[PX], w[PY] = sheet_xy(lat, array, w[CI], w[CJ], x, y)

@@ -50,6 +50,9 @@ class Tiles(NamedTuple):
         Facets of bin b are member[start[b] : start[b + 1]].
     normal : (m, 2, 3, 3) or (0, 2, 3, 3)
         Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
+    corner : (t, 3, 3), corner_normal : (t, 3, 3) or (0, 3, 3), tree : (bodies, 3) ints, box : (nodes, 6)
+        Foreign triangles instead of tilings: corners in the sheet frame, outward normals at them, and for each
+        body the first box of its tree, its first triangle and their number; see `clacad.trace.soup`.
     """
 
     table: Floats
@@ -61,12 +64,17 @@ class Tiles(NamedTuple):
     start: Ints
     member: Ints
     normal: Floats
+    corner: Floats
+    corner_normal: Floats
+    tree: Ints
+    box: Floats
 
 
 NO_TILES = Tiles(
     np.zeros((0, TILE_NUMBERS)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3, 3)),
     np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2, 3)), np.zeros((0, 2), dtype=np.uint8),
     np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 2, 3, 3)),
+    np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 6)),
 )  # fmt: skip
 
 
@@ -232,7 +240,7 @@ def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
         beside.append(np.where(near >= 0, near + facets, -1))
         facets += len(tile.corners)
     planes = [np.stack([_planes(t.corners, t.heights[..., s]) for s in (0, 1)], axis=1) for t in tiles]
-    return Tiles(
+    return NO_TILES._replace(
         table=np.array(table),
         of=of,
         weight=np.concatenate([_weights(t.corners) for t in tiles]),

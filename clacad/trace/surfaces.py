@@ -145,7 +145,10 @@ def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Throug
 
 
 def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
-    """Through a body whose faces are apart: each structured face has its own cell and its own two planes."""
+    """Through a body whose faces are apart: each structured face has its own cell and its own two planes.
+
+    Between those planes a ray must keep to the optical zone: a lenslet with a seam is an island with walls.
+    """
     if not body.covered:
         return beam, (beam.z, beam.z), np.zeros(len(beam), dtype=bool), [beam.cell], [beam, beam]
     good = np.ones(len(beam), dtype=bool)
@@ -160,13 +163,16 @@ def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through
                 layout, replace(beam, local=local, z=np.full(len(beam), face.low)), face.array or 0
             )
             good &= layout.lattice.contains(beam.cell) & _steeper(beam.direction, face.slope)
+            good &= in_zone(layout, beam.local, layout.margin)
             crossed.append(beam.cell)
         else:
             before = np.zeros(len(beam))
         beam, length, ok = _through(layout, face, beam, n1, n2, within=structured)
         good &= ok & _in_inner(layout, body, beam)
         if structured:
-            good &= _steeper(beam.direction, face.slope) & in_zone(layout, _at(beam, face.high), 0.0)
+            good &= _steeper(beam.direction, face.slope) & in_zone(
+                layout, _at(beam, face.high), layout.margin
+            )
         lengths.append(before + length)
         seen.append(beam)
     return beam, (lengths[0], lengths[1]), good, crossed, seen
