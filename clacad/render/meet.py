@@ -47,8 +47,8 @@ def look(
     met : (n,) bool
         Whether an object was met.
     """
+    distance, which, triangle = nearest(stage, origin, direction, limit)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        distance, which, triangle = nearest(stage, origin, direction, limit)
         light = background(stage, direction)
         for k in np.unique(which[which >= 0]):
             rows = np.flatnonzero(which == k)
@@ -62,6 +62,13 @@ def nearest(
     stage: Stage, origin: Floats, direction: Floats, limit: Floats | float
 ) -> tuple[Floats, Ints, Ints]:
     """Distance (n,), primitive (n,) and triangle (n,) of the first hit; −1 where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return _nearest(stage, origin, direction, limit)
+
+
+def _nearest(
+    stage: Stage, origin: Floats, direction: Floats, limit: Floats | float
+) -> tuple[Floats, Ints, Ints]:
     distance = np.full(len(origin), limit) if np.isscalar(limit) else np.array(limit, dtype=np.float64)
     which = np.full(len(origin), -1, dtype=np.int64)
     triangle = np.full(len(origin), -1, dtype=np.int64)
