@@ -77,8 +77,11 @@ def volume_check(
     exact, error = sum(i.value for i in known), sum(i.error for i in known)
     chord = cell_chord * window.lattice.cell_count
     difference = found.volume - exact
-    # 2 % of what the facets cut off, and float32 corners: half a spacing on each side of the box
-    room = 0.02 * abs(chord) + 4.0 * 2.0**-24 * exact + error
+    # 2 % of what the facets cut off, and float32 corners: half a spacing on each side of the box, and a plane far
+    # from the origin moved by half a spacing as a whole, which is much of a thin body
+    x0, x1, y0, y1 = whole_extent(window)
+    planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * max(abs(z) for z in window.z_range)
+    room = 0.02 * abs(chord) + 2.0**-24 * (4.0 * exact + planes) + error
     sentence = (
         f"it encloses {found.volume:.9g}; the design {exact:.9g}, of which the facets cut off {-chord:.4g} "
         f"(difference {difference:.4g})"

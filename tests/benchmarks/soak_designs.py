@@ -37,7 +37,8 @@ def draw(number: int) -> dict[str, Any]:
     if form == "slab":
         eta = [-abs(e) for e in eta]
     eta = [e if e < 0 or abs(e - 1.0) > 0.2 else 0.5 for e in eta]
-    pitch = float(10.0 ** chance.uniform(-2.0, 1.0))
+    unit = str(chance.choice(["mm", "m", "um"]))
+    pitch = float(10.0 ** chance.uniform(-5.0, -2.0)) / {"mm": 1e-3, "m": 1.0, "um": 1e-6}[unit]
     pair: dict[str, Any] = {"form": form, "separation": pitch * float(chance.uniform(8.0, 40.0))}
     pair |= {"material": "PMMA"} if chance.random() < 0.5 else {"index": float(chance.uniform(1.4, 1.8))}
     if form == "biconvex":
@@ -60,7 +61,7 @@ def draw(number: int) -> dict[str, Any]:
             float(chance.uniform(-180, 180)),
         ]
     return {
-        "format": 1, "name": f"soak-{number}", "unit": str(chance.choice(["mm", "m", "um"])), "law": law, "pair": pair,
+        "format": 1, "name": f"soak-{number}", "unit": unit, "law": law, "pair": pair,
         "lattice": lattice,
     }  # fmt: skip
 
