@@ -52,7 +52,10 @@ def test_the_radii_of_an_exact_pair_keep_their_digits(name):
     window = window_of(PAIRS[name])
     thickness = [2 * abs(b.back.vertex[2] - b.front.vertex[2]) / 2 for b in window.bodies]
     for meridian, eta in enumerate((window.law.eta_x, window.law.eta_y)):
-        radii = [(1.0 / (b.front.surface.curvature_x, b.front.surface.curvature_y)[meridian]) for b in window.bodies]
+        radii = [
+            (1.0 / (b.front.surface.curvature_x, b.front.surface.curvature_y)[meridian])
+            for b in window.bodies
+        ]
         exact = thick.confocal_radii(eta, 0.05, thickness, window.bodies[0].index)
         condition = 8.0 + 1.0 / abs(1.0 - eta) + abs(eta) + 1.0 / abs(eta)
         for got, right in zip(radii, exact):
@@ -93,7 +96,9 @@ def corner_window(eta, change):
     least = thick.least_thickness(
         1 / surface.curvature_x, 1 / surface.curvature_y, 1 / surface.kappa, PITCH / 2
     )
-    return window_of({**SMALL, "law.eta": list(eta), "pair.thickness": float(least) * (1 + change)}), float(least)
+    return window_of({**SMALL, "law.eta": list(eta), "pair.thickness": float(least) * (1 + change)}), float(
+        least
+    )
 
 
 @pytest.mark.parametrize("eta", [(-1.0, -1.0), (-0.25, -1.0), (-0.25, -0.25)])
@@ -108,7 +113,11 @@ def test_corners_of_no_thickness_break_nothing(eta, change):
     if abs(change) >= 1e-9:
         holes = next(b.holes for b in facts.bodies if b.name == body.name)
         assert holes == (4 if change < 0 else 0)  # the four inner corners of 3 by 3
-    near = np.array([[1.0, 1.0], [1 - 1e-9, 1.0], [1.0, 1 - 1e-6], [1 - 1e-4, 1 - 1e-4], [0.999, 1.0]]) * PITCH / 2
+    near = (
+        np.array([[1.0, 1.0], [1 - 1e-9, 1.0], [1.0, 1 - 1e-6], [1 - 1e-4, 1 - 1e-4], [0.999, 1.0]])
+        * PITCH
+        / 2
+    )
     start = np.column_stack([near, np.full(5, -0.01)])
     for path in ("numpy", "numba"):
         result = trace(window, Rays(start, np.tile([0.0, 0.0, 1.0], (5, 1))), path=path)
@@ -147,7 +156,11 @@ def test_steps_from_nothing_to_a_pitch_are_traced_alike_and_stay_closed(kind, st
     # on a border by construction the last bit may choose; elsewhere the paths agree
     free = slice(200, None)
     assert (one.fate[free] == other.fate[free]).mean() >= 0.999
-    same = (one.fate == other.fate) & (one.cell == other.cell).all(axis=1) & (one.order == other.order).all(axis=1)
+    same = (
+        (one.fate == other.fate)
+        & (one.cell == other.cell).all(axis=1)
+        & (one.order == other.order).all(axis=1)
+    )
     on = same & np.isin(one.fate, (Fate.ALIVE, Fate.GHOST, Fate.LAND))
     np.testing.assert_allclose(one.direction[on], other.direction[on], rtol=0, atol=1e-12)
     mesh = tessellate(window, quads=4)

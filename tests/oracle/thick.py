@@ -59,4 +59,4 @@ def column_volume(front, back, half_x, half_y):
         def thick(x, y):
             return height(back, x, y) - height(front, x, y)
 
-        return 4 * mp.quad(thick, [0, mpf(half_x)], [0, mpf(half_y)], maxdegree=5)
+        return 4 * mp.quad(thick, [0, mpf(half_x)], [0, mpf(half_y)], maxdegree=4)
