@@ -299,6 +299,17 @@ def test_a_changed_solid_with_a_manifest_that_vouches_for_it_is_1(
     assert failed(vouched(tmp_path, made, "tiny.step", changed.encode()))
 
 
+def test_thin_bodies_far_apart_are_0(tmp_path: Path) -> None:
+    """float32 moves the far body's plane by half a spacing as a whole: much of a thin body, and no fault."""
+    apart = Design.from_dict({
+        "format": 1, "name": "apart", "unit": "m", "law": {"eta": [1.3, 1.3], "delta": [-0.02, 0.013]},
+        "pair": {"form": "plano", "separation": 0.0525, "index": 1.767}, "lattice": {"pitch": 0.0014, "count": [2, 2]},
+    })  # fmt: skip
+    export(apart, tmp_path, formats=("stl",), quads=16)
+    checks = verify(apart, tmp_path, rays=2048).checks
+    assert [c.state for c in checks if c.id == "volume"] == ["pass"]
+
+
 # -- alone -----------------------------------------------------------------------------------------
 
 
