@@ -18,9 +18,10 @@ from clacad.render.measure import measure
 from clacad.render.meet import look, nearest
 from clacad.render.picture import render, render_movie
 from clacad.render.plan import geometry_alone
-from clacad.render.stage import set_stage, turned
+from clacad.render.stage import set_stage
 from clacad.render.tree import grow, nearest_triangle
 from clacad.scene import Scene, SceneError
+from clacad.scene.place import turned
 
 PLAIN = {
     "format": 1,

@@ -263,9 +263,17 @@ def _mask(job: Job) -> list[FileRecord]:
     return records
 
 
+def _pov(job: Job) -> list[FileRecord]:
+    from clacad.export.pov import write_pov
+
+    path = job.stage.path(f"{job.stem}.pov")
+    write_pov(job.window, path)
+    return [job.record(path, "pov", unit="0.001 design unit", checks=())]
+
+
 FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
-    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "brep": brep_records,
+    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.render import knight
 from clacad.render.tree import Tree, behind_one_another, grow
-from clacad.scene import Background, Light, Scene, SceneObject
+from clacad.scene import Background, Light, Scene, SceneObject, knight
+from clacad.scene.place import turned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -205,27 +205,6 @@ def _around(bounds: Floats) -> tuple[float, float, float, float]:
     return float(centre[0]), float(centre[1]), float(centre[2]), radius
 
 
-def turned(degrees: tuple[float, float, float]) -> Floats:
-    """Rotation (3, 3) about the fixed x, then y, then z axis."""
-    made = np.eye(3)
-    for axis, angle in enumerate(degrees):
-        c, s = _exact_cosine(angle), _exact_cosine(angle - 90.0)
-        one = np.eye(3)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        one[i, i] = one[j, j] = c
-        one[i, j], one[j, i] = -s, s
-        made = one @ made
-    return made
-
-
-def _exact_cosine(degrees: float) -> float:
-    """Cosine, exact at multiples of 90 degrees."""
-    turn = degrees % 360.0
-    if turn % 90.0 == 0.0:
-        return (1.0, 0.0, -1.0, 0.0)[int(turn // 90.0) % 4]
-    return math.cos(math.radians(turn))
-
-
 def _primitives(scene: Scene, thing: SceneObject) -> Iterator[Primitive]:
     """The primitives of one object, placed in the scene."""
     frame, at = turned(thing.turn), np.array(thing.at, dtype=np.float64)
@@ -285,16 +264,6 @@ def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Prim
 
 
 def _mesh(scene: Scene, thing: SceneObject) -> Tree:
-    """The mesh in its object's frame: y up, standing on the origin, as high as `size`."""
-    from clacad.export.readers import read_mesh
+    from clacad.export.standing import standing_corners
 
-    assert thing.file is not None
-    corners = np.concatenate([np.zeros((0, 3, 3)), *read_mesh(scene.file(thing.file)).chunks()])
-    if thing.up == "z":  # x stays, the file's y points away from the viewer
-        corners = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)
-    if len(corners):
-        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-        middle = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
-        tall = high[1] - low[1]
-        corners = (corners - middle) * (thing.size[0] / tall if tall > 0.0 else 1.0)
-    return grow(corners)
+    return grow(standing_corners(scene, thing))
