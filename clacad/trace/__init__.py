@@ -80,18 +80,15 @@ def trace(
         An unknown rung, a mesh missing or of other bodies, or a wavelength outside a material's data.
     """
     if effects:
-        from clacad.effects.passes import trace_with
+        from clacad.effects import trace_with  # passes over the blocks of a trace without them
 
-        return trace_with(
+        result: TraceResult = trace_with(
             window, rays, rung, effects, record, mesh=mesh, normals=normals, threads=threads, path=path
         )
+        return result
     if rung not in ("law", "thin", "surfaces", "mesh"):
         raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
     faces = {"law": 1, "thin": 2}.get(rung, 2 * len(window.bodies))
-    if effects:
-        from clacad.effects import trace_with  # passes over the blocks of a trace without them
-
-        return trace_with(window, rays, rung, effects, record, threads=threads, path=path)
     recorded = faces if record else 0
     if rung == "mesh":
         return _through_mesh(window, rays, mesh, normals, recorded, threads)

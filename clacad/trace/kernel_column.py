@@ -27,11 +27,11 @@ WORK_NUMBERS = 44
 def kept(lat: Floats, rows: Ints, i: float, j: float) -> bool:
     """Whether the lattice has this cell; a plain one has no table of rows."""
     if lat[slot.PLAIN] != 0.0:
-        return 0.0 <= i < lat[slot.N1] and 0.0 <= j < lat[slot.N2]
+        return bool(0.0 <= i < lat[slot.N1] and 0.0 <= j < lat[slot.N2])
     if not (0.0 <= j < len(rows)):
         return False
     row = int(j)
-    return rows[row, 0] <= i < rows[row, 1]
+    return bool(rows[row, 0] <= i < rows[row, 1])
 
 
 @exact
@@ -83,7 +83,7 @@ def box_span(lat: Floats, body: Floats, x: float, y: float, L: float, M: float) 
 def _lens_over(face: Floats, lat: Floats, rows: Ints, start: Floats, i: Floats, x: float, y: float) -> float:
     """Height of a face's lens at a step (x, y) from the start; NaN outside its zone and the kept cells."""
     if face[slot.ARRAY] < 0.0:
-        return face[slot.VZ]
+        return float(face[slot.VZ])
     at = int(face[slot.ARRAY])
     if not kept(lat, rows, i[2 * at], i[2 * at + 1]):
         return nan
@@ -110,8 +110,8 @@ def in_footprint(body: Floats, x: float, y: float, over_cell: bool) -> bool:
         return over_cell
     x, y = x - body[slot.MID_X], y - body[slot.MID_Y]
     if body[slot.OUTLINE] == 1.0:
-        return x * x + y * y <= body[slot.OUT_X] * body[slot.OUT_X]
-    return abs(x) <= body[slot.OUT_X] and abs(y) <= body[slot.OUT_Y]
+        return bool(x * x + y * y <= body[slot.OUT_X] * body[slot.OUT_X])
+    return bool(abs(x) <= body[slot.OUT_X] and abs(y) <= body[slot.OUT_Y])
 
 
 @exact
@@ -128,7 +128,7 @@ def _solid(
         _lens_over(back, lat, rows, start, cell, x, y),
     )
     if body[slot.COLUMNAR] != 0.0 and not below <= above:
-        return front[slot.LAND] <= z <= back[slot.LAND]
+        return bool(front[slot.LAND] <= z <= back[slot.LAND])
     return _proud(below, front[slot.LAND], True) <= z <= _proud(above, back[slot.LAND], False)
 
 
@@ -215,7 +215,7 @@ def jump(
     for at in range(2):
         p, q, _, _ = to_array(lat, array, at, i, j, x + high * L, y + high * M)
         step[2 * at], step[2 * at + 1] = p - home[2 * at], q - home[2 * at + 1]
-    return high
+    return float(high)
 
 
 @exact

@@ -20,7 +20,7 @@ SANE = 1e100
 def _axis(x: float, low: float, pitch: float, count: float) -> tuple[float, float]:
     """Cell and centred coordinate along one axis; see `Lattice.locate`."""
     half = 0.5 * pitch
-    k = floor(x / pitch + 0.5 * count)
+    k = float(floor(x / pitch + 0.5 * count))
     local = _less(x, low, 2.0 * k - (count - 1.0), half)
     k = k + (1.0 if local >= half else 0.0) - (1.0 if local < -half else 0.0)
     return k, _less(x, low, 2.0 * k - (count - 1.0), half)

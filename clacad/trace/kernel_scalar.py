@@ -96,7 +96,7 @@ def relocate(lat: Floats, x: float, y: float) -> tuple[float, float, float, floa
 @exact
 def _nearest(x: float) -> float:
     """Nearest integer, ties to even."""
-    r = floor(x + 0.5)
+    r = float(floor(x + 0.5))
     if r - x == 0.5 and r % 2.0 != 0.0:
         r -= 1.0
     return r
@@ -105,7 +105,7 @@ def _nearest(x: float) -> float:
 @exact
 def _relocate_axis(x: float, pitch: float) -> tuple[float, float]:
     half = 0.5 * pitch
-    k = floor(x / pitch + 0.5)
+    k = float(floor(x / pitch + 0.5))
     local = less_multiple(x, k, pitch)
     if local >= half:
         k += 1.0
@@ -358,7 +358,7 @@ def _biconic_gap(face: Floats, x: float, y: float, z: float) -> float:
     p = (1.0 + face[slot.KX]) * cx * cx * x * x + (1.0 + face[slot.KY]) * cy * cy * y * y
     if not p <= 1.0:
         return nan
-    return z - face[slot.SIDE] * (cx * x * x + cy * y * y) / (1.0 + sqrt(1.0 - p))
+    return float(z - face[slot.SIDE] * (cx * x * x + cy * y * y) / (1.0 + sqrt(1.0 - p)))
 
 
 @exact
@@ -408,7 +408,7 @@ def snell(
 def height(face: Floats, x: float, y: float) -> float:
     """Height of the lens over the body's level above a point of the cell frame; NaN where there is none."""
     if face[slot.ARRAY] < 0.0:
-        return face[slot.VZ]
+        return float(face[slot.VZ])
     if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
         x, y = x - face[slot.VX], y - face[slot.VY]
         q = face[slot.CX] * x * x + face[slot.CY] * y * y
@@ -419,7 +419,7 @@ def height(face: Floats, x: float, y: float) -> float:
     t, _, _, _, gx, gy, gz, _ = meet(face, u, v, w, L, M, N)
     if not to_sheet(face, gx, gy, gz)[2] > 0.0:
         return nan
-    return face[slot.VZ] + t
+    return float(face[slot.VZ] + t)
 
 
 @exact
@@ -462,7 +462,7 @@ def _biconic_step(face: Floats, x: float, y: float, z: float, L: float, M: float
     skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
     twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
     gx, gy = -side * cx * x - twist * y, -side * cy * y + twist * x
-    return (z - sag) * w / (L * gx + M * gy + N * w)
+    return float((z - sag) * w / (L * gx + M * gy + N * w))
 
 
 @exact

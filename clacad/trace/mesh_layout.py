@@ -229,7 +229,8 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
 
 
 def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
-    table, starts, members, facets = [], [np.zeros(1, dtype=np.int64)], [], 0
+    table: list[list[float]] = []
+    starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
     beside = []
     for tile in tiles:
         numbers, start, member = _binned(tile.corners)
