@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 SIGNS = {"on": "on", "off": "-", "forced": "forced", "without": "LEFT OUT", "unknown": "unknown"}
 
 
-class BadTolerance(ValueError):
-    """A threshold that is none; exit status 2."""
+class NoPlan(ValueError):
+    """An unknown effect, or a wavelength outside a material's data; exit status 2."""
 
     exit_status = 2
 
@@ -32,12 +32,13 @@ def show_effects(
     quiet: bool,
 ) -> int:
     """Print the plan, or the plan as JSON."""
-    from clacad.effects import NAMES, plan_effects
+    from clacad.effects import plan_effects
 
-    for name in (*force, *without):
-        if name not in NAMES:
-            raise BadTolerance(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
-    plan = plan_effects(load_target(path, overrides), exact=exact, force=force, without=without)
+    target = load_target(path, overrides)
+    try:
+        plan = plan_effects(target, exact=exact, force=force, without=without)
+    except ValueError as error:
+        raise NoPlan(str(error)) from error
     if json:
         show_json(plan.to_dict())
     else:

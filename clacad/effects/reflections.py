@@ -10,14 +10,12 @@ radiance that matters. *Cost* 6 and up.
 
 from __future__ import annotations
 
-import numpy as np
-
 from clacad.effects.fresnel import effect as straight
+from clacad.effects.fresnel import losses
 from clacad.effects.interface import normal_loss
 from clacad.effects.passes import Effect
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
 from clacad.sheet import Window
 
 NAME = "reflections"
@@ -33,8 +31,9 @@ def effect(window: Window, setting: Setting) -> Effect:
 def bound(situation: Situation) -> Bound:
     """First order in r0: forward pairs of faces, and every face once backwards; steeper rays reflect more."""
     n = situation.faces
-    r0 = max(normal_loss(body.index) for body in situation.window.bodies)
-    r = max(r0, steepest_loss(situation) / n)
+    r = mean_loss(situation) / n
+    if situation.setting.coating == "none":
+        r = max(r, max(normal_loss(body.index) for body in situation.window.bodies))
     forward = 0.5 * n * (n - 1) * r * r * situation.contrast
     front = n * r * situation.front
     why = (
@@ -44,11 +43,7 @@ def bound(situation: Situation) -> Bound:
     return Bound(0.0, forward + front, why, COST)
 
 
-def steepest_loss(situation: Situation) -> float:
-    """Largest share lost by reflection by a probe ray that passes: 0 for a perfect coating."""
-    from clacad.effects.fresnel import losses
-
+def mean_loss(situation: Situation) -> float:
+    """Mean share that the probe rays lose by reflection at all faces."""
     lost = losses(situation)
-    lost = lost[np.isfinite(lost)]
-    passing = int((situation.probe.fate <= Fate.LAND).sum())
-    return float(lost.mean()) if passing else 0.0
+    return float(lost.mean()) if len(lost) else 0.0
