@@ -358,3 +358,21 @@ def test_cells_beyond_the_outline_are_refused():
     sheet = window(form="slab", outline={"circle": 0.03}, count=(6, 6), euler=(0, 2, 0))
     with pytest.raises(ValueError, match="beyond the outline"):
         tessellate(sheet, quads=4)
+
+
+def test_a_grid_that_misses_the_lens_is_refused_and_a_finer_one_is_not():
+    sheet = window(eta=(-1, -1), thickness=0.00002)
+    with pytest.raises(ValueError, match="more quads"):
+        mesh_body(sheet, sheet.bodies[0], 3)
+    assert check_closed(as_file(mesh_body(sheet, sheet.bodies[0], 12))).closed
+
+
+@pytest.mark.parametrize("quads", [2, 3, 4, 5])
+def test_grids_too_coarse_for_the_rims_are_still_closed(quads):
+    for keys in (
+        {"kind": "hexagonal", "euler": (90.0, 3.7, 0.0), "eta": (-0.25, -0.25), "thickness": 0.000205,
+         "web": 3.09e-5, "seam": 0.000767},
+        {"euler": (45.0, 1.02, 0.0), "eta": (-0.5, -2.0), "thickness": 0.0001286, "web": 0.000121},
+    ):  # fmt: skip
+        for body in tessellate(window(**keys), quads=quads).bodies:
+            assert check_closed(as_file(body)).closed

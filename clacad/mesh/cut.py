@@ -88,7 +88,7 @@ def cut(
         _refuse_cut_sides(plan, edges[crossed])
         inside = np.where(ends[crossed, 0] > 0, edges[crossed, 0], edges[crossed, 1])
         outside = np.where(ends[crossed, 0] > 0, edges[crossed, 1], edges[crossed, 0])
-        t = _roots(make, plan.xy, inside, outside, curve)
+        t = _roots(make, plan.xy, lens, inside, outside, curve)
         if stage == "warp":
             plan, lens = _warp(make, plan, lens, inside, outside, t, curve)
             continue
@@ -122,22 +122,27 @@ def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
         )
 
 
-def _roots(make: Maker, xy: Floats, inside: Ints, outside: Ints, curve: Curve) -> Floats:
-    """Parameter of the last point from the inside at which the function is not negative."""
+def _roots(make: Maker, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
+    """Parameter of the last point from the inside at which the function is not negative.
+
+    Where a point's levels were moved onto an earlier curve and its own heights no longer have its sign,
+    the levels decide: the cut lies where their straight line does.
+    """
     a, b = xy[inside], xy[outside]
 
-    def signed(t: Floats) -> Floats:
-        heights = make.heights(a + t[:, None] * (b - a))
-        return np.where(_exact(make, heights, curve) > 0.0, 1.0, -1.0)
+    def value(t: Floats) -> Floats:
+        return _exact(make, make.heights(a + t[:, None] * (b - a)), curve)
 
-    t = bisect(signed, np.zeros(len(a)), np.ones(len(a)))
-    heights = make.heights(a + (t - 1e-9)[:, None] * (b - a))
-    jump = np.abs(_exact(make, heights, curve))
-    if (jump > 1e-4 * make.window.lattice.circumradius).any():
+    true = (value(np.zeros(len(a))) > 0.0) & ~(value(np.ones(len(a))) > 0.0)
+    t = bisect(lambda t: np.where(value(t) > 0.0, 1.0, -1.0), np.zeros(len(a)), np.ones(len(a)))
+    jump = np.abs(value(t - 1e-9))
+    if (jump[true] > 1e-4 * make.window.lattice.circumradius).any():
         raise ValueError(
             f"a lenslet of body {make.body.name!r} ends inside its cell at its own equator, before it meets the "
             "other face or land; a longer radius, a smaller pitch, or a web would close the body"
         )
+    here, there = curve.value(lens)[inside], curve.value(lens)[outside]
+    t = np.where(true, t, here / (here - there))
     least = shortest(make) / np.maximum(np.hypot(*(b - a).T), 1e-300)
     return np.asarray(np.clip(t, np.minimum(least, 0.25), 1.0 - np.minimum(least, 0.25)))
 
@@ -184,6 +189,17 @@ def _snap(
     return lens
 
 
+def _lonely(plan: pl.Planar, lens: Ints, inside: Ints, t: Floats, curve: Curve) -> Ints:
+    """Inner points near the curve without an inner neighbour that stays inside: moving them would lose the inside."""
+    stays = curve.value(lens) > 0
+    near = np.unique(inside[t < _WARP])
+    stays[near] = False
+    edges, _ = pl.edges_of(plan.triangles)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    kept = both[stays[both[:, 1]], 0]
+    return np.setdiff1d(near, kept)
+
+
 def _warp(
     make: Maker, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curve: Curve
 ) -> tuple[pl.Planar, Ints]:
@@ -191,7 +207,7 @@ def _warp(
     point = np.concatenate([inside, outside])
     share = np.concatenate([t, 1.0 - t])
     other = np.concatenate([outside, inside])
-    near = (share < _WARP) & ~plan.fixed[point]
+    near = (share < _WARP) & ~plan.fixed[point] & ~np.isin(point, _lonely(plan, lens, inside, t, curve))
     point, share, other = point[near], share[near], other[near]
     order = np.argsort(share, kind="stable")[::-1]  # the nearest cut is written last
     target = plan.xy.copy()

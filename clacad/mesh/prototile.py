@@ -15,7 +15,7 @@ from clacad.cell_complex import CellComplex, Tiling
 from clacad.mesh import planar as pl
 from clacad.mesh.cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.edges import settle_inside, settle_sides, with_borders
-from clacad.mesh.levels import NONE
+from clacad.mesh.levels import FAR, NONE
 from clacad.mesh.maker import Maker
 from clacad.sheet import Body, Window, optical_tile
 
@@ -57,7 +57,16 @@ class Prototile:
 
     def corner_levels(self) -> Ints:
         """Front and back level at each triangle's corners, (m, 3, 2); NONE, −NONE where void."""
-        lens = self.lens[self.plan.triangles]
+        front, back = self.lens[:, 0], self.lens[:, 1]
+        # a column is outermost of lens and land, and no thinner than nothing, also where a coarse grid is not
+        if abs(self.land[0]) < FAR:
+            front = np.minimum(front, self.land[0])
+        if abs(self.land[1]) < FAR:
+            back = np.maximum(back, self.land[1])
+        thin = (front > back) & (np.abs(front) < FAR) & (np.abs(back) < FAR)
+        middle = np.where(thin, front + back, 0) // 2
+        front, back = np.where(thin, middle, front), np.where(thin, middle, back)
+        lens = np.stack([front, back], axis=-1)[self.plan.triangles]
         land = np.array(self.land)
         none = np.array([NONE, -NONE])
         part = self.part[:, None, :]
@@ -105,6 +114,11 @@ def make_prototile(
         material, proud = _again(make, plan, lens, proud)
         proud.append(material & positive)
     part = _parts(make, material, proud)
+    if (part == VOID).all():
+        raise ValueError(
+            f"quads = {quads}: no point of the grid meets the lenslet of body {body.name!r}, whose rim lies well "
+            "inside its cell; more quads would find it"
+        )
     whole = not (part == VOID).any()
     plane = (make.held[0] and whole, make.held[1] and whole)
     return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t))
