@@ -126,7 +126,12 @@ def test_intent_is_read_once():
 def test_heavy_packages_are_imported_inside_functions():
     heavy = {"OCP", "build123d", "numba", "matplotlib", "trimesh", "scipy", "manifold3d", "pydantic", "PIL"}
     # modules that are themselves imported inside functions only, as the next test shows
-    entry = {"trace/compiled.py": {"numba"}, "trace/kernels.py": {"numba"}, "design/schema.py": {"pydantic"}, "brep/kernel.py": {"OCP"}}
+    entry = {
+        "trace/compiled.py": {"numba"},
+        "trace/kernels.py": {"numba"},
+        "design/schema.py": {"pydantic"},
+        "brep/kernel.py": {"OCP"},
+    }
     for paths in modules().values():
         for path in paths:
             allowed = entry.get(str(path.relative_to(PACKAGE)), set())

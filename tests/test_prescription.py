@@ -273,3 +273,16 @@ def test_a_pair_that_cannot_exist_is_refused_with_the_number_that_would_work(cha
     said = str(caught.value) + " " + " ".join(m.key for m in caught.value.mistakes)
     for word in words:
         assert key.get(word, word) in said
+
+
+def test_a_round_displaced_slab_keeps_only_cells_whose_partners_lie_inside_too():
+    window = window_of(
+        pair__form="slab", pair__thickness=None, law__delta=[0.05, 0.0], lattice__count=[12, 12],
+        lattice__outline={"circle": 0.05},
+    )  # fmt: skip
+    assert window.outline.diameter == 0.05
+    cells = window.lattice.cells()
+    assert 0 < len(cells) < 144
+    for shift in window.shifts:
+        corners = window.lattice.centres(cells)[:, None] + window.lattice.tile() + np.array(shift)
+        assert np.hypot(*corners.reshape(-1, 2).T).max() <= 0.025 * (1 + 1e-9)

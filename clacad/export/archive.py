@@ -127,7 +127,10 @@ def parse_xml(stream: IO[bytes], name: str, start: Callable[[str, Attributes], N
         raise UnreadableFile(f"{name}: damaged ({error})") from error
     except UnreadableFile:
         raise
-    except (LookupError, ValueError) as error:  # the XML names an encoding that Python does not know, or not for XML
+    except (
+        LookupError,
+        ValueError,
+    ) as error:  # the XML names an encoding that Python does not know, or not for XML
         raise UnreadableFile(f"{name}: its XML is in no encoding that can be read ({error})") from error
 
 

@@ -48,7 +48,13 @@ def baffle_records(job: Job) -> list[FileRecord]:
             f"{path.name}: {found.facets} facets enclosing {found.volume:.9g} mm^3; the honeycomb has "
             f"{baffle.facet_count} and {exact:.9g} mm^3"
         )
-    facts = {"triangles": found.facets, "volume": found.volume, "volume_exact": exact, "float": "f32", "mode": "fused"}
+    facts = {
+        "triangles": found.facets,
+        "volume": found.volume,
+        "volume_exact": exact,
+        "float": "f32",
+        "mode": "fused",
+    }
     return [job.record(path, "stl-binary", bodies=["baffle"], facts=facts, checks=("closed", "volume"))]
 
 
@@ -96,7 +102,9 @@ def _modelled(job: Job, what: str) -> list[FileRecord]:
                 f"{name}: read back with {facts['volume']:.9g} mm^3, modelled with {facts['volume_exact']:.9g} mm^3"
             )
         kind = "brep" if what == "brep" else "step"
-        records.append(job.record(path, kind, bodies=facts.pop("bodies"), facts=facts, checks=("closed", "volume")))
+        records.append(
+            job.record(path, kind, bodies=facts.pop("bodies"), facts=facts, checks=("closed", "volume"))
+        )
     return records
 
 
@@ -106,7 +114,8 @@ def model(what: str, window: Window, folder: str, stem: str) -> dict[str, dict[s
     if what == "brep":
         return {f"{stem}.brep": _brep(list(parts.values()), list(parts), Path(folder) / f"{stem}.brep")}
     return {
-        f"{stem}.{name}.step": _step(part, name, Path(folder) / f"{stem}.{name}.step") for name, part in parts.items()
+        f"{stem}.{name}.step": _step(part, name, Path(folder) / f"{stem}.{name}.step")
+        for name, part in parts.items()
     }
 
 

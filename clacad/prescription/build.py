@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import isinf
+from math import hypot, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -345,7 +345,20 @@ def _finish(
         name=design.name,
     )
     window = replace(window, outline=side_outline(window))
+    if design.pair.form == "slab" and window.lattice.outline is not None and moved != (0.0, 0.0):
+        # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`
+        window = replace(
+            window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved))
+        )
     return window if design.pair.form == "biconvex" else _with_land(window, intent)
+
+
+def _within(outline: Circle | Rectangle, moved: Pair2) -> Circle | Rectangle:
+    """The outline less a displacement on either side: what lies in it lies in the outline, displaced or not."""
+    if isinstance(outline, Circle):
+        return Circle(max(outline.diameter - 2.0 * hypot(*moved), 0.0))
+    width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
+    return Rectangle(max(width, 0.0), max(height, 0.0))
 
 
 def _triple(v: Floats) -> tuple[float, float, float]:
