@@ -98,18 +98,18 @@ def measure(scene: Scene, z: float, pixels: int = 400, threads: int | None = Non
     plain = coordinate_scene(scene, z, pixels)
     window = prescribe(plain.design())
     picture = view_through(plain, passage=geometry_alone(plain, direct=True), threads=threads)
-    x0, inside = _sheet_points(plain, window, picture.light.shape[:2])
+    x0, inside = sheet_points(plain, window, picture.light.shape[:2])
     light = picture.light.reshape(-1, 3)
     met = inside & (light[:, 2] > 0.5)
     if np.count_nonzero(met) < 16:
         raise ValueError(f"{np.count_nonzero(met)} rays come through the sheet: too few to fit")
     seen = (light[met, :2] - 0.5) * WIDE
-    offset, matrix, rms, kept = _fitted(x0[met], seen)
+    offset, matrix, rms, kept = fitted(x0[met], seen)
     distance = float(-scene.camera.position[2])
     return ScreenMap(offset, matrix, rms, kept / np.count_nonzero(inside), z, distance)
 
 
-def _sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:
+def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:
     """Where each pixel's ray crosses z = 0 (n, 2), scene lengths, and whether on the cells of array 1."""
     from clacad.sheet import Window
 
@@ -123,7 +123,7 @@ def _sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple
     return at[:, :2], window.lattice.contains(index)
 
 
-def _fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
+def fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
     """Least squares, repeated without strays: rays farther off than 4 times the median distance."""
     design = np.column_stack([np.ones(len(x0)), x0])
     kept = np.ones(len(x0), dtype=bool)
