@@ -44,11 +44,11 @@ from clacad.trace.kernel_block_slots import (
     Y,
     Z,
 )
-from clacad.trace.kernel_column import DIVISIONS
+from clacad.trace.kernel_column import DIVISIONS, EVENT_NUMBERS, WORK_NUMBERS
 from clacad.trace.kernel_facets import cross_facets
 from clacad.trace.kernel_launch import launch_block, launch_ray
 from clacad.trace.kernel_scalar import height, meet
-from clacad.trace.kernel_walk import SCRATCH_NUMBERS, reach, walk_ray
+from clacad.trace.kernel_walk import WALKER_NUMBERS, reach, walk_ray
 from clacad.trace.layout import Floats
 from clacad.trace.mesh_layout import Tiles
 
@@ -153,14 +153,14 @@ def _normals(face: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _meet_biconic(
-    face: Floats, s: Floats, m: int, n1: float, n2: float, ox: float, oy: float, oz: float
+    faces: Floats, f: int, s: Floats, m: int, n1: float, n2: float, ox: float, oy: float, oz: float
 ) -> None:
     """Both loops of a biconic face: Newton has no fixed length, so rays are taken one by one."""
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
         t, x, y, z, gx, gy, gz, root = meet(
-            face, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
+            faces, f, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
         )  # fmt: skip
         incident = mu * root
         g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
@@ -337,25 +337,27 @@ def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: floa
 
 
 @exact
-def _thick(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
+def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
     """Hits on one face must lie on the right side of the body's other face."""
-    vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
+    vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
+    other, sign = f + 1 - 2 * (f % 2), 1.0 - 2.0 * (f % 2)
     for i in range(m):
         if s[GOOD, i] > 0.0:
-            gap = height(other, s[X, i] + vx, s[Y, i] + vy) - (s[Z, i] + vz)
+            gap = height(faces, other, s[X, i] + vx, s[Y, i] + vy) - (s[Z, i] + vz)
             if not sign * gap >= 0.0:
                 s[GOOD, i] = 0.0
 
 
 @exact
 def _cross(
-    face: Floats, lat: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, within: bool, ox: float,
+    faces: Floats, f: int, lat: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, within: bool, ox: float,
     oy: float, oz: float,
 ) -> None:  # fmt: skip
     """Cross one face; positions plus (ox, oy, oz) are relative to its vertex, and are after.
 
     within : the hit must lie in the optical zone of the cell
     """
+    face = faces[f]
     turned, quadric = face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
     hx, hy, lowest = inf, inf, climb
     plain = quadric and not turned
@@ -369,7 +371,7 @@ def _cross(
         _meet_quadric(face, s, m, n1, ox, oy, oz)
         _refract_quadric(face, s, m, n1, n2, lowest, hx, hy)
     else:
-        _meet_biconic(face, s, m, n1, n2, ox, oy, oz)
+        _meet_biconic(faces, f, s, m, n1, n2, ox, oy, oz)
     if turned:
         if quadric:
             _normals(face, s, m)
@@ -473,7 +475,7 @@ def straight(
                 climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
             if len(tiles.part) == 0:
-                _cross(face, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
+                _cross(faces, 2 * b + side, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
             else:
                 cross_facets(tiles, tiles.of[b, side], side, face, s, m, n1, n2, climb, ox, oy, oz)
                 if structured:
@@ -484,7 +486,7 @@ def straight(
                 if not columnar:
                     _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy, lat[slot.MARGIN])
                 elif body[slot.COVERED] == 0.0 and len(tiles.part) == 0:
-                    _thick(face, other, s, m, 1.0 - 2.0 * side)
+                    _thick(faces, 2 * b + side, s, m)
             if not columnar:
                 _in_inner(body, lat, s, m, array, ox, oy)
             if b == 0 and side == 0:
@@ -568,7 +570,8 @@ def trace_chunk(
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    work, causes = np.empty(SCRATCH_NUMBERS), np.empty(DIVISIONS, dtype=np.int64)
+    work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
+    walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
     walked, last = 0, len(faces) - 1
     base = bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     for first in range(0, len(chosen), BLOCK):
@@ -590,10 +593,10 @@ def trace_chunk(
                 row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns
             ):
                 continue
-            reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies[0], start, ray, row)
+            reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
             if reaches:
                 walk_ray(
                     tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
-                    fate, path, cell, order, surface, hits, turns, work, causes,
+                    fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
                 )  # fmt: skip
     return walked

@@ -20,7 +20,9 @@ KIND, DISTANCE, PLACE = 0, 1, 2
 
 EVENT_NUMBERS = 13
 DIVISIONS = 24
-WORK_NUMBERS = 44
+
+# Places in a walk's scratch array; its first DIVISIONS numbers are distances.
+BASE, START, HOME, CELL, STEP, WORK_NUMBERS = 24, 28, 32, 36, 40, 44
 
 
 @exact
@@ -61,13 +63,15 @@ def to_array(
 
 
 @exact
-def box_span(lat: Floats, body: Floats, x: float, y: float, L: float, M: float) -> tuple[float, float]:
+def box_span(
+    lat: Floats, bodies: Floats, b: int, x: float, y: float, L: float, M: float
+) -> tuple[float, float]:
     """Distances at which a ray enters and leaves the box round the footprint, a cell wider on every side."""
     pad = 2.0 * lat[slot.REACH]
     enter, leave = -inf, inf
     for axis in range(2):
         at, speed = (x, L) if axis == 0 else (y, M)
-        low, high = body[slot.BOX + 2 * axis] - pad, body[slot.BOX + 2 * axis + 1] + pad
+        low, high = bodies[b, slot.BOX + 2 * axis] - pad, bodies[b, slot.BOX + 2 * axis + 1] + pad
         if speed == 0.0:
             if not low <= at <= high:
                 return inf, -inf
@@ -80,17 +84,17 @@ def box_span(lat: Floats, body: Floats, x: float, y: float, L: float, M: float) 
 
 
 @exact
-def _lens_over(face: Floats, lat: Floats, rows: Ints, start: Floats, i: Floats, x: float, y: float) -> float:
+def _lens_over(faces: Floats, row: int, lat: Floats, rows: Ints, work: Floats, x: float, y: float) -> float:
     """Height of a face's lens at a step (x, y) from the start; NaN outside its zone and the kept cells."""
-    if face[slot.ARRAY] < 0.0:
-        return float(face[slot.VZ])
-    at = int(face[slot.ARRAY])
-    if not kept(lat, rows, i[2 * at], i[2 * at + 1]):
+    if faces[row, slot.ARRAY] < 0.0:
+        return float(faces[row, slot.VZ])
+    at = int(faces[row, slot.ARRAY])
+    if not kept(lat, rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
         return nan
-    u, v = start[2 * at] + x, start[2 * at + 1] + y
+    u, v = work[START + 2 * at] + x, work[START + 2 * at + 1] + y
     if lat[slot.MARGIN] > 0.0 and not in_zone(lat, u, v, lat[slot.MARGIN]):
         return nan
-    return height(face, u, v)
+    return height(faces, row, u, v)
 
 
 @exact
@@ -104,117 +108,129 @@ def _proud(lens: float, land: float, front: bool) -> float:
 
 
 @exact
-def in_footprint(body: Floats, x: float, y: float, over_cell: bool) -> bool:
+def in_footprint(bodies: Floats, b: int, x: float, y: float, over_cell: bool) -> bool:
     """Whether a sheet point lies over the body."""
-    if body[slot.OUTLINE] == 0.0:
+    if bodies[b, slot.OUTLINE] == 0.0:
         return over_cell
-    x, y = x - body[slot.MID_X], y - body[slot.MID_Y]
-    if body[slot.OUTLINE] == 1.0:
-        return bool(x * x + y * y <= body[slot.OUT_X] * body[slot.OUT_X])
-    return bool(abs(x) <= body[slot.OUT_X] and abs(y) <= body[slot.OUT_Y])
+    x, y = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y]
+    if bodies[b, slot.OUTLINE] == 1.0:
+        return bool(x * x + y * y <= bodies[b, slot.OUT_X] * bodies[b, slot.OUT_X])
+    return bool(abs(x) <= bodies[b, slot.OUT_X] and abs(y) <= bodies[b, slot.OUT_Y])
 
 
 @exact
 def _solid(
-    front: Floats, back: Floats, body: Floats, lat: Floats, rows: Ints, start: Floats, cell: Floats,
-    sheet_x: float, sheet_y: float, z: float, x: float, y: float,
+    faces: Floats, bodies: Floats, b: int, lat: Floats, rows: Ints, work: Floats, sheet_x: float, sheet_y: float,
+    z: float, x: float, y: float,
 ) -> bool:  # fmt: skip
     """Whether the point at height z, a step (x, y) from the start, lies in the material."""
-    main = int(front[slot.ARRAY]) if front[slot.ARRAY] >= 0.0 else int(back[slot.ARRAY])
-    if not in_footprint(body, sheet_x + x, sheet_y + y, kept(lat, rows, cell[2 * main], cell[2 * main + 1])):
+    main = int(bodies[b, slot.ENTRY])
+    if not in_footprint(
+        bodies, b, sheet_x + x, sheet_y + y, kept(lat, rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
+    ):
         return False
     below, above = (
-        _lens_over(front, lat, rows, start, cell, x, y),
-        _lens_over(back, lat, rows, start, cell, x, y),
+        _lens_over(faces, 2 * b, lat, rows, work, x, y),
+        _lens_over(faces, 2 * b + 1, lat, rows, work, x, y),
     )
-    if body[slot.COLUMNAR] != 0.0 and not below <= above:
-        return bool(front[slot.LAND] <= z <= back[slot.LAND])
-    return _proud(below, front[slot.LAND], True) <= z <= _proud(above, back[slot.LAND], False)
+    if bodies[b, slot.COLUMNAR] != 0.0 and not below <= above:
+        return bool(faces[2 * b, slot.LAND] <= z <= faces[2 * b + 1, slot.LAND])
+    return (
+        _proud(below, faces[2 * b, slot.LAND], True) <= z <= _proud(above, faces[2 * b + 1, slot.LAND], False)
+    )
 
 
 @exact
 def _divide(
-    front: Floats, back: Floats, body: Floats, lat: Floats, start: Floats,
-    sheet_x: float, sheet_y: float, z: float, L: float, M: float, N: float, times: Floats, causes: Ints,
+    faces: Floats, bodies: Floats, b: int, lat: Floats, sheet_x: float, sheet_y: float, z: float, L: float, M: float,
+    N: float, work: Floats, causes: Ints,
 ) -> int:  # fmt: skip
     """Fill in the distances that divide the ray into stretches, and what each is; return their number."""
     count = 0
     for side in range(2):
-        face = front if side == 0 else back
+        row = 2 * b + side
         lens = FRONT if side == 0 else BACK
-        if face[slot.ARRAY] < 0.0:
-            times[count], causes[count] = (face[slot.VZ] - z) / N, lens
+        if faces[row, slot.ARRAY] < 0.0:
+            work[count], causes[count] = (faces[row, slot.VZ] - z) / N, lens
             count += 1
         else:
-            at = int(face[slot.ARRAY])
-            one, two = lens_roots(face, start[2 * at], start[2 * at + 1], z, L, M, N)
-            times[count], causes[count] = one, lens
-            times[count + 1], causes[count + 1] = two, lens
+            at = int(faces[row, slot.ARRAY])
+            one, two = lens_roots(faces, row, work[START + 2 * at], work[START + 2 * at + 1], z, L, M, N)
+            work[count], causes[count] = one, lens
+            work[count + 1], causes[count + 1] = two, lens
             count += 2
-        if not isnan(face[slot.LAND]):
-            times[count], causes[count] = (face[slot.LAND] - z) / N, FRONT_LAND if side == 0 else BACK_LAND
+        if not isnan(faces[row, slot.LAND]):
+            work[count], causes[count] = (
+                (faces[row, slot.LAND] - z) / N,
+                FRONT_LAND if side == 0 else BACK_LAND,
+            )
             count += 1
     last = -1
     for side in range(2):
-        at = int(front[slot.ARRAY]) if side == 0 else int(back[slot.ARRAY])
+        at = int(faces[2 * b + side, slot.ARRAY])
         if lat[slot.MARGIN] == 0.0 or at < 0 or at == last:
             continue
         last = at
         for n in range(int(lat[slot.BORDERS])):
             ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
-            here, speed = ux * start[2 * at] + uy * start[2 * at + 1], ux * L + uy * M
+            here, speed = ux * work[START + 2 * at] + uy * work[START + 2 * at + 1], ux * L + uy * M
             edge = lat[slot.HALF + n] - lat[slot.MARGIN]
-            times[count], causes[count] = (edge - here) / speed, WALL
-            times[count + 1], causes[count + 1] = (-edge - here) / speed, WALL
+            work[count], causes[count] = (edge - here) / speed, WALL
+            work[count + 1], causes[count + 1] = (-edge - here) / speed, WALL
             count += 2
-    return divide_outline(body, sheet_x, sheet_y, L, M, times, causes, count)
+    return divide_outline(bodies, b, sheet_x, sheet_y, L, M, work, causes, count)
 
 
 @exact
 def divide_outline(
-    body: Floats, x: float, y: float, L: float, M: float, times: Floats, causes: Ints, count: int
+    bodies: Floats, b: int, x: float, y: float, L: float, M: float, times: Floats, causes: Ints, count: int
 ) -> int:
-    if body[slot.OUTLINE] == 0.0:
+    if bodies[b, slot.OUTLINE] == 0.0:
         return count
-    x, y = x - body[slot.MID_X], y - body[slot.MID_Y]
-    if body[slot.OUTLINE] == 2.0:
-        times[count], times[count + 1] = (body[slot.OUT_X] - x) / L, (-body[slot.OUT_X] - x) / L
-        times[count + 2], times[count + 3] = (body[slot.OUT_Y] - y) / M, (-body[slot.OUT_Y] - y) / M
-        causes[count : count + 4] = WALL
+    x, y = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y]
+    if bodies[b, slot.OUTLINE] == 2.0:
+        times[count], times[count + 1] = (bodies[b, slot.OUT_X] - x) / L, (-bodies[b, slot.OUT_X] - x) / L
+        times[count + 2], times[count + 3] = (bodies[b, slot.OUT_Y] - y) / M, (-bodies[b, slot.OUT_Y] - y) / M
+        for k in range(4):
+            causes[count + k] = WALL
         return count + 4
-    a, b, c = L * L + M * M, x * L + y * M, x * x + y * y - body[slot.OUT_X] * body[slot.OUT_X]
-    disc = b * b - a * c
+    outer = bodies[b, slot.OUT_X]
+    square, half, rest = L * L + M * M, x * L + y * M, x * x + y * y - outer * outer
+    disc = half * half - square * rest
     if not disc >= 0.0:
         return count
-    q = -(b + copysign(sqrt(disc), b))
-    times[count], times[count + 1] = c / q, q / a
-    causes[count : count + 2] = WALL
+    q = -(half + copysign(sqrt(disc), half))
+    times[count], times[count + 1] = rest / q, q / square
+    causes[count], causes[count + 1] = WALL, WALL
     return count + 2
 
 
 @exact
 def jump(
     bodies: Floats, lat: Floats, b: int, array: int, i: float, j: float, x: float, y: float, z: float, L: float,
-    M: float, N: float, now: float, home: Floats, step: Floats,
+    M: float, N: float, now: float, work: Floats,
 ) -> float:  # fmt: skip
     """Skip the solid middle of a thick body; returns the distance to go on from, `now` if nothing is skipped.
 
     Between the front's highest and the back's lowest point there is nothing to meet but the side walls, and
-    none between two points of the convex region inside the footprint. `step` is set to the cells over there.
+    none between two points of the convex region inside the footprint. The steps are set to the cells over there.
     """
-    body = bodies[b]
-    low, high = (body[slot.JUMP_FROM] - z) / N, (body[slot.JUMP_TO] - z) / N
+    low, high = (bodies[b, slot.JUMP_FROM] - z) / N, (bodies[b, slot.JUMP_TO] - z) / N
     if not (low <= now < high):
         return now
     sx, sy = sheet_xy(lat, array, i, j, x, y)
     for t in (now, high):
-        u, v = sx + t * L - body[slot.MID_X], sy + t * M - body[slot.MID_Y]
-        inside = abs(u) < body[slot.INNER_X] and abs(v) < body[slot.INNER_Y] and body[slot.INNER_R] > 0.0
-        if not (inside and u * u + v * v < body[slot.INNER_R] * body[slot.INNER_R]):
+        u, v = sx + t * L - bodies[b, slot.MID_X], sy + t * M - bodies[b, slot.MID_Y]
+        inside = (
+            abs(u) < bodies[b, slot.INNER_X]
+            and abs(v) < bodies[b, slot.INNER_Y]
+            and bodies[b, slot.INNER_R] > 0.0
+        )
+        if not (inside and u * u + v * v < bodies[b, slot.INNER_R] * bodies[b, slot.INNER_R]):
             return now
     for at in range(2):
         p, q, _, _ = to_array(lat, array, at, i, j, x + high * L, y + high * M)
-        step[2 * at], step[2 * at + 1] = p - home[2 * at], q - home[2 * at + 1]
+        work[STEP + 2 * at], work[STEP + 2 * at + 1] = p - work[HOME + 2 * at], q - work[HOME + 2 * at + 1]
     return float(high)
 
 
@@ -227,22 +243,30 @@ def first_change(
 
     `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): KIND, DISTANCE, and cell and start for each of the body's arrays.
     """
-    front, back, body = faces[2 * b], faces[2 * b + 1], bodies[b]
-    times, base, start = work[:DIVISIONS], work[24:28], work[28:32]
-    home, cell, step = work[32:36], work[36:40], work[40:44]
-    step[:] = 0.0
+    for k in range(4):
+        work[STEP + k] = 0.0
     for side in range(2):
         at = int(faces[2 * b + side, slot.ARRAY])
         if at < 0:
             continue
         if at == array:
-            home[2 * at], home[2 * at + 1], base[2 * at], base[2 * at + 1] = i, j, x, y
+            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
+                i,
+                j,
+                x,
+                y,
+            )
         else:
             u, v, p, q = to_array(lat, array, at, i, j, x, y)
-            home[2 * at], home[2 * at + 1], base[2 * at], base[2 * at + 1] = u, v, p, q
+            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
+                u,
+                v,
+                p,
+                q,
+            )
     sx, sy = sheet_xy(lat, array, i, j, x, y)
-    aside = max(box_span(lat, body, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (body[slot.BODY_HIGH] - z) / N
+    aside = max(box_span(lat, bodies, b, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (bodies[b, slot.BODY_HIGH] - z) / N
     limit = min(aside, above)
     since, cause, kind = 0.0, WALL, ASIDE
     walking = not above <= 0.0
@@ -252,11 +276,20 @@ def first_change(
         border, across, across_array, sense = inf, 0, 0, 1.0
         for side in range(2):
             at = int(faces[2 * b + side, slot.ARRAY])
-            if at < 0 or (side == 1 and at == int(front[slot.ARRAY])):
+            if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
                 continue
-            cell[2 * at], cell[2 * at + 1] = home[2 * at] + step[2 * at], home[2 * at + 1] + step[2 * at + 1]
-            u, v = less_steps(lat, base[2 * at], base[2 * at + 1], step[2 * at], step[2 * at + 1])
-            start[2 * at], start[2 * at + 1] = u, v
+            work[CELL + 2 * at], work[CELL + 2 * at + 1] = (
+                work[HOME + 2 * at] + work[STEP + 2 * at],
+                work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
+            )
+            u, v = less_steps(
+                lat,
+                work[BASE + 2 * at],
+                work[BASE + 2 * at + 1],
+                work[STEP + 2 * at],
+                work[STEP + 2 * at + 1],
+            )
+            work[START + 2 * at], work[START + 2 * at + 1] = u, v
             for n in range(int(lat[slot.BORDERS])):
                 ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
                 speed = ux * L + uy * M
@@ -266,16 +299,14 @@ def first_change(
                 if t < border:
                     border, across, across_array, sense = t, n, at, copysign(1.0, speed)
         end = min(border, limit)
-        count = _divide(front, back, body, lat, start, sx, sy, z, L, M, N, times, causes)
-        count = sort_divisions(times, causes, count, max(since - lat[slot.TINY], 0.0), since, end)
+        count = _divide(faces, bodies, b, lat, sx, sy, z, L, M, N, work, causes)
+        count = sort_divisions(work, causes, count, max(since - lat[slot.TINY], 0.0), since, end)
         changed = False
         for c in range(count + 1):
-            to, why = (times[c], causes[c]) if c < count else (end, WALL)
+            to, why = (work[c], causes[c]) if c < count else (end, WALL)
             if to - since > lat[slot.TINY]:
                 t = 0.5 * (since + to)
-                now = _solid(
-                    front, back, body, lat, rows, start, cell, sx, sy, z + t * N, t * L, t * M
-                )  # fmt: skip
+                now = _solid(faces, bodies, b, lat, rows, work, sx, sy, z + t * N, t * L, t * M)  # fmt: skip
                 if now != inside:
                     changed = True
                     break
@@ -292,16 +323,21 @@ def first_change(
             kind, since = ASIDE, aside
             break
         if inside:
-            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, end, home, step)
+            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, end, work)
             if t > end:
                 since, cause = t, WALL
                 continue
-        step_on(lat, across, sense, step[2 * across_array : 2 * across_array + 2])
+        step_on(across, sense, work, STEP + 2 * across_array)
     event[KIND], event[DISTANCE] = kind, since
     for at in range(2):
         place = PLACE + 4 * at
-        event[place], event[place + 1] = home[2 * at] + step[2 * at], home[2 * at + 1] + step[2 * at + 1]
-        u, v = less_steps(lat, base[2 * at], base[2 * at + 1], step[2 * at], step[2 * at + 1])
+        event[place], event[place + 1] = (
+            work[HOME + 2 * at] + work[STEP + 2 * at],
+            work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
+        )
+        u, v = less_steps(
+            lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
+        )
         event[place + 2], event[place + 3] = u, v
 
 
@@ -324,12 +360,12 @@ def sort_divisions(times: Floats, causes: Ints, count: int, earliest: float, sin
 
 
 @exact
-def step_on(lat: Floats, across: int, sense: float, step: Floats) -> None:
-    """Move one column on."""
+def step_on(across: int, sense: float, work: Floats, at: int) -> None:
+    """Move one column on: the steps are kept in work[at], work[at + 1]."""
     if across == 0:
-        step[0] += sense
+        work[at] += sense
     elif across == 1:
-        step[1] += sense
+        work[at + 1] += sense
     else:
-        step[0] -= sense
-        step[1] += sense
+        work[at] -= sense
+        work[at + 1] += sense

@@ -12,9 +12,14 @@ from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.trace.compiled import exact
 from clacad.trace.kernel_block_slots import DX, DY, DZ, GOOD, PATH, X, Y, Z
 from clacad.trace.kernel_column import (
+    BASE,
+    CELL,
     DISTANCE,
+    HOME,
     KIND,
     PLACE,
+    START,
+    STEP,
     box_span,
     divide_outline,
     in_footprint,
@@ -45,6 +50,9 @@ Ints = NDArray[np.int64]
 
 NORMAL = PLACE + 8
 """Slot of an event where a facet's normal is kept."""
+
+FACET = 20
+"""Place in the integer scratch where the present facets of arrays 0 and 1 are kept."""
 
 TRIES = 8
 """Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
@@ -142,18 +150,19 @@ def cross_facets(
 
 @exact
 def _levels(
-    tiles: Tiles, face: Floats, at: int, facet: Ints, side: int, start: Floats, dx: float, dy: float
+    tiles: Tiles, faces: Floats, row: int, at: int, causes: Ints, work: Floats, dx: float, dy: float
 ) -> tuple[float, float]:  # fmt: skip
     """Height of a face at the start and its rise along the ray, over the column the ray is in; NaN for none."""
-    if face[slot.ARRAY] < 0.0:
-        return face[slot.LOW], 0.0
-    f = facet[at]
+    if faces[row, slot.ARRAY] < 0.0:
+        return faces[row, slot.LOW], 0.0
+    f = causes[FACET + at]
     if f < 0:
-        return face[slot.LAND], 0.0
+        return faces[row, slot.LAND], 0.0
+    side = row % 2
     if tiles.part[f, side] == VOID:
         return nan, 0.0
-    p = tiles.plane[f, side]
-    return p[0] * start[2 * at] + p[1] * start[2 * at + 1] + p[2], p[0] * dx + p[1] * dy
+    a, b, c = tiles.plane[f, side, 0], tiles.plane[f, side, 1], tiles.plane[f, side, 2]
+    return a * work[START + 2 * at] + b * work[START + 2 * at + 1] + c, a * dx + b * dy
 
 
 @exact
@@ -166,25 +175,32 @@ def first_facet_change(
 
     A piece is what lies over one facet of each of the body's tilings; in it both faces are planes.
     """
-    body = bodies[b]
-    times, base, start = work[:24], work[24:28], work[28:32]
-    home, cell, step = work[32:36], work[36:40], work[40:44]
-    step[:] = 0.0
-    facet = causes[20:22]  # of array 0 and 1
-    main = int(body[slot.ENTRY])
+    for k in range(4):
+        work[STEP + k] = 0.0
+    main = int(bodies[b, slot.ENTRY])
     for side in range(2):
         at = int(faces[2 * b + side, slot.ARRAY])
         if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
             continue
         if at == array:
-            home[2 * at], home[2 * at + 1], base[2 * at], base[2 * at + 1] = i, j, x, y
+            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
+                i,
+                j,
+                x,
+                y,
+            )
         else:
             u, v, p, q = to_array(lat, array, at, i, j, x, y)
-            home[2 * at], home[2 * at + 1], base[2 * at], base[2 * at + 1] = u, v, p, q
-        facet[at] = -2  # not looked up
+            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
+                u,
+                v,
+                p,
+                q,
+            )
+        causes[FACET + at] = -2  # not looked up
     sx, sy = sheet_xy(lat, array, i, j, x, y)
-    aside = max(box_span(lat, body, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (body[slot.BODY_HIGH] - z) / N
+    aside = max(box_span(lat, bodies, b, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (bodies[b, slot.BODY_HIGH] - z) / N
     limit = min(aside, above)
     since, cause, kind = 0.0, WALL, ASIDE
     gx, gy, gz = 0.0, 0.0, 1.0
@@ -198,16 +214,25 @@ def first_facet_change(
             at = int(faces[2 * b + side, slot.ARRAY])
             if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
                 continue
-            cell[2 * at], cell[2 * at + 1] = home[2 * at] + step[2 * at], home[2 * at + 1] + step[2 * at + 1]
-            u, v = less_steps(lat, base[2 * at], base[2 * at + 1], step[2 * at], step[2 * at + 1])
-            start[2 * at], start[2 * at + 1] = u, v
+            work[CELL + 2 * at], work[CELL + 2 * at + 1] = (
+                work[HOME + 2 * at] + work[STEP + 2 * at],
+                work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
+            )
+            u, v = less_steps(
+                lat,
+                work[BASE + 2 * at],
+                work[BASE + 2 * at + 1],
+                work[STEP + 2 * at],
+                work[STEP + 2 * at + 1],
+            )
+            work[START + 2 * at], work[START + 2 * at + 1] = u, v
             tile = tiles.of[b, side]
-            if facet[at] == -2:
-                facet[at] = -1
-                if kept(lat, rows, cell[2 * at], cell[2 * at + 1]):
+            if causes[FACET + at] == -2:
+                causes[FACET + at] = -1
+                if kept(lat, rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
                     # a hair into the piece, so that a ray along an edge is in the facet it goes to
                     t = entered + 2.0 * lat[slot.TINY]
-                    facet[at] = locate_facet(tiles, tile, u + t * L, v + t * M)
+                    causes[FACET + at] = locate_facet(tiles, tile, u + t * L, v + t * M)
             for n in range(int(lat[slot.BORDERS])):
                 ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
                 speed = ux * L + uy * M
@@ -216,36 +241,39 @@ def first_facet_change(
                 t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
                 if t < end:
                     end, across, across_array, sense, edge = t, n, at, copysign(1.0, speed), -1
-            f = facet[at]
+            f = causes[FACET + at]
             if f < 0:
                 continue
             for n in range(3):
-                w = tiles.weight[f, n]
-                speed = w[0] * L + w[1] * M
+                wx, wy = tiles.weight[f, n, 0], tiles.weight[f, n, 1]
+                speed = wx * L + wy * M
                 if speed >= 0.0 or tiles.beside[f, n] < 0:
                     continue
-                t = -(w[0] * u + w[1] * v + w[2]) / speed
+                t = -(wx * u + wy * v + tiles.weight[f, n, 2]) / speed
                 if t < end:
                     end, across, edge, edge_array = t, -1, n, at
         front_at = int(faces[2 * b, slot.ARRAY]) if faces[2 * b, slot.ARRAY] >= 0.0 else main
         back_at = int(faces[2 * b + 1, slot.ARRAY]) if faces[2 * b + 1, slot.ARRAY] >= 0.0 else main
-        low, low_rise = _levels(tiles, faces[2 * b], front_at, facet, 0, start, L, M)
-        high, high_rise = _levels(tiles, faces[2 * b + 1], back_at, facet, 1, start, L, M)
-        times[0], causes[0] = (low - z) / (N - low_rise), _kind(tiles, faces[2 * b], facet[front_at], 0)
-        times[1], causes[1] = (high - z) / (N - high_rise), _kind(tiles, faces[2 * b + 1], facet[back_at], 1)
+        low, low_rise = _levels(tiles, faces, 2 * b, front_at, causes, work, L, M)
+        high, high_rise = _levels(tiles, faces, 2 * b + 1, back_at, causes, work, L, M)
+        work[0], causes[0] = (low - z) / (N - low_rise), _kind(tiles, faces, 2 * b, causes[FACET + front_at])
+        work[1], causes[1] = (
+            (high - z) / (N - high_rise),
+            _kind(tiles, faces, 2 * b + 1, causes[FACET + back_at]),
+        )
         count = 2
-        if facet[main] < 0:
-            count = divide_outline(body, sx, sy, L, M, times, causes, count)
+        if causes[FACET + main] < 0:
+            count = divide_outline(bodies, b, sx, sy, L, M, work, causes, count)
         end = max(end, entered)
-        count = sort_divisions(times, causes, count, max(entered, since - lat[slot.TINY]), since, end)
+        count = sort_divisions(work, causes, count, max(entered, since - lat[slot.TINY]), since, end)
         changed = False
         for c in range(count + 1):
-            to, why = (times[c], causes[c]) if c < count else (end, WALL)
+            to, why = (work[c], causes[c]) if c < count else (end, WALL)
             if to - since > lat[slot.TINY]:
                 t = 0.5 * (since + to)
                 level = z + t * N
                 over = in_footprint(
-                    body, sx + t * L, sy + t * M, kept(lat, rows, cell[2 * main], cell[2 * main + 1])
+                    bodies, b, sx + t * L, sy + t * M, kept(lat, rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
                 )  # fmt: skip
                 now = over and low + t * low_rise <= level <= high + t * high_rise
                 if now != inside:
@@ -256,11 +284,11 @@ def first_facet_change(
                 cause = why
         if changed:
             kind = cause
-            f = facet[front_at] if kind == FRONT else facet[back_at]
+            f = causes[FACET + front_at] if kind == FRONT else causes[FACET + back_at]
             if (kind == FRONT or kind == BACK) and f >= 0:
                 at = front_at if kind == FRONT else back_at
                 gx, gy, gz = facet_normal(
-                    tiles, f, 0 if kind == FRONT else 1, start[2 * at] + since * L, start[2 * at + 1] + since * M
+                    tiles, f, 0 if kind == FRONT else 1, work[START + 2 * at] + since * L, work[START + 2 * at + 1] + since * M
                 )  # fmt: skip
             break
         if above <= end:
@@ -271,31 +299,37 @@ def first_facet_change(
             break
         entered = end
         if inside:
-            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, entered, home, step)
+            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, entered, work)
             if t > entered:
                 entered, since, cause = t, t, WALL
-                facet[0], facet[1] = -2, -2
+                causes[FACET + 0], causes[FACET + 1] = -2, -2
                 continue
         if across >= 0:
-            step_on(lat, across, sense, step[2 * across_array : 2 * across_array + 2])
-            facet[across_array] = -2
+            step_on(across, sense, work, STEP + 2 * across_array)
+            causes[FACET + across_array] = -2
         elif edge >= 0:
-            facet[edge_array] = tiles.beside[facet[edge_array], edge]
+            causes[FACET + edge_array] = tiles.beside[causes[FACET + edge_array], edge]
         else:
             break
     event[KIND], event[DISTANCE] = kind, since
     event[NORMAL], event[NORMAL + 1], event[NORMAL + 2] = gx, gy, gz
     for at in range(2):
         place = PLACE + 4 * at
-        event[place], event[place + 1] = home[2 * at] + step[2 * at], home[2 * at + 1] + step[2 * at + 1]
-        u, v = less_steps(lat, base[2 * at], base[2 * at + 1], step[2 * at], step[2 * at + 1])
+        event[place], event[place + 1] = (
+            work[HOME + 2 * at] + work[STEP + 2 * at],
+            work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
+        )
+        u, v = less_steps(
+            lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
+        )
         event[place + 2], event[place + 3] = u, v
 
 
 @exact
-def _kind(tiles: Tiles, face: Floats, facet: int, side: int) -> int:
+def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
     """Which crossing a face's plane is over a facet: of a lens or plane face, or of land."""
-    if face[slot.ARRAY] < 0.0:
+    side = row % 2
+    if faces[row, slot.ARRAY] < 0.0:
         return FRONT if side == 0 else BACK
     land = facet < 0 or tiles.part[facet, side] == LAND
     if side == 0:

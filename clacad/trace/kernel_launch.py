@@ -89,7 +89,7 @@ def carried_to(
 
 @exact
 def launch_ray(
-    lat: Floats, body: Floats, position: Floats, direction: Floats, row: int
+    lat: Floats, bodies: Floats, position: Floats, direction: Floats, row: int
 ) -> tuple[bool, float, float, float, float, float, float, float, float, float]:
     """Launch one ray wherever it comes from; see `launch.launch`.
 
@@ -107,9 +107,9 @@ def launch_ray(
     else:
         length = ldexp(1.0, -exponent)
     x, y, z = position[row, 0], position[row, 1], position[row, 2]
-    plane = body[slot.LEVEL] + body[slot.BODY_LOW]
-    run, span = (plane - z) / N, (body[slot.BODY_HIGH] - body[slot.BODY_LOW]) / N
-    enter, leave = box_span(lat, body, x + run * L, y + run * M, L, M)
+    plane = bodies[0, slot.LEVEL] + bodies[0, slot.BODY_LOW]
+    run, span = (plane - z) / N, (bodies[0, slot.BODY_HIGH] - bodies[0, slot.BODY_LOW]) / N
+    enter, leave = box_span(lat, bodies, 0, x + run * L, y + run * M, L, M)
     if not (enter <= leave and leave >= 0.0 and enter <= span):
         return False, nan, nan, nan, nan, nan, nan, nan, nan, nan
     if enter > 0.0:
@@ -117,7 +117,7 @@ def launch_ray(
     if not isfinite(plane):
         return False, nan, nan, nan, nan, nan, nan, nan, nan, nan
     step, i, j, u, v = carried_to(lat, plane, x, y, z, l, m, n)
-    return True, i, j, u, v, plane - body[slot.LEVEL], L, M, N, step * length
+    return True, i, j, u, v, plane - bodies[0, slot.LEVEL], L, M, N, step * length
 
 
 @exact

@@ -135,26 +135,26 @@ def in_zone(lat: Floats, x: float, y: float, margin: float) -> bool:
 
 
 @exact
-def to_lens(face: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+def to_lens(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Sheet axes to lens axes."""
-    if face[slot.TURNED] == 0.0:
+    if faces[row, slot.TURNED] == 0.0:
         return x, y, z
     return (
-        face[slot.R0] * x + face[slot.R0 + 3] * y + face[slot.R0 + 6] * z,
-        face[slot.R0 + 1] * x + face[slot.R0 + 4] * y + face[slot.R0 + 7] * z,
-        face[slot.R0 + 2] * x + face[slot.R0 + 5] * y + face[slot.R0 + 8] * z,
+        faces[row, slot.R0] * x + faces[row, slot.R0 + 3] * y + faces[row, slot.R0 + 6] * z,
+        faces[row, slot.R0 + 1] * x + faces[row, slot.R0 + 4] * y + faces[row, slot.R0 + 7] * z,
+        faces[row, slot.R0 + 2] * x + faces[row, slot.R0 + 5] * y + faces[row, slot.R0 + 8] * z,
     )
 
 
 @exact
-def to_sheet(face: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+def to_sheet(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Lens axes to sheet axes."""
-    if face[slot.TURNED] == 0.0:
+    if faces[row, slot.TURNED] == 0.0:
         return x, y, z
     return (
-        face[slot.R0] * x + face[slot.R0 + 1] * y + face[slot.R0 + 2] * z,
-        face[slot.R0 + 3] * x + face[slot.R0 + 4] * y + face[slot.R0 + 5] * z,
-        face[slot.R0 + 6] * x + face[slot.R0 + 7] * y + face[slot.R0 + 8] * z,
+        faces[row, slot.R0] * x + faces[row, slot.R0 + 1] * y + faces[row, slot.R0 + 2] * z,
+        faces[row, slot.R0 + 3] * x + faces[row, slot.R0 + 4] * y + faces[row, slot.R0 + 5] * z,
+        faces[row, slot.R0 + 6] * x + faces[row, slot.R0 + 7] * y + faces[row, slot.R0 + 8] * z,
     )
 
 
@@ -244,29 +244,39 @@ def _quadric_root(
 
 
 @exact
-def _biconic_parts(face: Floats, x: float, y: float) -> tuple[float, float]:
+def _biconic_parts(faces: Floats, row: int, x: float, y: float) -> tuple[float, float]:
     """Q, w (0 beyond the equator) and the κ of the quadric that shares the profile at this azimuth."""
-    cx, cy = face[slot.CX], face[slot.CY]
-    a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
+    cx, cy = faces[row, slot.CX], faces[row, slot.CY]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     q = cx * x * x + cy * y * y
     p = a * x * x + b * y * y
     w = sqrt(1.0 - p) if p < 1.0 else 0.0
-    return w, (p / q if q != 0.0 else (1.0 + face[slot.KX]) * cx)
+    return w, (p / q if q != 0.0 else (1.0 + faces[row, slot.KX]) * cx)
 
 
 @exact
 def _biconic_root(
-    face: Floats, x: float, y: float, z: float, bx: float, by: float, bz: float, L: float, M: float, N: float
+    faces: Floats,
+    row: int,
+    x: float,
+    y: float,
+    z: float,
+    bx: float,
+    by: float,
+    bz: float,
+    L: float,
+    M: float,
+    N: float,
 ) -> tuple[float, float]:
     """Newton on the azimuth's own quadric, see `clacad.surface.biconic`; a search where it does not settle."""
-    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
-    of_x, of_y = (1.0 + face[slot.KX]) * cx, (1.0 + face[slot.KY]) * cy
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    of_x, of_y = (1.0 + faces[row, slot.KX]) * cx, (1.0 + faces[row, slot.KY]) * cy
     skew = cx * cy * (of_x - of_y)
     sign = -side if N < 0.0 else side
     t, root = _quadric_root(cx, cy, 0.5 * (of_x + of_y), side, x, y, z, bx, by, bz, L, M, N)
     for _ in range(NEWTON_STEPS):
         u, v = bx + t * L, by + t * M
-        w, kappa = _biconic_parts(face, u, v)
+        w, kappa = _biconic_parts(faces, row, u, v)
         target, root = _quadric_root(cx, cy, kappa, side, x, y, z, bx, by, bz, L, M, N)
         slope = sign * skew * u * v * (v * L - u * M) / ((1.0 + w) * (1.0 + w) * root)
         change = (target - t) / (1.0 - slope if abs(1.0 - slope) > FLAT else 1.0)
@@ -281,14 +291,16 @@ def _biconic_root(
             if -rounding <= level <= abs(q) + rounding:
                 return t, root
             break
-    return _biconic_quartic(face, bx, by, bz, L, M, N), 0.0
+    return _biconic_quartic(faces, row, bx, by, bz, L, M, N), 0.0
 
 
 @exact
-def _biconic_quartic(face: Floats, x: float, y: float, z: float, L: float, M: float, N: float) -> float:
+def _biconic_quartic(
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
+) -> float:
     """Crossing of a ray that Newton lost: lowest of the roots of z² P − 2 side z Q + Q² = 0 that qualify."""
-    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
-    a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     p0, p1, p2 = a * x * x + b * y * y, 2.0 * (a * x * L + b * y * M), a * L * L + b * M * M
     q0, q1, q2 = cx * x * x + cy * y * y, 2.0 * (cx * x * L + cy * y * M), cx * L * L + cy * M * M
     k0 = q0 * q0 - 2.0 * side * q0 * z + p0 * z * z
@@ -305,7 +317,7 @@ def _biconic_quartic(face: Floats, x: float, y: float, z: float, L: float, M: fl
     r0, r1, r2, r3 = _roots_of_four(c0 / size**4, c1 / size**3, c2 / size**2, c3 / size)
     best, lowest = nan, inf
     for t in (r0 * size, r1 * size, r2 * size, r3 * size):
-        polished, level = _biconic_polished(face, t, x, y, z, L, M, N)
+        polished, level = _biconic_polished(faces, row, t, x, y, z, L, M, N)
         if level < lowest:
             best, lowest = polished, level
     return best
@@ -331,17 +343,17 @@ def _roots_of_four(c0: float, c1: float, c2: float, c3: float) -> tuple[float, f
 
 @exact
 def _biconic_polished(
-    face: Floats, t: float, x: float, y: float, z: float, L: float, M: float, N: float
+    faces: Floats, row: int, t: float, x: float, y: float, z: float, L: float, M: float, N: float
 ) -> tuple[float, float]:
     """Newton on z − sag along the ray; |z| at the hit, infinite where there is none in the ray's sense."""
-    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
-    skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
     along = -1.0 if N < 0.0 else 1.0
     error, onward = inf, 0.0
     for _ in range(POLISHES):
         u, v = x + t * L, y + t * M
-        gap = _biconic_gap(face, u, v, z + t * N)
-        w, _ = _biconic_parts(face, u, v)
+        gap = _biconic_gap(faces, row, u, v, z + t * N)
+        w, _ = _biconic_parts(faces, row, u, v)
         twist = side * skew * u * v / ((1.0 + w) * (1.0 + w))
         onward = along * ((-side * cx * u - twist * v) * L + (-side * cy * v + twist * u) * M + w * N)
         error = gap * w / (along * onward)
@@ -352,32 +364,32 @@ def _biconic_polished(
 
 
 @exact
-def _biconic_gap(face: Floats, x: float, y: float, z: float) -> float:
+def _biconic_gap(faces: Floats, row: int, x: float, y: float, z: float) -> float:
     """Height of a point over the biconic; NaN beyond the equator."""
-    cx, cy = face[slot.CX], face[slot.CY]
-    p = (1.0 + face[slot.KX]) * cx * cx * x * x + (1.0 + face[slot.KY]) * cy * cy * y * y
+    cx, cy = faces[row, slot.CX], faces[row, slot.CY]
+    p = (1.0 + faces[row, slot.KX]) * cx * cx * x * x + (1.0 + faces[row, slot.KY]) * cy * cy * y * y
     if not p <= 1.0:
         return nan
-    return float(z - face[slot.SIDE] * (cx * x * x + cy * y * y) / (1.0 + sqrt(1.0 - p)))
+    return float(z - faces[row, slot.SIDE] * (cx * x * x + cy * y * y) / (1.0 + sqrt(1.0 - p)))
 
 
 @exact
 def meet(
-    face: Floats, x: float, y: float, z: float, L: float, M: float, N: float
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Distance to the apex half in the lens frame, point, normal turned along the ray, r; NaN on a miss."""
-    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     carried, bx, by, bz = _carry(x, y, z, L, M, N)
-    if face[slot.BICONIC] == 0.0:
-        t, root = _quadric_root(cx, cy, face[slot.KX], side, x, y, z, bx, by, bz, L, M, N)
+    if faces[row, slot.BICONIC] == 0.0:
+        t, root = _quadric_root(cx, cy, faces[row, slot.KX], side, x, y, z, bx, by, bz, L, M, N)
     else:
-        t, root = _biconic_root(face, x, y, z, bx, by, bz, L, M, N)
+        t, root = _biconic_root(faces, row, x, y, z, bx, by, bz, L, M, N)
     px, py, pz = bx + t * L, by + t * M, bz + t * N
-    gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * face[slot.KX] * pz
-    if face[slot.BICONIC] != 0.0:
-        w, _ = _biconic_parts(face, px, py)
+    gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * faces[row, slot.KX] * pz
+    if faces[row, slot.BICONIC] != 0.0:
+        w, _ = _biconic_parts(faces, row, px, py)
         gz = w
-        skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+        skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
         twist = side * skew * px * py / ((1.0 + w) * (1.0 + w))
         gx, gy = gx - twist * py, gy + twist * px
         root = abs(gx * L + gy * M + gz * N)
@@ -405,33 +417,37 @@ def snell(
 
 
 @exact
-def height(face: Floats, x: float, y: float) -> float:
+def height(faces: Floats, row: int, x: float, y: float) -> float:
     """Height of the lens over the body's level above a point of the cell frame; NaN where there is none."""
-    if face[slot.ARRAY] < 0.0:
-        return float(face[slot.VZ])
-    if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
-        x, y = x - face[slot.VX], y - face[slot.VY]
-        q = face[slot.CX] * x * x + face[slot.CY] * y * y
-        radicand = 1.0 - face[slot.KX] * q
-        return face[slot.VZ] + face[slot.SIDE] * q / (1.0 + sqrt(radicand)) if radicand > 0.0 else nan
-    u, v, w = to_lens(face, x - face[slot.VX], y - face[slot.VY], 0.0)
-    L, M, N = to_lens(face, 0.0, 0.0, 1.0)
-    t, _, _, _, gx, gy, gz, _ = meet(face, u, v, w, L, M, N)
-    if not to_sheet(face, gx, gy, gz)[2] > 0.0:
+    if faces[row, slot.ARRAY] < 0.0:
+        return float(faces[row, slot.VZ])
+    if faces[row, slot.TURNED] == 0.0 and faces[row, slot.BICONIC] == 0.0:
+        x, y = x - faces[row, slot.VX], y - faces[row, slot.VY]
+        q = faces[row, slot.CX] * x * x + faces[row, slot.CY] * y * y
+        radicand = 1.0 - faces[row, slot.KX] * q
+        return (
+            faces[row, slot.VZ] + faces[row, slot.SIDE] * q / (1.0 + sqrt(radicand))
+            if radicand > 0.0
+            else nan
+        )
+    u, v, w = to_lens(faces, row, x - faces[row, slot.VX], y - faces[row, slot.VY], 0.0)
+    L, M, N = to_lens(faces, row, 0.0, 0.0, 1.0)
+    t, _, _, _, gx, gy, gz, _ = meet(faces, row, u, v, w, L, M, N)
+    if not to_sheet(faces, row, gx, gy, gz)[2] > 0.0:
         return nan
-    return float(face[slot.VZ] + t)
+    return float(faces[row, slot.VZ] + t)
 
 
 @exact
 def lens_roots(
-    face: Floats, x: float, y: float, z: float, L: float, M: float, N: float
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
 ) -> tuple[float, float]:
     """Both distances at which a ray crosses the whole of a lens's surface; inf where it does not."""
-    x, y, z = to_lens(face, x - face[slot.VX], y - face[slot.VY], z - face[slot.VZ])
-    L, M, N = to_lens(face, L, M, N)
-    cx, cy, side, kappa = face[slot.CX], face[slot.CY], face[slot.SIDE], face[slot.KX]
-    if face[slot.BICONIC] != 0.0:
-        kappa = 0.5 * ((1.0 + face[slot.KX]) * cx + (1.0 + face[slot.KY]) * cy)
+    x, y, z = to_lens(faces, row, x - faces[row, slot.VX], y - faces[row, slot.VY], z - faces[row, slot.VZ])
+    L, M, N = to_lens(faces, row, L, M, N)
+    cx, cy, side, kappa = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE], faces[row, slot.KX]
+    if faces[row, slot.BICONIC] != 0.0:
+        kappa = 0.5 * ((1.0 + faces[row, slot.KX]) * cx + (1.0 + faces[row, slot.KY]) * cy)
     a = cx * L * L + cy * M * M + kappa * N * N
     b = cx * x * L + cy * y * M + (kappa * z - side) * N
     c = cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z
@@ -440,26 +456,28 @@ def lens_roots(
     if disc >= 0.0:
         q = -(b + copysign(sqrt(disc), b))
         one, two = _finite(c / q), _finite(q / a)
-    if face[slot.BICONIC] == 0.0:
+    if faces[row, slot.BICONIC] == 0.0:
         return one, two
-    met = meet(face, x, y, z, L, M, N)[0]
+    met = meet(faces, row, x, y, z, L, M, N)[0]
     other = two if abs(one - met) < abs(two - met) else one
     for _ in range(8):
-        other -= _biconic_step(face, x + other * L, y + other * M, z + other * N, L, M, N)
+        other -= _biconic_step(faces, row, x + other * L, y + other * M, z + other * N, L, M, N)
     return _finite(met), _finite(other)
 
 
 @exact
-def _biconic_step(face: Floats, x: float, y: float, z: float, L: float, M: float, N: float) -> float:
+def _biconic_step(
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
+) -> float:
     """Newton step along the ray towards z = sag(x, y)."""
-    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
-    a, b = (1.0 + face[slot.KX]) * cx * cx, (1.0 + face[slot.KY]) * cy * cy
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     p = a * x * x + b * y * y
     if not p <= 1.0:
         return nan
     w = sqrt(1.0 - p)
     sag = side * (cx * x * x + cy * y * y) / (1.0 + w)
-    skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
     twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
     gx, gy = -side * cx * x - twist * y, -side * cy * y + twist * x
     return float((z - sag) * w / (L * gx + M * gy + N * w))
@@ -471,15 +489,15 @@ def _finite(t: float) -> float:
 
 
 @exact
-def upward(face: Floats, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Normal G towards +z at a point near a lens (lens frame), and how far over it that lies, times |G|."""
-    cx, cy, side = face[slot.CX], face[slot.CY], face[slot.SIDE]
-    if face[slot.BICONIC] == 0.0:
-        kappa = face[slot.KX]
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    if faces[row, slot.BICONIC] == 0.0:
+        kappa = faces[row, slot.KX]
         over = -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
         return -side * cx * x, -side * cy * y, 1.0 - side * kappa * z, over
-    w, _ = _biconic_parts(face, x, y)
-    skew = cx * cy * ((1.0 + face[slot.KX]) * cx - (1.0 + face[slot.KY]) * cy)
+    w, _ = _biconic_parts(faces, row, x, y)
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
     twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
-    gap = _biconic_gap(face, x, y, z)
+    gap = _biconic_gap(faces, row, x, y, z)
     return -side * cx * x - twist * y, -side * cy * y + twist * x, w, gap * w

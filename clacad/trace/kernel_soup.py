@@ -167,11 +167,10 @@ def first_soup_change(
 
     Two cells that touch as separate solids have two walls in one place: light in the glass passes both.
     """
-    body = bodies[b]
     sx, sy = sheet_xy(lat, array, i, j, x, y)
-    ox, oy, oz = sx - x, sy - y, body[slot.LEVEL]
-    aside = max(box_span(lat, body, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (body[slot.BODY_HIGH] - z) / N
+    ox, oy, oz = sx - x, sy - y, bodies[b, slot.LEVEL]
+    aside = max(box_span(lat, bodies, b, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (bodies[b, slot.BODY_HIGH] - z) / N
     clear = CLEAR * lat[slot.HALF]
     least, kind, t = clear, ASIDE, aside
     if event[DISTANCE] < 0.0:  # from the reference plane: nothing has been met yet
@@ -216,7 +215,7 @@ def _name(
     face = faces[2 * b + side]
     if face[slot.ARRAY] >= 0.0 and not isnan(face[slot.LAND]):
         place = PLACE + 4 * int(face[slot.ARRAY])
-        lens = height(face, event[place + 2] + t * L, event[place + 3] + t * M)
+        lens = height(faces, 2 * b + side, event[place + 2] + t * L, event[place + 3] + t * M)
         flat = nx * nx + ny * ny <= LEVEL * LEVEL * nz * nz
         if flat and (isnan(lens) or abs(level - face[slot.LAND]) < abs(level - lens)):
             event[KIND] = FRONT_LAND if side == 0 else BACK_LAND

@@ -14,7 +14,6 @@ from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.trace.compiled import exact
 from clacad.trace.kernel_column import (
     DISTANCE,
-    EVENT_NUMBERS,
     KIND,
     PLACE,
     box_span,
@@ -62,34 +61,29 @@ ALIVE, GHOST, ON_LAND, BACKWARD = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAN
 TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED), int(Fate.MISSED)
 GOES_ON = 255
 
-# Parts of a walker's scratch array; the first is first_change's own.
-EVENT, WALK, LEFT, LAUNCH, SCRATCH_NUMBERS = 44, 57, 80, 103, 109
-
 
 @exact
 def walk_ray(
     tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
     i: float, j: float, x: float, y: float, z: float, L: float, M: float, N: float, carried: float,
     row: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
-    surface: Cells, hits: Floats, turns: Floats, work: Floats, causes: Ints,
+    surface: Cells, hits: Floats, turns: Floats, work: Floats,
+    w: Floats, left: Floats, event: Floats, causes: Ints,
 ) -> None:  # fmt: skip
     """Trace one ray from the launch plane (cells of array 0, heights over body 0's level) and write its row."""
-    w = work[WALK : WALK + WALKER_NUMBERS]
     w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ], w[PATH] = i, j, x, y, z, L, M, N, 0.0
     w[PX], w[PY], w[PZ] = position[row, 0], position[row, 1], position[row, 2]
-    w[FIRST : ODD + 2] = NO_CELL
-    w[AT_ARRAY : LANDED + 1] = 0.0
+    for c in range(FIRST, ODD + 2):
+        w[c] = NO_CELL
+    for c in range(AT_ARRAY, LANDED + 1):
+        w[c] = 0.0
     w[SURFACE] = NO_CELL
-    launch = work[LAUNCH:]
-    for c in range(3):
-        launch[c], launch[3 + c] = position[row, c], direction[row, c]
-    event = work[EVENT : EVENT + EVENT_NUMBERS]
-    left = work[LEFT : LEFT + WALKER_NUMBERS]
     end = GOES_ON
     for b in range(len(bodies)):
         gap = carried
         if b:
-            left[:] = w
+            for c in range(WALKER_NUMBERS):
+                left[c] = w[c]
             gap, end = _cross_gap(bodies, lat, b, w)
             if end != GOES_ON:
                 _record_end(w, row, hits, turns)
@@ -103,9 +97,9 @@ def walk_ray(
         end = ON_LAND if w[LANDED] != 0.0 else (GHOST if w[GHOSTLY] != 0.0 else ALIVE)
         _record_end(w, row, hits, turns)
     if end == MISSED:
-        for k in range(3):
-            hits[:, row, k] = launch[k]
-            turns[:, row, k] = launch[3 + k]
+        for k in range(len(hits)):
+            for c in range(3):
+                hits[k, row, c], turns[k, row, c] = position[row, c], direction[row, c]
         fate[row] = MISSED
         cell[row, 0], cell[row, 1] = int(w[FIRST]), int(w[FIRST + 1])
         return
@@ -150,7 +144,7 @@ def _through_body(
     left: Floats, event: Floats, work: Floats, causes: Ints, row: int, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
-    body, index = bodies[b], indices[b]
+    index = indices[b]
     event[DISTANCE] = -1.0  # nothing of this body has been met
     _next_change(
         tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
@@ -159,12 +153,13 @@ def _through_body(
     kind, distance = int(event[KIND]), event[DISTANCE]
     if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
         return MISSED
-    hole = kind == ABOVE and _over(faces, body, lat, rows, b, w, distance)
+    hole = kind == ABOVE and _over(bodies, lat, rows, b, w, distance)
     missed = kind == ASIDE or (kind == ABOVE and not hole)
     if b and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-        if _stopped_by_baffle(faces, lat, b, w, left, event, gap):
+        if _stopped_by_baffle(bodies, lat, b, w, left, event, gap):
             _record_end(left, row, hits, turns)
-            w[:] = left
+            for c in range(WALKER_NUMBERS):
+                w[c] = left[c]
             return VIGNETTED
     if missed:
         return MISSED
@@ -200,19 +195,15 @@ def _through_body(
 
 
 @exact
-def _over(faces: Floats, body: Floats, lat: Floats, rows: Ints, b: int, w: Floats, distance: float) -> bool:
+def _over(bodies: Floats, lat: Floats, rows: Ints, b: int, w: Floats, distance: float) -> bool:
     """Whether a ray that has risen past the body did so over its footprint."""
     array = int(w[AT_ARRAY])
     sx, sy = sheet_xy(lat, array, w[CI], w[CJ], w[X], w[Y])
-    main = (
-        int(faces[2 * b, slot.ARRAY])
-        if faces[2 * b, slot.ARRAY] >= 0.0
-        else int(faces[2 * b + 1, slot.ARRAY])
-    )
+    main = int(bodies[b, slot.ENTRY])
     i, j, _, _ = to_array(
         lat, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
     )  # fmt: skip
-    return in_footprint(body, sx + distance * w[DX], sy + distance * w[DY], kept(lat, rows, i, j))
+    return in_footprint(bodies, b, sx + distance * w[DX], sy + distance * w[DY], kept(lat, rows, i, j))
 
 
 @exact
@@ -221,15 +212,11 @@ def _refract(
     n1: float, n2: float, row: int, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Refract at the front or back that was met."""
-    face = faces[2 * b + side]
+    f = 2 * b + side
     kind, distance = int(event[KIND]), event[DISTANCE]
     on_lens = kind == FRONT or kind == BACK
-    main = (
-        int(faces[2 * b, slot.ARRAY])
-        if faces[2 * b, slot.ARRAY] >= 0.0
-        else int(faces[2 * b + 1, slot.ARRAY])
-    )
-    array = int(face[slot.ARRAY]) if face[slot.ARRAY] >= 0.0 else main
+    main = int(bodies[b, slot.ENTRY])
+    array = int(faces[f, slot.ARRAY]) if faces[f, slot.ARRAY] >= 0.0 else main
     place = PLACE + 4 * array
     L, M, N = w[DX], w[DY], w[DZ]
     x, y, z = event[place + 2], event[place + 3], w[Z]
@@ -239,34 +226,34 @@ def _refract(
         gx, gy, gz = event[NORMAL], event[NORMAL + 1], event[NORMAL + 2]
         ox, oy, oz = snell(L, M, N, gx, gy, gz, L * gx + M * gy + N * gz, n1, n2)
     elif on_lens:
-        sx, sy, sz = to_lens(face, x - face[slot.VX], y - face[slot.VY], z - face[slot.VZ])
-        u, v, k = to_lens(face, L, M, N)
-        t, px, py, pz, gx, gy, gz, root = meet(face, sx, sy, sz, u, v, k)
+        sx, sy, sz = to_lens(faces, f, x - faces[f, slot.VX], y - faces[f, slot.VY], z - faces[f, slot.VZ])
+        u, v, k = to_lens(faces, f, L, M, N)
+        t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, k)
         if not abs(t - distance) <= SAME * lat[slot.HALF]:
             # `meet` gives the other crossing where a ray falls in the lens's frame while it rises in the sheet's
             t = distance
             for _ in range(2):
-                gx, gy, gz, over = upward(face, sx + t * u, sy + t * v, sz + t * k)
+                gx, gy, gz, over = upward(faces, f, sx + t * u, sy + t * v, sz + t * k)
                 t -= over / (gx * u + gy * v + gz * k)
             px, py, pz = sx + t * u, sy + t * v, sz + t * k
-            gx, gy, gz, over = upward(face, px, py, pz)
+            gx, gy, gz, over = upward(faces, f, px, py, pz)
             root = gx * u + gy * v + gz * k
         ox, oy, oz = snell(u, v, k, gx, gy, gz, root, n1, n2)
-        ox, oy, oz = to_sheet(face, ox, oy, oz)
+        ox, oy, oz = to_sheet(faces, f, ox, oy, oz)
         met, distance = True, t
-        px, py, pz = to_sheet(face, px, py, pz)
-        x, y, z = px + face[slot.VX], py + face[slot.VY], pz + face[slot.VZ]
+        px, py, pz = to_sheet(faces, f, px, py, pz)
+        x, y, z = px + faces[f, slot.VX], py + faces[f, slot.VY], pz + faces[f, slot.VZ]
     if not met:
         x, y = x + distance * L, y + distance * M
         smooth = len(tiles.corner) == 0
-        z = z + distance * N if on_lens or not smooth else face[slot.LAND]
+        z = z + distance * N if on_lens or not smooth else faces[f, slot.LAND]
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = event[place], event[place + 1], x, y, z, array
     w[PATH] += n1 * distance
     w[PX], w[PY] = sheet_xy(lat, array, w[CI], w[CJ], x, y)
     w[PZ] = z + bodies[b, slot.LEVEL]
     w[SURFACE] = 2 * b + side
-    if face[slot.ARRAY] >= 0.0 or not on_lens:
-        _note_cell(lat, rows, w, int(face[slot.ARRAY]), on_lens)
+    if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
+        _note_cell(lat, rows, w, int(faces[f, slot.ARRAY]), on_lens)
     opaque = not on_lens and lat[slot.OPAQUE] != 0.0
     total = not opaque and not isfinite(ox)
     if not (opaque or total):
@@ -318,20 +305,19 @@ def _pass_hole(
 @exact
 def _cross_gap(bodies: Floats, lat: Floats, b: int, w: Floats) -> tuple[float, int]:
     """Carry a ray to body b's reference plane, or to where it comes alongside above that plane."""
-    body = bodies[b]
-    entry = int(body[slot.ENTRY])
-    z = w[Z] - (body[slot.LEVEL] - bodies[b - 1, slot.LEVEL])
-    gap = (body[slot.BODY_LOW] - z) / w[DZ]
+    entry = int(bodies[b, slot.ENTRY])
+    z = w[Z] - (bodies[b, slot.LEVEL] - bodies[b - 1, slot.LEVEL])
+    gap = (bodies[b, slot.BODY_LOW] - z) / w[DZ]
     of = int(w[AT_ARRAY])
     i, j, x, y = to_array(lat, of, entry, w[CI], w[CJ], w[X] + gap * w[DX], w[Y] + gap * w[DY])
     sx, sy = sheet_xy(lat, entry, i, j, x, y)
-    enter, leave = box_span(lat, body, sx, sy, w[DX], w[DY])
-    span = (body[slot.BODY_HIGH] - body[slot.BODY_LOW]) / w[DZ]
+    enter, leave = box_span(lat, bodies, b, sx, sy, w[DX], w[DY])
+    span = (bodies[b, slot.BODY_HIGH] - bodies[b, slot.BODY_LOW]) / w[DZ]
     if not (enter <= leave and leave >= 0.0 and enter <= span and isfinite(gap)):
         return gap, (MISSED if lat[slot.BAFFLE] == slot.NO_BAFFLE else VIGNETTED)
     late = enter if enter > 0.0 else 0.0
     i, j, x, y = to_array(lat, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
-    w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, body[slot.BODY_LOW] + late * w[DZ], entry
+    w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, bodies[b, slot.BODY_LOW] + late * w[DZ], entry
     return gap + late, GOES_ON
 
 
@@ -353,14 +339,10 @@ def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: floa
 
 @exact
 def _stopped_by_baffle(
-    faces: Floats, lat: Floats, b: int, w: Floats, left: Floats, event: Floats, gap: float
+    bodies: Floats, lat: Floats, b: int, w: Floats, left: Floats, event: Floats, gap: float
 ) -> bool:
     """Whether the honeycomb between the arrays stops the ray; `left` is then put there."""
-    main = (
-        int(faces[2 * b, slot.ARRAY])
-        if faces[2 * b, slot.ARRAY] >= 0.0
-        else int(faces[2 * b + 1, slot.ARRAY])
-    )
+    main = int(bodies[b, slot.ENTRY])
     place = PLACE + 4 * main
     distance = event[DISTANCE]
     u, v = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
@@ -385,11 +367,7 @@ def _end_at(
     hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """End a ray at a wall, or at a face met from its wrong side."""
-    main = (
-        int(faces[2 * b, slot.ARRAY])
-        if faces[2 * b, slot.ARRAY] >= 0.0
-        else int(faces[2 * b + 1, slot.ARRAY])
-    )
+    main = int(bodies[b, slot.ENTRY])
     place = PLACE + 4 * main
     kind, distance = int(event[KIND]), event[DISTANCE]
     x, y = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
