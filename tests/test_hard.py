@@ -17,7 +17,7 @@ from oracle import trace as trace_oracle
 from oracle import view as view_oracle
 
 from clacad.lattice import Lattice
-from clacad.law import Law, angle_between, stretch, stretch_on_sheet
+from clacad.law import Law, angle_between, rotation, stretch, stretch_on_sheet
 from clacad.rays import Fate, Rays
 from clacad.trace.sequence import trace_sequence
 
@@ -113,6 +113,12 @@ def test_without_a_turn_every_component_keeps_its_relative_accuracy(case):
         return
     for got, right in zip(Law(*case.law).refract([case.direction])[0], exact):
         assert abs(mpf(float(got)) - right) <= 4 * ULP * abs(right) + mpf(2) ** -1074, case.why
+
+
+def test_turns_that_cancel_leave_the_sheet_exactly_upright():
+    """θ = 0: R is one turn by φ + ψ, not two whose cosines and sines are rounded."""
+    for phi in np.random.default_rng(0).uniform(-3, 3, 200):
+        assert np.array_equal(rotation(phi, 0.0, -phi), np.eye(3))
 
 
 # -- cells -------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ its paths. Facets are exact where the surfaces are planes, so rung "mesh" is hel
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +39,13 @@ def packed(surface):
     return row
 
 
+def kernel_meet(surface, point, ray):
+    """The compiled `meet` of one surface, packed as one row; some kernels take the table and the row's number."""
+    row = packed(surface)
+    by_number = "row" in inspect.signature(kernel.meet.py_func).parameters
+    return kernel.meet(*((row[None], 0) if by_number else (row,)), *point, *ray)
+
+
 def by_kernel(case):
     """Fate, direction and path of one ray, each surface by the compiled `meet` and `snell`."""
     seq = interfaces(case.faces)
@@ -48,7 +56,7 @@ def by_kernel(case):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, face.vertex), np.zeros(1)
         start, local = to_surface(face.rotation, offset), to_surface(face.rotation, ray)
-        t, x, y, z, gx, gy, gz, root = kernel.meet(packed(face.surface), *start[0], *local[0])
+        t, x, y, z, gx, gy, gz, root = kernel_meet(face.surface, start[0], local[0])
         if not np.isfinite(t):
             return Fate.MISSED, ray[0], path
         out = kernel.snell(*local[0], gx, gy, gz, root, face.index_before, face.index_after)
@@ -85,7 +93,7 @@ def test_compiled_and_numpy_biconics_agree_on_rays_from_everywhere(seed):
         start, ray = rng.normal(0, 3 * size, (150, 3)), rng.normal(0, 1, (150, 3))
         ray /= np.linalg.norm(ray, axis=1)[:, None]
         expected = meet(surface, start, ray)
-        got = np.array([kernel.meet(packed(surface), *p, *d) for p, d in zip(start, ray)])
+        got = np.array([kernel_meet(surface, p, d) for p, d in zip(start, ray)])
         both = np.isfinite(expected.distance) & np.isfinite(got[:, 0])
         assert (
             np.isfinite(expected.distance) == np.isfinite(got[:, 0])
@@ -148,16 +156,16 @@ def test_a_hard_ray_through_a_whole_sheet_is_traced_as_the_oracle_does(case, pat
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(6))
 def test_the_kernel_tells_a_nearly_tangent_ray_from_a_miss_to_the_last_bit(seed):
-    rng, sphere, centre = np.random.default_rng(seed), packed(Quadric(1, 1, 1)), np.array([0.0, 0.0, 1.0])
+    rng, sphere, centre = np.random.default_rng(seed), Quadric(1, 1, 1), np.array([0.0, 0.0, 1.0])
     direction = np.append(rng.uniform(-1, 1, 2), rng.uniform(0.2, 0.9))
     below = direction * direction[2] - centre * (direction @ direction) + 0.5 * np.cross(direction, centre)
     touching = centre + below / np.linalg.norm(below)
-    for step in range(-30, 31):
+    for step in range(-40, 41):
         start = touching - rng.uniform(0.5, 3) * direction + below * step * 2.0**-53
         exact = trace_oracle.trace([trace_oracle.quadric(1, 1, 1, after=1.0)], start, direction)
-        assert np.isfinite(kernel.meet(sphere, *start, *direction)[0]) == (exact.status == "ok")
+        assert np.isfinite(kernel_meet(sphere, start, direction)[0]) == (exact.status == "ok")
 
 
 @pytest.mark.parametrize("step", [1e-6, 1e-10, -1e-13])
