@@ -679,3 +679,21 @@ def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by
     assert same(one, two)
     assert np.array_equal(one.hits, two.hits)
     assert np.array_equal(one.directions, two.directions)
+
+
+@pytest.mark.parametrize("name", ["slab", "paper-a-covered", "plano", "hexagonal", "galilean"])
+@pytest.mark.parametrize("setting", [Setting(), Setting(coating="quarter-wave", extinction=1e-7)])
+def test_compiled_split_paths_carry_the_light_of_the_walked_ones(name, setting):
+    """The walk knows everything; the compiled paths end at steps and edges, a few per cent of their own light."""
+    sheet, rays = window(name), bundle(name, 1024, 0.01745)
+    effects = ("ghosts", "reflections", "absorption")
+    walked, _ = lit(sheet, rays, "surfaces", effects, setting, path="numpy")
+    quick, result = lit(sheet, rays, "surfaces", effects, setting, path="numba")
+    straight = result.flux[result.fate <= Fate.LAND].sum()
+    front = [light.flux[light.direction[:, 2] < 0].sum() for light in (walked, quick)]
+    forward = [light.flux[light.direction[:, 2] > 0].sum() - straight for light in (walked, quick)]
+    assert front[1] == pytest.approx(front[0], rel=0.01)
+    assert 0.85 * forward[0] <= forward[1] <= 1.001 * forward[0] + 1e-12 * straight
+    assert np.abs(np.linalg.norm(quick.direction, axis=1) - 1).max() < 1e-12
+    spread = [(light.flux[:, None] * light.direction[:, :2] ** 2).sum(axis=0) for light in (walked, quick)]
+    assert spread[1] == pytest.approx(spread[0], rel=0.01)

@@ -7,7 +7,7 @@ none (a ghost that is not shown). `lit` gives them as one flat list.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,9 @@ from clacad.rays import Fate, Rays, TraceResult
 from clacad.sheet import Window
 
 Floats = NDArray[np.float64]
+
+MANY = 50_000
+"""Rays above which split paths are compiled: loading the code costs as much as following some thousand rays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +89,8 @@ def lit(
     rows = np.flatnonzero(shown)
     light = Light(rows, result.position[rows], result.direction[rows], result.flux[rows])
     if "reflections" in names and rung in ("surfaces", "mesh"):
-        light = joined(light, split(window, rays, result, names, setting))
+        compiled = options.get("path") == "numba" or (options.get("path") is None and len(rays) > MANY)
+        light = joined(light, split(window, rays, result, names, setting, compiled))
     return light, result
 
 
@@ -101,19 +105,30 @@ def seen(result: TraceResult, names: Sequence[str]) -> NDArray[np.bool_]:
     return np.isin(result.fate, fates) & (result.flux > 0.0)
 
 
-def split(window: Window, rays: Rays, result: TraceResult, names: Sequence[str], setting: Setting) -> Light:
-    """Paths with at least one partial reflection, of the rays that meet the sheet."""
-    from dataclasses import replace
+def split(
+    window: Window, rays: Rays, result: TraceResult, names: Sequence[str], setting: Setting, compiled: bool
+) -> Light:
+    """Paths with at least one partial reflection, of the rays that meet the sheet.
 
+    `compiled`: where lenses alone were met, by compiled code that ends paths at steps, seams and edges.
+    """
     from clacad.effects.follow import follow
     from clacad.effects.followed import rules_for
 
-    parts = []
     active = replace(setting, active=tuple(names))
+    left = result.fate < Fate.MISSED
+    parts = []
+    if compiled:
+        from clacad.effects.bounces import quick, split_quickly
+
+        if quick(window, active):
+            light, done = split_quickly(window, rays, active)
+            parts.append(light)
+            left &= ~done
     every = np.arange(len(rays))
     for chosen, wavelength in blocks(rays, by_colour=True):
         rows = every[chosen]
-        met = np.flatnonzero(result.fate[rows] < Fate.MISSED)
+        met = np.flatnonzero(left[rows])
         if not len(met):
             continue
         rules = rules_for(window, active, wavelength, setting.order)
