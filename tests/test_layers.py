@@ -43,6 +43,8 @@ SIDEWAYS = {
     ("feasibility", "cell_complex"): "pieces and holes in closed form",
     ("effects", "trace"): "effects are passes over the tracer's blocks",
     ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
+    ("trace", "export"): "rung mesh reads the file it is given; the readers' one home is export",
+    ("trace", "effects"): "a trace with effects hands over to them; without, they are not imported",
     ("export", "effects"): "the plan travels with what is written",
     ("fixture", "feasibility"): "the gap between the bodies",
     ("fixture", "brep"): "the coupon is made of the design's own solids",
@@ -106,8 +108,8 @@ def test_mathematics_knows_numpy_and_the_standard_library_only(module):
                 assert not heavy & {n.split(".")[0] for n in names}, path
 
 
-def test_export_and_trace_share_the_sheet_but_not_each_other():
-    for first, second in (("trace", "export"), ("export", "trace"), ("mesh", "design"), ("brep", "design")):
+def test_export_knows_no_tracer_and_meshes_and_solids_know_no_design():
+    for first, second in (("export", "trace"), ("mesh", "design"), ("brep", "design")):
         for path in modules().get(first, []):
             assert second not in imports(path, everywhere=True), f"{path} imports {second}"
 

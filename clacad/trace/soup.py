@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,9 @@ def read_soup(path: str | os.PathLike[str], window: Window) -> TriangleSoup:
         The file says no unit and its size fits the window in none, or in more than one.
     """
     # readers live with the formats' writers; the tracer needs them only when it is handed a path
-    found = import_module("clacad.export.readers").read_mesh(path)
+    from clacad.export.readers import read_mesh
+
+    found = read_mesh(path)
     return soup_of(found, window)
 
 
