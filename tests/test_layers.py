@@ -44,7 +44,6 @@ SIDEWAYS = {
     ("effects", "trace"): "effects are passes over the tracer's blocks",
     ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
     ("trace", "export"): "rung mesh reads the file it is given; the readers' one home is export",
-    ("trace", "effects"): "a trace with effects hands over to them; without, they are not imported",
     ("export", "effects"): "the plan travels with what is written",
     ("fixture", "feasibility"): "the gap between the bodies",
     ("fixture", "brep"): "the coupon is made of the design's own solids",
