@@ -102,7 +102,7 @@ def broken(result, invalid, count):
     return +found
 
 
-def soak(total, seed, report=lambda text: None, path="numba"):
+def soak(total, seed, report=lambda state, seconds: None, path="numba"):
     """Send so many rays; return counts of fates, of broken promises, and what was used."""
     rng = np.random.default_rng(seed)
     fates, wrong, designs, refused, sent = Counter(), Counter(), 0, 0, 0
@@ -144,7 +144,16 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
-    counts, examples, seconds = soak(given.rays, given.seed, lambda text: print(text, flush=True))  # noqa: T201
+
+    def report(state, seconds):
+        print(
+            f"{state['rays']:.3g} rays, {state['designs']} designs, {seconds:.0f} s, broken {state['broken']}",
+            flush=True,
+        )  # noqa: T201
+        if given.write:  # what was done stays known if the run is stopped
+            PAGE.write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
+
+    counts, examples, seconds = soak(given.rays, given.seed, report)
     print(json.dumps(counts, indent=1), f"{seconds:.0f} s")  # noqa: T201
     for example in examples[:5]:
         print(json.dumps(example))  # noqa: T201

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shlex
 import shutil
 import subprocess
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+MEMORY = 8 << 30
 PAGE = ROOT / "tests" / "hard" / "mutations.md"
 
 
@@ -121,6 +123,11 @@ def copied(target):
     shutil.copy(ROOT / "pyproject.toml", target)
 
 
+def bounded():
+    """A mutation may ask for all the memory there is; it gets eight gigabytes."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+
+
 def tested(mutation, workplace):
     """Names of the tests that fail with the mutation in place."""
     cache = workplace / "numba"
@@ -132,7 +139,8 @@ def tested(mutation, workplace):
     }
     command = [sys.executable, "-m", "pytest", "-q", "--no-header", "--tb=no", "-rfE", "--maxfail=1", "-p", "no:cacheprovider",
                *shlex.split(mutation.tests)]  # fmt: skip
-    run = subprocess.run(command, cwd=workplace, env=environment, capture_output=True, text=True, timeout=900)
+    run = subprocess.run(command, cwd=workplace, env=environment, capture_output=True, text=True, timeout=900,
+                         preexec_fn=bounded)  # fmt: skip
     return re.findall(r"^(?:FAILED|ERROR) (\S+?::.*?)(?: - .*)?$", run.stdout, re.MULTILINE), run
 
 
