@@ -158,7 +158,11 @@ def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tupl
     if rays.wavelength is None:
         yield rows, tuple(body.index for body in bodies)
         return
-    waves, which = np.unique(rays.wavelength[rows], return_inverse=True)
+    each = rays.wavelength[rows]
+    if len(each) and bool((each == each[0]).all()):  # pictures come line by line: nothing to sort
+        yield rows, tuple(body.index_at(float(each[0])) for body in bodies)
+        return
+    waves, which = np.unique(each, return_inverse=True)
     order = np.argsort(which, kind="stable")
     bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
     for k, wave in enumerate(waves):
