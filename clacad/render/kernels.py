@@ -7,7 +7,7 @@ to the last bits; distances are in lengths of the given direction.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,22 +75,222 @@ def tables(stage: Stage) -> Tables:
     return Tables(world, np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH), store)
 
 
+BLOCK = 256
+"""Rays of a block: its columns stay in the first-level cache."""
+
+
 @exact
 def look_all(
     world: Floats, cluster: Floats, prim: Floats, store: Floats, origin: Floats, direction: Floats,
     limit: Floats, light: Floats, met: NDArray[np.bool_],
 ) -> None:  # fmt: skip
     """Write the light each ray finds and whether it met an object; see `meet.look`."""
+    ray = np.empty((6, BLOCK))
+    best, colour, which, near = (
+        np.empty(BLOCK),
+        np.empty((3, BLOCK)),
+        np.empty(BLOCK, np.int64),
+        np.empty(BLOCK),
+    )
+    for start in range(0, len(origin), BLOCK):
+        m = min(BLOCK, len(origin) - start)
+        o, d = origin[start : start + m], direction[start : start + m]
+        for i in range(m):
+            ray[0, i], ray[1, i], ray[2, i] = o[i, 0], o[i, 1], o[i, 2]
+            ray[3, i], ray[4, i], ray[5, i] = d[i, 0], d[i, 1], d[i, 2]
+            best[i] = limit[start + i]
+        look_block(world, cluster, prim, store, m, ray, best, which, near, colour)
+        out, hit = light[start : start + m], met[start : start + m]
+        for i in range(m):
+            out[i, 0], out[i, 1], out[i, 2] = colour[0, i], colour[1, i], colour[2, i]
+            hit[i] = which[i] >= 0
+
+
+@exact
+def law_all(
+    world: Floats, cluster: Floats, prim: Floats, store: Floats, matrix: Floats, axis: Floats, edges: Floats,
+    scale: float, before: bool, opaque: bool, origin: Floats, direction: Floats, light: Floats,
+) -> None:  # fmt: skip
+    """Light of camera rays past and through a homogeneous sheet in z = 0.
+
+    Parameters
+    ----------
+    matrix, axis : (3, 3), (3,)
+        Directions behind the sheet are matrix · d, where d · axis > 0 and they go on forwards; else black.
+    edges : (4,) x_min, x_max, y_min, y_max of the sheet, window lengths; `scale` of them in a scene length
+    before, opaque : bool
+        Whether anything may stand before the sheet; whether nothing is seen beside it.
+    """
+    ray = np.empty((6, BLOCK))
+    best, colour, which, near = (
+        np.empty(BLOCK),
+        np.empty((3, BLOCK)),
+        np.empty(BLOCK, np.int64),
+        np.empty(BLOCK),
+    )
+    state, front = np.empty(BLOCK, np.int64), np.empty((3, BLOCK))
+    x0, x1, y0, y1 = edges[0] / scale, edges[1] / scale, edges[2] / scale, edges[3] / scale
+    for start in range(0, len(origin), BLOCK):
+        m = min(BLOCK, len(origin) - start)
+        o, d = origin[start : start + m], direction[start : start + m]
+        if before or opaque:
+            for i in range(m):
+                ray[0, i], ray[1, i], ray[2, i] = o[i, 0], o[i, 1], o[i, 2]
+                ray[3, i], ray[4, i], ray[5, i] = d[i, 0], d[i, 1], d[i, 2]
+                best[i] = -o[i, 2] / d[i, 2] if d[i, 2] > 0.0 else np.inf
+            look_block(world, cluster, prim, store, m, ray, best, which, near, front)
+        for i in range(m):
+            u, v, w = d[i, 0], d[i, 1], d[i, 2]
+            s = -o[i, 2] / w
+            x, y = o[i, 0] + s * u, o[i, 1] + s * v
+            on = (w > 0.0) & (s >= 0.0) & (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
+            eu = matrix[0, 0] * u + matrix[0, 1] * v + matrix[0, 2] * w
+            ev = matrix[1, 0] * u + matrix[1, 1] * v + matrix[1, 2] * w
+            ew = matrix[2, 0] * u + matrix[2, 1] * v + matrix[2, 2] * w
+            goes = (axis[0] * u + axis[1] * v + axis[2] * w > 0.0) & (ew > 0.0)
+            ray[0, i], ray[1, i], ray[2, i] = (
+                (x if on else o[i, 0]),
+                (y if on else o[i, 1]),
+                (0.0 if on else o[i, 2]),
+            )
+            ray[3, i], ray[4, i], ray[5, i] = (eu if on else u), (ev if on else v), (ew if on else w)
+            state[i] = (2 if goes else 1) if on else 0
+            if before or opaque:
+                state[i] = 3 if which[i] >= 0 and (on or opaque) else state[i]
+            best[i] = np.inf
+        look_block(world, cluster, prim, store, m, ray, best, which, near, colour)
+        out = light[start : start + m]
+        for i in range(m):
+            shown = 1.0 if state[i] == 2 or (state[i] == 0 and not opaque) else 0.0
+            out[i, 0], out[i, 1], out[i, 2] = shown * colour[0, i], shown * colour[1, i], shown * colour[2, i]
+        if before or opaque:
+            for i in range(m):
+                if state[i] == 3:
+                    out[i, 0], out[i, 1], out[i, 2] = front[0, i], front[1, i], front[2, i]
+
+
+@exact
+def camera_all(
+    position: Floats, ahead: Floats, right: Floats, down: Floats, width: int, height: int, pixels: Any,
+    points: Floats, origin: Floats, direction: Floats,
+) -> None:  # fmt: skip
+    """Starts and directions of a pinhole's rays; see `camera.rays`."""
+    n, count = points.shape[0], points.shape[1]
+    for i in range(n):
+        column, row = float(pixels[i] % width), float(pixels[i] // width)
+        for j in range(count):
+            u = (column + points[i, j, 0]) / width - 0.5
+            v = (row + points[i, j, 1]) / height - 0.5
+            k = i * count + j
+            origin[k, 0], origin[k, 1], origin[k, 2] = position[0], position[1], position[2]
+            direction[k, 0] = ahead[0] + u * right[0] + v * down[0]
+            direction[k, 1] = ahead[1] + u * right[1] + v * down[1]
+            direction[k, 2] = ahead[2] + u * right[2] + v * down[2]
+
+
+@exact
+def add_all(light: Floats, rows: Any, step: int, total: Floats, square: Floats) -> None:
+    """Add the light of `step` samples a pixel, and its square, to the sums of the pixels `rows`."""
+    for i in range(len(rows)):
+        row = rows[i]
+        for j in range(step):
+            for k in range(3):
+                value = light[i * step + j, k]
+                total[row, k] += value
+                square[row, k] += value * value
+
+
+@exact
+def crossing_all(box: Floats, origin: Floats, direction: Floats, inside: NDArray[np.bool_]) -> None:
+    """Tell which rays come through a box (2, 3); see `view.may_cross`."""
     for i in range(len(origin)):
-        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
-        u, v, w = direction[i, 0], direction[i, 1], direction[i, 2]
-        distance, which, facet = nearest(cluster, prim, store, x, y, z, u, v, w, limit[i])
-        met[i] = which >= 0
-        if which >= 0:
-            r, g, b = painted(world, prim, store, which, facet, x, y, z, u, v, w, distance)
-        else:
-            r, g, b = background(world, u, v, w)
-        light[i, 0], light[i, 1], light[i, 2] = r, g, b
+        near, far = -np.inf, np.inf
+        for k in range(3):
+            a = (box[0, k] - origin[i, k]) / direction[i, k]
+            b = (box[1, k] - origin[i, k]) / direction[i, k]
+            if a == a and b == b:
+                near, far = max(near, min(a, b)), min(far, max(a, b))
+        inside[i] = near <= far * (1.0 + 1e-12) and far > 0.0
+
+
+@exact
+def look_block(
+    world: Floats, cluster: Floats, prim: Floats, store: Floats, m: int, ray: Floats, best: Floats, which: Any,
+    near: Floats, colour: Floats,
+) -> None:  # fmt: skip
+    """Light of m rays in columns: floors and bounds in passes over the block, the rest ray by ray."""
+    behind(world, m, ray, which, colour)
+    for c in range(len(cluster)):
+        k = int(cluster[c, 0])
+        if cluster[c, 5] == np.inf and prim[k, KIND] == FLOOR:
+            floor_pass(world, prim, k, m, ray, best, which, colour)
+            continue
+        bound_pass(cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], m, ray, near)
+        for i in range(m):
+            if near[i] >= 0.0:
+                x, y, z, u, v, w = ray[0, i], ray[1, i], ray[2, i], ray[3, i], ray[4, i], ray[5, i]
+                s, k, f = nearest_of(cluster, c, prim, store, x, y, z, u, v, w, best[i])
+                if k >= 0:
+                    best[i], which[i] = s, k
+                    r, g, b = painted(world, prim, store, k, f, x, y, z, u, v, w, s)
+                    colour[0, i], colour[1, i], colour[2, i] = r, g, b
+
+
+@exact
+def behind(world: Floats, m: int, ray: Floats, which: Any, colour: Floats) -> None:
+    """Sky and ground for every ray of the block."""
+    v, red, green, blue = ray[4, :m], colour[0, :m], colour[1, :m], colour[2, :m]
+    plain = world[5] == world[8] and world[6] == world[9] and world[7] == world[10]
+    for i in range(m):
+        which[i] = -1
+        down = v[i] < 0.0
+        red[i] = world[11] if down else world[8]
+        green[i] = world[12] if down else world[9]
+        blue[i] = world[13] if down else world[10]
+    if not plain:
+        for i in range(m):
+            if v[i] >= 0.0:
+                r, g, b = background(world, ray[3, i], v[i], ray[5, i])
+                red[i], green[i], blue[i] = r, g, b
+
+
+@exact
+def floor_pass(
+    world: Floats, prim: Floats, k: int, m: int, ray: Floats, best: Floats, which: Any, colour: Floats
+) -> None:
+    """A chequered floor, without a branch in the ray loop."""
+    x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
+    red, green, blue, left, index = colour[0, :m], colour[1, :m], colour[2, :m], best[:m], which[:m]
+    height, side, reach = prim[k, ORIGIN + 1], prim[k, PATTERN], prim[k, SIZE]
+    above, below = world[0] + world[1] * max(0.0, world[3]), world[0] + world[1] * max(0.0, -world[3])
+    odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
+    even0, even1, even2 = prim[k, COLOUR + 3], prim[k, COLOUR + 4], prim[k, COLOUR + 5]
+    for i in range(m):
+        s = (height - y[i]) / v[i]
+        far = s * math.sqrt(u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+        hit = (s > 0.0) & (s < left[i]) & (far <= reach)
+        tile = np.floor((x[i] + s * u[i]) / side) + np.floor((z[i] + s * w[i]) / side)
+        odd = tile - 2.0 * np.floor(0.5 * tile) == 1.0
+        lit = above if v[i] < 0.0 else below
+        red[i] = (odd0 if odd else even0) * lit if hit else red[i]
+        green[i] = (odd1 if odd else even1) * lit if hit else green[i]
+        blue[i] = (odd2 if odd else even2) * lit if hit else blue[i]
+        left[i] = s if hit else left[i]
+        index[i] = k if hit else index[i]
+
+
+@exact
+def bound_pass(bx: float, by: float, bz: float, radius: float, m: int, ray: Floats, near: Floats) -> None:
+    """Write a number that is negative where a ray does not come into a sphere; see `may_meet`."""
+    x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
+    out = near[:m]
+    for i in range(m):
+        px, py, pz = bx - x[i], by - y[i], bz - z[i]
+        along, length2 = px * u[i] + py * v[i] + pz * w[i], u[i] * u[i] + v[i] * v[i] + w[i] * w[i]
+        off2 = (px * px + py * py + pz * pz) * length2 - along * along
+        inside = radius * radius * length2 + 1e-12 * along * along - off2
+        before = along + radius * math.sqrt(length2)
+        out[i] = inside if before >= 0.0 else -1.0
 
 
 @exact
@@ -113,27 +313,39 @@ def nearest(
     """Distance, primitive and triangle of the first hit; −1 where there is none."""
     distance, which, facet = limit, -1, -1
     for c in range(len(cluster)):
-        if not may_meet(cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], x, y, z, u, v, w):
+        if may_meet(cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], x, y, z, u, v, w):
+            s, k, f = nearest_of(cluster, c, prim, store, x, y, z, u, v, w, distance)
+            if k >= 0:
+                distance, which, facet = s, k, f
+    return distance, which, facet
+
+
+@exact
+def nearest_of(
+    cluster: Floats, c: int, prim: Floats, store: Floats, x: float, y: float, z: float, u: float, v: float,
+    w: float, limit: float,
+) -> tuple[float, int, int]:  # fmt: skip
+    """Distance, primitive and triangle of the first hit among one object's primitives; −1 where there is none."""
+    distance, which, facet = limit, -1, -1
+    for k in range(int(cluster[c, 0]), int(cluster[c, 1])):
+        b = BOUND
+        if not may_meet(prim[k, b], prim[k, b + 1], prim[k, b + 2], prim[k, b + 3], x, y, z, u, v, w):
             continue
-        for k in range(int(cluster[c, 0]), int(cluster[c, 1])):
-            b = BOUND
-            if not may_meet(prim[k, b], prim[k, b + 1], prim[k, b + 2], prim[k, b + 3], x, y, z, u, v, w):
-                continue
-            px, py, pz = x - prim[k, ORIGIN], y - prim[k, ORIGIN + 1], z - prim[k, ORIGIN + 2]
-            lx = px * prim[k, TURN + 0] + py * prim[k, TURN + 3] + pz * prim[k, TURN + 6]
-            ly = px * prim[k, TURN + 1] + py * prim[k, TURN + 4] + pz * prim[k, TURN + 7]
-            lz = px * prim[k, TURN + 2] + py * prim[k, TURN + 5] + pz * prim[k, TURN + 8]
-            ru = u * prim[k, TURN + 0] + v * prim[k, TURN + 3] + w * prim[k, TURN + 6]
-            rv = u * prim[k, TURN + 1] + v * prim[k, TURN + 4] + w * prim[k, TURN + 7]
-            rw = u * prim[k, TURN + 2] + v * prim[k, TURN + 5] + w * prim[k, TURN + 8]
-            if prim[k, KIND] == MESH:
-                s, f = in_tree(store, int(prim[k, PIECE]), lx, ly, lz, ru, rv, rw, distance)
-                if f >= 0:
-                    distance, which, facet = s, k, f
-            else:
-                s = to_primitive(prim, store, k, lx, ly, lz, ru, rv, rw)
-                if s > 0.0 and s < distance:
-                    distance, which = s, k
+        px, py, pz = x - prim[k, ORIGIN], y - prim[k, ORIGIN + 1], z - prim[k, ORIGIN + 2]
+        lx = px * prim[k, TURN + 0] + py * prim[k, TURN + 3] + pz * prim[k, TURN + 6]
+        ly = px * prim[k, TURN + 1] + py * prim[k, TURN + 4] + pz * prim[k, TURN + 7]
+        lz = px * prim[k, TURN + 2] + py * prim[k, TURN + 5] + pz * prim[k, TURN + 8]
+        ru = u * prim[k, TURN + 0] + v * prim[k, TURN + 3] + w * prim[k, TURN + 6]
+        rv = u * prim[k, TURN + 1] + v * prim[k, TURN + 4] + w * prim[k, TURN + 7]
+        rw = u * prim[k, TURN + 2] + v * prim[k, TURN + 5] + w * prim[k, TURN + 8]
+        if prim[k, KIND] == MESH:
+            s, f = in_tree(store, int(prim[k, PIECE]), lx, ly, lz, ru, rv, rw, distance)
+            if f >= 0:
+                distance, which, facet = s, k, f
+        else:
+            s = to_primitive(prim, store, k, lx, ly, lz, ru, rv, rw)
+            if s > 0.0 and s < distance:
+                distance, which = s, k
     return distance, which, facet
 
 

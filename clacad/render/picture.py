@@ -6,6 +6,7 @@ of cores; memory is that of a tile a thread, and of the picture.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,8 +26,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Progress = Callable[[str, float | None], None]
 
-TILE = 64
-"""Side of a tile, pixels."""
+TILES = (64, 256)
+"""Side of a tile, pixels: as many as make a block of rays, but within these."""
 
 BLOCK = 1 << 16
 """Rays traced at a time: about 20 MB of columns."""
@@ -153,11 +154,12 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     light = np.empty((view.height, view.width, 3))
     samples = np.empty((view.height, view.width), dtype=np.int64)
     error = np.empty((view.height, view.width))
-    corners = [(y, x) for y in range(0, view.height, TILE) for x in range(0, view.width, TILE)]
+    side = min(TILES[1], max(TILES[0], math.isqrt(BLOCK // still.camera.samples)))
+    corners = [(y, x) for y in range(0, view.height, side) for x in range(0, view.width, side)]
 
     def one(corner: tuple[int, int]) -> None:
-        rows = slice(corner[0], min(corner[0] + TILE, view.height))
-        columns = slice(corner[1], min(corner[1] + TILE, view.width))
+        rows = slice(corner[0], min(corner[0] + side, view.height))
+        columns = slice(corner[1], min(corner[1] + side, view.width))
         light[rows, columns], samples[rows, columns], error[rows, columns] = tile(
             viewing, still, view, rows, columns
         )
@@ -212,7 +214,7 @@ def tile(
         active = active[noisy[active]] if len(noisy) and first < most else active[:0]
         more = min(first, most - first)
     mean = total / count[:, None]
-    error = _standard_error(total, square, count)
+    error = np.zeros(len(pixels)) if most == 1 else _standard_error(total, square, count)
     return mean.reshape(*y.shape, 3), count.reshape(y.shape), error.reshape(y.shape)
 
 
@@ -228,10 +230,45 @@ def _sample(
         for done in range(0, more, batch):
             step = min(batch, more - done)
             points = offsets(pixels[some], 1 + first + done, step, most)
-            position, direction = rays(view, pixels[some], points)
-            light = radiance(viewing, position, direction).reshape(len(some), step, 3)
-            total[some] += light.sum(axis=1)
-            square[some] += (light * light).sum(axis=1)
+            position, direction = _camera_rays(viewing, view, pixels[some], points)
+            _add(viewing, radiance(viewing, position, direction), some, step, total, square)
+
+
+def _add(viewing: Viewing, light: Floats, rows: Ints, step: int, total: Floats, square: Floats) -> None:
+    """Add the light of `step` samples a pixel, and its square, to the sums of some pixels."""
+    if viewing.compiled:
+        from clacad.render.kernels import add_all
+
+        add_all(light, rows, step, total, square)
+        return
+    samples = light.reshape(len(rows), step, 3)
+    total[rows] += samples.sum(axis=1)
+    square[rows] += (samples * samples).sum(axis=1)
+
+
+def _camera_rays(viewing: Viewing, view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:
+    """Rays of samples, by whichever path is chosen; see `camera.rays`."""
+    if not viewing.compiled or view.aperture > 0.0:
+        return rays(view, pixels, points)
+    from clacad.render.kernels import camera_all
+
+    position, direction = (
+        np.empty((points.shape[0] * points.shape[1], 3)),
+        np.empty((points.shape[0] * points.shape[1], 3)),
+    )
+    camera_all(
+        view.position,
+        view.ahead,
+        view.right,
+        view.down,
+        view.width,
+        view.height,
+        pixels,
+        points,
+        position,
+        direction,
+    )
+    return position, direction
 
 
 def _standard_error(total: Floats, square: Floats, count: Ints) -> Floats:

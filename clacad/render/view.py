@@ -17,8 +17,8 @@ from clacad.rays import Fate, Rays
 from clacad.render.meet import background, look
 from clacad.render.plan import Beyond, Passage, plan_passage
 from clacad.render.spectrum import Line, lines
-from clacad.render.stage import Stage, set_stage
-from clacad.scene import Scene
+from clacad.render.stage import FLOOR, Stage, set_stage
+from clacad.scene import Camera, Scene
 from clacad.sheet import Window
 
 Floats = NDArray[np.float64]
@@ -47,6 +47,8 @@ class Viewing:
         Whether nothing is seen beside the sheet.
     present : bool
         Whether there is a sheet at all.
+    before : bool
+        Whether anything may stand between camera and sheet.
     compiled : bool
         Compiled code or numpy.
     tables : Tables
@@ -62,6 +64,7 @@ class Viewing:
     front: float
     opaque: bool
     present: bool
+    before: bool
     compiled: bool
     tables: Any
 
@@ -91,10 +94,10 @@ def set_up(
 
         made = tables(stage)
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
+    box = sheet_box(window) / scale
     return Viewing(
-        stage, window, planned, lines(scene.light, window, "dispersion" in planned.names), scale,
-        sheet_box(window) / scale,
-        front, sheet and scene.sheet.surround == "opaque", sheet, compiled, made,
+        stage, window, planned, lines(scene.light, window, "dispersion" in planned.names), scale, box, front,
+        sheet and scene.sheet.surround == "opaque", sheet, may_stand_before(stage, front, scene.camera, box), compiled, made,
     )  # fmt: skip
 
 
@@ -134,8 +137,10 @@ def radiance(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
 
 
 def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength: float | None) -> Floats:
+    if viewing.compiled and viewing.present and homogeneous(viewing):
+        return _law(viewing, position, direction)
     light = np.zeros((len(position), 3))
-    rows = np.flatnonzero(may_cross(viewing.box, position, direction))
+    rows = np.flatnonzero(_may_cross(viewing, position, direction))
     beside = np.ones(len(position), dtype=bool)
     if len(rows) and viewing.present:
         start = position[rows] * viewing.scale
@@ -153,6 +158,36 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     return light
 
 
+def homogeneous(viewing: Viewing) -> bool:
+    """Whether the sheet is its law and a rectangle, so that one kernel sees through it."""
+    lattice = viewing.window.lattice
+    return viewing.passage.homogeneous and not lattice.hexagonal and lattice.outline is None
+
+
+def _law(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
+    from clacad.render.kernels import law_all
+
+    law, t = viewing.window.law, viewing.tables
+    light = np.empty((len(position), 3))
+    edges = np.array(viewing.window.lattice.extent())
+    law_all(
+        t.world, t.cluster, t.prim, t.store, law.matrix(), np.ascontiguousarray(law.optical_axis), edges,
+        viewing.scale, viewing.before, viewing.opaque, np.ascontiguousarray(position),
+        np.ascontiguousarray(direction), light,
+    )  # fmt: skip
+    return light
+
+
+def _may_cross(viewing: Viewing, position: Floats, direction: Floats) -> Mask:
+    if not viewing.compiled:
+        return may_cross(viewing.box, position, direction)
+    from clacad.render.kernels import crossing_all
+
+    inside = np.empty(len(position), dtype=np.bool_)
+    crossing_all(viewing.box, np.ascontiguousarray(position), np.ascontiguousarray(direction), inside)
+    return inside
+
+
 def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Mask) -> Floats:
     """Light of rays that met the sheet: what stands before it, else what is seen through it, else black."""
     light = np.zeros((len(position), 3))
@@ -162,6 +197,9 @@ def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyo
     shines = np.flatnonzero((met & ~hidden)[beyond.parent])
     parent = beyond.parent[shines]
     found, _ = seen(viewing, beyond.position[shines] / viewing.scale, beyond.direction[shines], np.inf)
+    if viewing.passage.plain:  # one ray beyond the sheet for each before it, its flux 1
+        light[parent] = found
+        return light
     found *= beyond.flux[shines, None]
     for colour in range(3):
         light[:, colour] += np.bincount(parent, found[:, colour], minlength=len(light))
@@ -170,7 +208,7 @@ def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyo
 
 def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floats, Mask]:
     """Light of objects before the sheet, black elsewhere, and where there are any."""
-    if not may_stand_before(viewing.stage, viewing.front):
+    if not (viewing.before or viewing.opaque):
         return np.zeros((len(position), 3)), np.zeros(len(position), dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = (viewing.front - position[:, 2]) / direction[:, 2]
@@ -178,9 +216,20 @@ def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floa
     return np.where(hidden[:, None], light, 0.0), hidden
 
 
-def may_stand_before(stage: Stage, front: float) -> bool:
-    """Whether any object reaches to the camera's side of z = front."""
-    return bool((stage.bound[:, 2] - stage.bound[:, 3] < front).any())
+def may_stand_before(stage: Stage, front: float, camera: Camera, box: Floats) -> bool:
+    """Whether any object may be met between the camera and the sheet (box, scene lengths).
+
+    A floor below both, or above both, is not: rays are straight.
+    """
+    reach = camera.position[1] - 0.5 * camera.aperture, camera.position[1] + 0.5 * camera.aperture
+    low, high = min(box[0, 1], reach[0]), max(box[1, 1], reach[1])
+    for kind, bound, origin in zip(stage.kind, stage.bound, stage.origin, strict=True):
+        if kind == FLOOR:
+            if low <= origin[1] <= high:
+                return True
+        elif bound[2] - bound[3] < front:
+            return True
+    return False
 
 
 def seen(viewing: Viewing, position: Floats, direction: Floats, limit: Floats | float) -> tuple[Floats, Mask]:
