@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import ipaddress
+import signal
 import socket
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from hypothesis import settings
+
+# the same examples every time: a failure can be repeated, a success means the same everywhere
+settings.register_profile("clacad", derandomize=True, deadline=None)
+settings.load_profile("clacad")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # started in the background by a shell that ignores Ctrl-C for its jobs; programs under test would inherit that
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class NetworkUsed(Exception):

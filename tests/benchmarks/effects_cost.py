@@ -63,10 +63,10 @@ def seconds(job) -> float:
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200_000
     numba, numpy = factors(count, "numba"), factors(count // 8, "numpy")
-    print(f"{'effect':22}{'numba':>8}{'numpy':>8}   limit")  # noqa: T201
+    print(f"{'effect':22}{'numba':>8}{'numpy':>8}   limit")
     for name in numba:
         limit = LIMITS.get(name)
-        print(f"{name:22}{numba[name]:8.2f}{numpy[name]:8.2f}   {limit or ''}")  # noqa: T201
+        print(f"{name:22}{numba[name]:8.2f}{numpy[name]:8.2f}   {limit or ''}")
 
 
 if __name__ == "__main__":

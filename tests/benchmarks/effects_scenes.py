@@ -45,10 +45,10 @@ def binned(light):
 
 def main() -> None:
     pixels = int(sys.argv[1]) if len(sys.argv) > 1 else 40
-    print(f"{'scene':20}{'difference':>11}{'auto s':>9}{'all s':>9}  effects on")  # noqa: T201
+    print(f"{'scene':20}{'difference':>11}{'auto s':>9}{'all s':>9}  effects on")
     for name in NAMES:
         error, fast, slow, names, rung = compared(name, pixels)
-        print(f"{name:20}{error:10.2%} {fast:8.1f} {slow:8.1f}  {rung}: {', '.join(names) or 'none'}")  # noqa: T201
+        print(f"{name:20}{error:10.2%} {fast:8.1f} {slow:8.1f}  {rung}: {', '.join(names) or 'none'}")
 
 
 if __name__ == "__main__":

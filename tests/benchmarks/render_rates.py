@@ -70,9 +70,9 @@ def main() -> None:
     """Print the table."""
     rates = {"surfaces, ghosts": mine("surfaces"), "law": mine("law")}
     peer = povray() if shutil.which("povray") else float("nan")
-    print(f"{'POV-Ray 3.7':18} {peer / 1e6:7.2f} M rays/s")  # noqa: T201
+    print(f"{'POV-Ray 3.7':18} {peer / 1e6:7.2f} M rays/s")
     for name, rate in rates.items():
-        print(f"{name:18} {rate / 1e6:7.2f} M rays/s   {rate / peer:6.1f} x")  # noqa: T201
+        print(f"{name:18} {rate / 1e6:7.2f} M rays/s   {rate / peer:6.1f} x")
 
 
 if __name__ == "__main__":

@@ -149,14 +149,14 @@ def main():
         print(
             f"{state['rays']:.3g} rays, {state['designs']} designs, {seconds:.0f} s, broken {state['broken']}",
             flush=True,
-        )  # noqa: T201
+        )
         if given.write:  # what was done stays known if the run is stopped
             PAGE.write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
 
     counts, examples, seconds = soak(given.rays, given.seed, report)
-    print(json.dumps(counts, indent=1), f"{seconds:.0f} s")  # noqa: T201
+    print(json.dumps(counts, indent=1), f"{seconds:.0f} s")
     for example in examples[:5]:
-        print(json.dumps(example))  # noqa: T201
+        print(json.dumps(example))
     if given.write:
         PAGE.write_text(json.dumps(counts, indent=1) + "\n", encoding="utf-8")
     return int(bool(counts["broken"]))

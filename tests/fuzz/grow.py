@@ -76,7 +76,7 @@ def grow(kind, seconds):
                     ("crash", type(error).__name__, "".join(c for c in str(error) if not c.isdigit())[:30])
                 }
                 if not found <= known:
-                    print(f"CRASH {type(error).__name__}: {error}")  # noqa: T201
+                    print(f"CRASH {type(error).__name__}: {error}")
             if found <= known:
                 continue
             known |= found
@@ -85,7 +85,7 @@ def grow(kind, seconds):
                 name = hashlib.sha256(mutant).hexdigest()[:12]
                 (CORPUS / kind / f"{name}{SUFFIX[kind]}").write_bytes(mutant)
                 kept += 1
-        print(f"{kind}: {tried} tried, {kept} kept, {len(known)} steps known")  # noqa: T201
+        print(f"{kind}: {tried} tried, {kept} kept, {len(known)} steps known")
 
 
 if __name__ == "__main__":

@@ -172,7 +172,7 @@ def main(chosen, write):
             file.write_text(text, encoding="utf-8")
             caught = run.returncode != 0
             first = failed[0].split("::", 1)[1] if failed else "not even imported" if caught else "SURVIVED"
-            print(f"{mutation.name:60s} {first}", flush=True)  # noqa: T201
+            print(f"{mutation.name:60s} {first}", flush=True)
             rows.append(f"| {mutation.name} | `{mutation.file}` | {first} |".replace("||", "\\|\\|"))
             survived += [] if caught else [mutation.name]
     if write:
@@ -182,7 +182,7 @@ def main(chosen, write):
         )
         foot = f"\n{len(rows)} mutations, {len(survived)} survived.\n"
         PAGE.write_text(head + "\n".join(rows) + "\n" + foot, encoding="utf-8")
-    print(f"{len(rows)} mutations, {len(survived)} survived: {survived}")  # noqa: T201
+    print(f"{len(rows)} mutations, {len(survived)} survived: {survived}")
     return int(bool(survived))
 
 

@@ -238,9 +238,9 @@ def main(write):
     changed = [a["name"] for a, b in zip(stored, cases) if a != json.loads(json.dumps(b))]
     bad = [row for row in stability_table() if row.worsened or not row.holds]
     for name in changed:
-        print(f"changed: {name}")  # noqa: T201
+        print(f"changed: {name}")
     for row in bad:
-        print(f"worse: {row.kind} {row.name} {row.quantity}: {row.error:.3g}, recorded {row.recorded:.3g}")  # noqa: T201
+        print(f"worse: {row.kind} {row.name} {row.quantity}: {row.error:.3g}, recorded {row.recorded:.3g}")
     return int(bool(changed or bad or len(stored) != len(cases)))
 
 
