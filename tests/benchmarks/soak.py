@@ -127,12 +127,17 @@ def soak(total, seed, report=lambda state, seconds: None, path="numba"):
         wrong += found
         fates += Counter({k: v for k, v in result.counts().items() if v})
         sent += count
+        state = {
+            "rays": sent,
+            "designs": designs,
+            "refused": refused,
+            "seed": seed,
+            "fates": dict(sorted(fates.items())),
+            "broken": dict(wrong),
+        }
         if designs % 20 == 0:
-            report(
-                f"{sent:.3g} rays, {designs} designs, {time.monotonic() - begun:.0f} s, broken {dict(wrong)}"
-            )
-    return {"rays": sent, "designs": designs, "refused": refused, "seed": seed, "fates": dict(sorted(fates.items())),
-            "broken": dict(wrong)}, examples, time.monotonic() - begun  # fmt: skip
+            report(state, time.monotonic() - begun)
+    return state, examples, time.monotonic() - begun
 
 
 def main():
