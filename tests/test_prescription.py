@@ -286,3 +286,22 @@ def test_a_round_displaced_slab_keeps_only_cells_whose_partners_lie_inside_too()
     for shift in window.shifts:
         corners = window.lattice.centres(cells)[:, None] + window.lattice.tile() + np.array(shift)
         assert np.hypot(*corners.reshape(-1, 2).T).max() <= 0.025 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("recipe", ["exact", "thin", "best"])
+def test_the_ideal_pair_obeys_the_law_exactly_whatever_the_recipe(recipe):
+    from clacad import Fate, trace
+
+    window = window_of(
+        pair__confocal=recipe, pair__thickness="auto", law__delta=[0.01, -0.005], law__euler=[20.0, 1.0, 40.0]
+    )
+    (f1, f2), s = window.thin.focal_length, window.thin.separation
+    np.testing.assert_allclose(np.add(f1, f2), s, rtol=1e-14)
+    rng = np.random.default_rng(4)
+    start = np.column_stack([rng.uniform(-0.005, 0.005, (500, 2)), np.full(500, -0.01)])
+    middle = np.array([window.thin.offset[0], window.thin.offset[1]]) / window.thin.offset[2]
+    ray = np.column_stack([middle + rng.uniform(-0.01, 0.01, (500, 2)), np.ones(500)])
+    found = trace(window, Rays(start, ray), rung="thin")
+    alive = found.fate == Fate.ALIVE
+    assert alive.sum() > 200
+    assert angle_between(found.direction[alive], window.law.refract(ray[alive])).max() < 1e-13

@@ -188,7 +188,7 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         )
         for k, point in enumerate((np.zeros(3), relative))
     )
-    return _finish(intent, bodies, moved, lenses, offset, separation, moved)
+    return _finish(intent, bodies, moved, lenses, offset, separation)
 
 
 def _scaled(lenses: Lenses, scale: float) -> Lenses:
@@ -234,7 +234,7 @@ def _slab(intent: Intent) -> Window:
         (Pose(np.zeros(3), intent.turn), Pose(place.lens_2 - np.array([*moved, 0.0]), intent.turn)),
         intent.shape, intent.index,
     )  # fmt: skip
-    return _finish(intent, (body,), moved, lenses, offset, separation, None)
+    return _finish(intent, (body,), moved, lenses, offset, separation)
 
 
 def _plano(intent: Intent) -> Window:
@@ -302,7 +302,7 @@ def _plano_placed(intent: Intent, lenses: Lenses, lens_2: Floats, turn: Floats, 
 
     aperture = intent.design.lattice.aperture
     moved = poses.displacement(bodies((0.0, 0.0)), aperture, lens_2[:2], float(lens_2[2]), True)
-    return _finish(intent, bodies(moved), moved, lenses, offset, _separation(intent), None)
+    return _finish(intent, bodies(moved), moved, lenses, offset, _separation(intent))
 
 
 def _entry(window: Window, intent: Intent) -> Floats:
@@ -319,15 +319,17 @@ def _entry(window: Window, intent: Intent) -> Floats:
 
 
 def _finish(
-    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: Lenses, offset: Floats, separation: float,
-    thin_shift: Pair2 | None,
+    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: Lenses, offset: Floats, separation: float
 ) -> Window:  # fmt: skip
     design = intent.design
-    thin_offset = intent.turn @ np.array([offset[0], offset[1], separation])
-    if thin_shift is None:
-        thin_shift = poses.displacement(
-            (), design.lattice.aperture, thin_offset[:2], float(thin_offset[2]), False
-        )
+    # the ideal pair shares a focal plane exactly, whatever thick lenses need to do the same
+    pairs = [thin_focal_lengths(value, separation) for value in intent.eta]
+    thin_focal = ((pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1]))
+    thin_d = intent.offset(thin_focal[0])
+    thin_offset = intent.turn @ np.array([thin_d[0], thin_d[1], separation])
+    thin_shift = poses.displacement(
+        (), design.lattice.aperture, thin_offset[:2], float(thin_offset[2]), False
+    )
     land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
     window = Window(
         form=design.pair.form,
@@ -337,7 +339,7 @@ def _finish(
         unit=design.unit_m,
         z_range=(0.0, 0.0),
         law=intent.law,
-        thin=ThinPair(lenses.focal_length, _triple(thin_offset), intent.turn, thin_shift),
+        thin=ThinPair(thin_focal, _triple(thin_offset), intent.turn, thin_shift),
         land=land,
         baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,
         wavelength=design.pair.wavelength,
