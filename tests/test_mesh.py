@@ -356,7 +356,9 @@ def test_a_surface_that_ends_inside_its_cell_is_refused():
 
 def test_cells_beyond_the_outline_are_refused():
     sheet = window(form="slab", outline={"circle": 0.03}, count=(6, 6), euler=(0, 2, 0))
-    assert tessellate(sheet, quads=4).facet_count > 0  # the prescription keeps cells that fit with their partners
+    assert (
+        tessellate(sheet, quads=4).facet_count > 0
+    )  # the prescription keeps cells that fit with their partners
     sheet = replace(sheet, lattice=replace(sheet.lattice, outline=sheet.outline))  # as if it did not
     with pytest.raises(ValueError, match="beyond the outline"):
         tessellate(sheet, quads=4)
