@@ -70,7 +70,8 @@ def build_window(design: Design) -> Window:
 def _intent(design: Design) -> Intent:
     pair = design.pair
     material = None if pair.material is None else _find(pair.material)
-    index = float(pair.index) if material is None else float(material.index(pair.wavelength))  # type: ignore[arg-type]
+    index = pair.index if material is None else float(material.index(pair.wavelength))
+    assert index is not None  # the design holds exactly one of index and material
     law = design.law
     neck = design.body.neck
     if neck is None:
@@ -244,7 +245,7 @@ def _plano(intent: Intent) -> Window:
     lenses = single_surface(intent.eta, separation, thickness, intent.index)
     offset = intent.offset(lenses.focal_length[0])
     if pair.curved == "inside":
-        place = poses.plano_inside_placement(intent.law, offset, separation, intent.index, thickness[0])
+        place = poses.plano_inside_placement(intent.law, offset, separation, intent.index)
         return _plano_placed(intent, lenses, place.lens_2, place.rotation, offset)
     gap = separation - (thickness[0] + thickness[1]) / intent.index
     if gap <= 0.0:

@@ -25,31 +25,26 @@ class Placement:
 
     lens_2 : (3,) sheet frame, lengths
     rotation : (3, 3) lens → sheet, of the built lenses
-    entry : (3,) sheet frame
-        A point of the axis ray before the window, relative to lens 1's reference point.
     """
 
     lens_2: Floats
     rotation: Floats
-    entry: Floats
 
 
 def biconvex_placement(turn: Floats, offset: Floats, separation: float) -> Placement:
     """Lens 2's centre at R (d_x, d_y, s)."""
-    return Placement(turn @ np.array([offset[0], offset[1], separation]), turn, np.zeros(3))
+    return Placement(turn @ np.array([offset[0], offset[1], separation]), turn)
 
 
 def slab_placement(turn: Floats, offset: Floats, thickness: float) -> Placement:
     """Lens 2's vertex at R (d_x, d_y, T): the common glass makes it exact for any tilt."""
-    return Placement(turn @ np.array([offset[0], offset[1], thickness]), turn, np.zeros(3))
+    return Placement(turn @ np.array([offset[0], offset[1], thickness]), turn)
 
 
-def plano_inside_placement(law: Law, offset: Floats, separation: float, index: float, t1: float) -> Placement:
+def plano_inside_placement(law: Law, offset: Floats, separation: float, index: float) -> Placement:
     """Curved faces towards each other: the plane faces refract the axis, so the lenses tilt by asin(sin θ/n)."""
     turn = shallower(law, index)
-    in_glass = turn[:, 2]
-    entry = -in_glass * (t1 / in_glass[2])
-    return Placement(turn @ np.array([offset[0], offset[1], separation]), turn, entry)
+    return Placement(turn @ np.array([offset[0], offset[1], separation]), turn)
 
 
 def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float], gap: float) -> Floats:
