@@ -1,7 +1,10 @@
 """Random rays through random designs: how many rows break a promise. None may.
 
-    python tests/benchmarks/soak.py 1e8            a hundred million rays; prints and, with --write, records
-    python tests/benchmarks/soak.py 1e5 --seed 7   a short one
+    python tests/benchmarks/soak.py 1e8 --write --jobs 16   a hundred million rays, recorded in tests/hard/soak.json
+    python tests/benchmarks/soak.py 1e5 --seed 7            a short one, printed only
+
+The rays are drawn in parts of two million, each from its own stream of random numbers: the record is the same for
+any number of jobs (processes). It is written after every part, so a run that is stopped still says how far it came.
 
 Promises: every launched ray ends in exactly one fate; no row but INVALID holds a NaN or an infinity; directions of
 light that goes on have length 1 and d_z > 0; the order of an ALIVE ray is (0, 0), that of a GHOST is not; what was
@@ -13,8 +16,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
+import os
 import time
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +30,7 @@ from clacad.rays import Fate
 
 PAGE = Path(__file__).parents[1] / "hard" / "soak.json"
 BATCH = 250_000
+PART = 2_000_000
 RUNGS = (("surfaces", 0.8), ("thin", 0.1), ("law", 0.1))
 
 
@@ -102,19 +109,19 @@ def broken(result, invalid, count):
     return +found
 
 
-def soak(total, seed, report=lambda state, seconds: None, path="numba"):
-    """Send so many rays; return counts of fates, of broken promises, and what was used."""
-    rng = np.random.default_rng(seed)
-    fates, wrong, designs, refused, sent = Counter(), Counter(), 0, 0, 0
-    examples, begun = [], time.monotonic()
+def soak(total, seed, part=0, path="numba"):
+    """Send one part's rays; return what was used and met, and examples of what broke."""
+    rng = np.random.default_rng([seed, part])
+    fates, wrong, used, sent = Counter(), Counter(), Counter(), 0
+    examples = []
     while sent < total:
         data = design(rng)
         try:
             window = prescribe(Design.from_dict(data))
         except DesignError:
-            refused += 1
+            used["refused"] += 1
             continue
-        designs += 1
+        used["designs"] += 1
         rung = str(rng.choice([name for name, _ in RUNGS], p=[share for _, share in RUNGS]))
         count = int(min(BATCH if rung == "surfaces" else BATCH // 5, math.ceil(total - sent)))
         rays, invalid = light(rng, window, count)
@@ -123,21 +130,36 @@ def soak(total, seed, report=lambda state, seconds: None, path="numba"):
         if rung == "law":  # the homogeneous sheet has no cells
             found.pop("GHOST of order 0", None), found.pop("ALIVE of another order", None)
         if found:
-            examples.append({"design": data, "rung": rung, "broken": dict(found)})
+            examples.append({"part": part, "design": data, "rung": rung, "broken": dict(found)})
         wrong += found
         fates += Counter({k: v for k, v in result.counts().items() if v})
+        used[f"rays on rung {rung}"] += count
         sent += count
-        state = {
-            "rays": sent,
-            "designs": designs,
-            "refused": refused,
-            "seed": seed,
-            "fates": dict(sorted(fates.items())),
-            "broken": dict(wrong),
-        }
-        if designs % 20 == 0:
-            report(state, time.monotonic() - begun)
-    return state, examples, time.monotonic() - begun
+    return sent, used, fates, wrong, examples
+
+
+def sizes(total):
+    """How many rays each part sends."""
+    total = math.ceil(total)
+    return [min(PART, total - start) for start in range(0, total, PART)]
+
+
+def record(seed, parts):
+    """The page's text for the parts done."""
+    used, fates, wrong = Counter(), Counter(), Counter()
+    for _, part_used, part_fates, part_wrong, _ in parts:
+        used, fates, wrong = used + part_used, fates + part_fates, wrong + part_wrong
+    page = {
+        "rays": sum(part[0] for part in parts),
+        "parts": len(parts),
+        "designs": used.pop("designs", 0),
+        "refused": used.pop("refused", 0),
+        "seed": seed,
+        **dict(sorted(used.items())),
+        "fates": dict(sorted(fates.items())),
+        "broken": dict(wrong),
+    }
+    return page, json.dumps(page, indent=1) + "\n"
 
 
 def main():
@@ -147,24 +169,38 @@ def main():
     )
     parser.add_argument("rays", type=float)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
+    begun, done = time.monotonic(), []
 
-    def report(state, seconds):
+    def finished(part):
+        done.append(part)
+        page, text = record(given.seed, done)
         print(
-            f"{state['rays']:.3g} rays, {state['designs']} designs, {seconds:.0f} s, broken {state['broken']}",
+            f"{page['rays']:.3g} rays, {page['designs']} designs, {time.monotonic() - begun:.0f} s, "
+            f"broken {page['broken']}",
             flush=True,
         )
+        for example in part[-1][:5]:
+            print(json.dumps(example), flush=True)
         if given.write:  # what was done stays known if the run is stopped
-            PAGE.write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
+            PAGE.write_text(text, encoding="utf-8")
 
-    counts, examples, seconds = soak(given.rays, given.seed, report)
-    print(json.dumps(counts, indent=1), f"{seconds:.0f} s")
-    for example in examples[:5]:
-        print(json.dumps(example))
-    if given.write:
-        PAGE.write_text(json.dumps(counts, indent=1) + "\n", encoding="utf-8")
-    return int(bool(counts["broken"]))
+    rays = sizes(given.rays)
+    if given.jobs == 1:
+        for number, count in enumerate(rays):
+            finished(soak(count, given.seed, number))
+    else:
+        soak(1000, given.seed)  # compiled once, into the cache that the processes read
+        os.environ["NUMBA_NUM_THREADS"] = "1"
+        with ProcessPoolExecutor(given.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            waiting = [pool.submit(soak, count, given.seed, number) for number, count in enumerate(rays)]
+            for part in as_completed(waiting):
+                finished(part.result())
+    page, text = record(given.seed, done)
+    print(text)
+    return int(bool(page["broken"]))
 
 
 if __name__ == "__main__":
