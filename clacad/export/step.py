@@ -27,8 +27,9 @@ from clacad.brep.bodies import (
 from clacad.brep.pattern import Floats
 from clacad.brep.shell import MERGE, ShellCounts, Shells
 from clacad.export.step_forecast import StepForecast, forecast
+from clacad.export.step_part21 import Colour, Part21
 from clacad.export.step_read import read_step
-from clacad.export.step_text import Colour, Part21, TextWriter
+from clacad.export.step_text import TextWriter
 from clacad.sheet import Body, Window
 
 __all__ = ["BodyFacts", "chosen_mode", "forecast_step", "read_step", "write_step"]

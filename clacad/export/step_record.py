@@ -89,7 +89,7 @@ def text_length(window: Window, mode: str) -> int:
     """Bytes of the STEP file of a window, by drawing up its text and throwing it away."""
     from clacad.brep.shell import MERGE
     from clacad.export import step
-    from clacad.export.step_text import Part21
+    from clacad.export.step_part21 import Part21
 
     stream = _Counter()
     part = Part21(stream, "AP242", window.name, step.PROGRAM, window.lattice.pitch[0] * window.unit / 1e-3)
