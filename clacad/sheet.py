@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.lattice import Lattice, Outline, Rectangle
-from clacad.surface import Biconic, Quadric, meet
+from clacad.surface import Biconic, Quadric, meet, upright_sag
 
 if TYPE_CHECKING:
     from clacad.law import Law
@@ -282,6 +282,10 @@ def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
     A vertical ray meets the surface in the lens frame; the quadric's cancellation-free root is used,
     so the height above the apex keeps its relative accuracy however flat the lens is.
     """
+    if face.untilted and isinstance(face.surface, Quadric):
+        sag = upright_sag(face.surface, np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1])
+        if sag is not None:
+            return np.asarray(face.vertex[2] + sag)
     z, _ = lens_height_and_normal(face, x, y)
     return z
 

@@ -11,6 +11,7 @@ import math
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import IO
 from xml.sax.saxutils import escape, quoteattr
@@ -96,7 +97,7 @@ def _blocks(lines: Iterator[str]) -> Iterator[bytes]:
 def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
     yield '<?xml version="1.0" encoding="UTF-8"?>\n'
     yield f'<model unit="millimeter" xml:lang="en-US" xmlns="{NAMESPACE}">\n'
-    yield f'<metadata name="Title">{escape(name)}</metadata>\n<metadata name="Application">clacad</metadata>\n'
+    yield f'<metadata name="Title">{escape(name, quote=False)}</metadata>\n<metadata name="Application">clacad</metadata>\n'
     yield "<resources>\n"
     numbers = iter(range(1, 1 << 31))
     items: list[tuple[int, str]] = []
@@ -126,7 +127,7 @@ def mesh_lines(piece: Piece, number: int, scale: float) -> Iterator[str]:
     if not np.isfinite(vertices).all():
         raise FileDisagrees(f"{piece.name}: a vertex is not a finite number")
     label = piece.name if piece.places is None else piece.name + " cell"
-    yield f'<object id="{number}" type="model" name={quoteattr(label)}>\n<mesh>\n<vertices>\n'
+    yield f'<object id="{number}" type="model" name="{escape(label)}">\n<mesh>\n<vertices>\n'
     for x, y, z in vertices.tolist():
         yield f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>\n'
     yield "</vertices>\n<triangles>\n"
@@ -136,7 +137,7 @@ def mesh_lines(piece: Piece, number: int, scale: float) -> Iterator[str]:
 
 
 def _flat(name: str, places: Places, mesh: int, number: int, scale: float) -> Iterator[str]:
-    yield f'<object id="{number}" type="model" name={quoteattr(name)}>\n<components>\n'
+    yield f'<object id="{number}" type="model" name="{escape(name)}">\n<components>\n'
     for x, y, _ in places.centres().tolist():
         yield component_text(mesh, x * scale, y * scale)
     yield "</components>\n</object>\n"
@@ -147,11 +148,11 @@ def _hierarchical(
 ) -> Iterator[str]:
     offsets, standing = places.rows()
     for number, row in zip(kinds, offsets):
-        yield f'<object id="{number}" type="model" name={quoteattr(name + " row")}>\n<components>\n'
+        yield f'<object id="{number}" type="model" name="{escape(name + " row")}">\n<components>\n'
         for x in row.tolist():
             yield component_text(mesh, x * scale, 0.0)
         yield "</components>\n</object>\n"
-    yield f'<object id="{whole}" type="model" name={quoteattr(name)}>\n<components>\n'
+    yield f'<object id="{whole}" type="model" name="{escape(name)}">\n<components>\n'
     for kind, (x, y) in standing:
         yield component_text(kinds[kind], x * scale, y * scale)
     yield "</components>\n</object>\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from clacad.surface.meeting import Meeting, fresnel, meet, meet_at, refract
+from clacad.surface.quadric import upright_sag
 from clacad.surface.shape import (
     ULP,
     Biconic,
@@ -32,4 +33,5 @@ __all__ = [
     "principal_radii",
     "refract",
     "sag",
+    "upright_sag",
 ]

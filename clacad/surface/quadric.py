@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.compensated import negated, pair, pair_product, pair_sum, two_product
-from clacad.surface.shape import FloatArray, Surface
+from clacad.surface.shape import FloatArray, Quadric, Surface
 
 Columns = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -48,6 +48,22 @@ def quadric_root(
     adds = sign_root * b <= 0
     numerator = np.where(adds, c, -(b + sign_root))
     return numerator / np.where(adds, sign_root - b, a), root
+
+
+def upright_sag(surface: Quadric, x: FloatArray, y: FloatArray) -> FloatArray | None:
+    """Sag (n,) over points (x, y): what a ray along +z meets, bit by bit, without the ray; NaN past the equator.
+
+    None where a point is so near the equator that the root needs the ray's compensated discriminant.
+    """
+    kappa, side = surface.kappa, surface.side
+    with np.errstate(all="ignore"):  # beyond the equator there is no height, on purpose
+        c = surface.curvature_x * x * x + surface.curvature_y * y * y
+        discriminant = 1.0 - kappa * c
+        if (CANCELS * np.abs(discriminant) < 1.0).any():
+            return None
+        sag = c / (side * np.sqrt(discriminant) + side)
+        kept = (1.0 - side * kappa * sag > 0.0) & np.isfinite(sag)
+    return np.where(kept, sag, np.nan)
 
 
 def _discriminant(
