@@ -29,7 +29,9 @@ def test_check_loads_neither_tracer_nor_kernel_nor_network():
     assert status in (0, 1)
     heavy = {"OCP", "build123d", "numba", "scipy", "matplotlib", "trimesh", "manifold3d", "embreex", "PIL"}
     assert not heavy & set(loaded)
-    assert not {"clacad.trace", "clacad.effects", "clacad.render", "http.client", "ssl", "xml.sax"} & set(loaded)
+    assert not {"clacad.trace", "clacad.effects", "clacad.render", "http.client", "ssl", "xml.sax"} & set(
+        loaded
+    )
 
 
 @pytest.mark.parametrize("name", ["paper-base", "galilean", "slab", "plano", "hexagonal", "tilted"])

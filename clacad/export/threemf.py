@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import IO
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
