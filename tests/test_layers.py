@@ -25,7 +25,7 @@ LAYER = {
     # 4 verbs
     "trace": 4, "effects": 4, "export": 4,
     # 5 judgement
-    "verify": 5, "accuracy": 5, "stability": 5,
+    "verify": 5, "accuracy": 5, "stability": 5, "tolerance": 5,
     # 6 presentation
     "report": 6, "render": 6, "doctor": 6,
     # 7 surface
@@ -51,6 +51,7 @@ SIDEWAYS = {
     ("render", "report"): "pictures carry the plan the report prints",
     ("report", "render"): "a report holds a picture through the sheet",
     ("verify", "accuracy"): "one bundle",
+    ("tolerance", "verify"): "samples are judged by the limits and with the bundles of the checks",
 }
 
 
@@ -114,9 +115,9 @@ def test_export_knows_no_tracer_and_meshes_and_solids_know_no_design():
 
 
 def test_intent_is_read_once():
-    """Only law, design, prescription and verify read an attribute named eta*: the rest sees geometry."""
+    """Only law, design, prescription and the judges read an attribute named eta*: the rest sees geometry."""
     for module, paths in modules().items():
-        if module in {"law", "design", "prescription", "verify"}:
+        if module in {"law", "design", "prescription", "verify", "tolerance"}:
             continue
         for path in paths:
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

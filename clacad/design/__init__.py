@@ -19,6 +19,7 @@ from clacad.design.model import (
     LawSpec,
     Outline,
     PairSpec,
+    TolerancesSpec,
 )
 from clacad.design.read import load
 from clacad.design.starters import template, templates
@@ -36,6 +37,7 @@ __all__ = [
     "Mistake",
     "Outline",
     "PairSpec",
+    "TolerancesSpec",
     "json_schema",
     "load",
     "template",

@@ -7,8 +7,9 @@ from fractions import Fraction
 from typing import Any
 
 from clacad.design import units
+from clacad.design.compound import Several
 from clacad.design.keys import FORMAT, SECTIONS, Key
-from clacad.design.model import Allowed, Design, Frame, Outline
+from clacad.design.model import NO_TOLERANCES, Allowed, Design, Frame, Outline
 from clacad.design.quantity import Quantity
 
 
@@ -18,8 +19,10 @@ def to_dict(design: Design) -> dict[str, Any]:
     if design.notes:
         made["notes"] = list(design.notes)
     parts = {"law": design.law_spec, "pair": design.pair, "lattice": design.lattice, "body": design.body,
-             "check": design.check}  # fmt: skip
+             "check": design.check, "tolerances": design.tolerances}  # fmt: skip
     for section, spec in parts.items():
+        if spec == NO_TOLERANCES:
+            continue  # a design that states none has the text it had before there were tolerances
         values: dict[str, Any] = {}
         for name, key in SECTIONS[section].items():
             if name == "curved" and design.pair.form != "plano":
@@ -43,6 +46,8 @@ def _written(value: Any, key: Key, design: Design) -> Any:
         return [{"code": item.code, "reason": item.reason} for item in value]
     if isinstance(kind, Quantity) and isinstance(value, float):
         return _quantity(value, kind, design)
+    if isinstance(kind, Several) and isinstance(kind.kind, Quantity) and isinstance(value, tuple):
+        return [_quantity(v, kind.kind, design) for v in value]
     return list(value) if isinstance(value, tuple) else value
 
 

@@ -97,11 +97,15 @@ _INDEX = Quantity("ratio", "a number > 1, at most 10", above=1.0, most=10.0)
 _WAVELENGTH = Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)
 _SMALL_ANGLE = Quantity("angle", "an angle >= 0 and below 90 deg", least=0.0, most=math.pi / 2)
 _LIMIT_ANGLE = Quantity("angle", "an angle > 0, at most 90 deg", above=0.0, most=math.pi / 2, bare=False)
+_NO_ANGLE = Quantity("angle", "an angle >= 0 and below 90 deg", least=0.0, most=math.pi / 2, bare=False)
+_DIOPTRES = Quantity("ratio", "a number > 0, in dioptres (1/m)", above=0.0)
+_PART_FROM_0 = Quantity("ratio", "a number >= 0, at most 1", least=0.0, most=1.0)
 _LIMIT_LENGTH = Quantity("length", "a length >= 0", least=0.0, bare=False)
 _PART = Quantity("ratio", "a number > 0, at most 1", above=0.0, most=1.0)
 _FACTOR = Quantity("ratio", "a number > 0, at most 1000", above=0.0, most=1000.0)
 _XY = ("x", "y")
 _LENSES = ("lens 1", "lens 2")
+_ARRAYS = ("array 1", "array 2")
 
 ROOT: Final[dict[str, Key]] = {
     "format": Key(FormatVersion(), "version of this file's format", REQUIRED),
@@ -193,6 +197,15 @@ CHECK: Final[dict[str, Key]] = {
     "radius": Key(_LIMIT_LENGTH, "least radius of curvature (instead of the profile's)"),
     "sag": Key(_LIMIT_LENGTH, "largest sag (instead of the profile's)"),
     "pitch": Key(_LIMIT_LENGTH, "least pitch (instead of the profile's)"),
+    "tool": Key(_LIMIT_LENGTH, "nose radius of the tool (instead of the profile's)"),
+    "wall": Key(_LIMIT_LENGTH, "highest step between neighbours (instead of the profile's)"),
+    "draft": Key(
+        _NO_ANGLE, "least angle of walls and faces to the sheet's normal (instead of the profile's)"
+    ),
+    "slope": Key(_LIMIT_ANGLE, "steepest slope of a face (instead of the profile's)"),
+    "voxel": Key(_LIMIT_LENGTH, "lateral size of a voxel, pixel or spot (instead of the profile's)"),
+    "layer": Key(_LIMIT_LENGTH, "thickness of a layer (instead of the profile's)"),
+    "aspect": Key(_FACTOR, "greatest height over width of a feature (instead of the profile's)"),
     "volume": Key(_PART, "limit of the relative error of a file's volume", 1e-9),
     "shape": Key(_FACTOR, "limit of a mesh's sag error over the stated one", 1.1),
     "file_rms": Key(_FACTOR, "limit of a mesh's direction error over its forecast", 1.25),
@@ -214,14 +227,44 @@ CHECK: Final[dict[str, Key]] = {
         (),
     ),
 }
+TOLERANCES: Final[dict[str, Key]] = {
+    "decentre": Key(
+        Several(_LIMIT_LENGTH, _ARRAYS, single=True), "an array's displacement in x and in y", (0.0, 0.0)
+    ),
+    "rotation": Key(_NO_ANGLE, "turn of array 2 against array 1 about the sheet's normal", 0.0),
+    "separation": Key(
+        _LIMIT_LENGTH, "displacement of array 2 along the sheet's normal (not for a slab)", 0.0
+    ),
+    "radius": Key(
+        Several(_PART_FROM_0, _ARRAYS, single=True), "relative error of the radii of a face", (0.0, 0.0)
+    ),
+    "index": Key(_PART_FROM_0, "error of the refractive index of a body", 0.0),
+    "thickness": Key(Several(_LIMIT_LENGTH, _ARRAYS, single=True), "error of a centre thickness", (0.0, 0.0)),
+    "tilt": Key(_NO_ANGLE, "tilt of array 2 against array 1 about x and about y", 0.0),
+    "roughness": Key(_LIMIT_LENGTH, "rms roughness of the optical faces, from 0 up", 0.0),
+    "distribution": Key(
+        Word(("normal", "uniform")),
+        "normal: a tolerance is two standard deviations; uniform: it is the end",
+        "normal",
+    ),
+    "samples": Key(
+        Whole("a whole number from 1 to 1e7", most=10_000_000), "sheets drawn by Monte Carlo", 1000
+    ),
+    "seed": Key(Whole("a whole number from 0 to 1e9", least=0, most=1_000_000_000), "seed of the draws", 0),
+    "image_shift": Key(_LIMIT_ANGLE, "largest image shift of a good sheet"),
+    "blur": Key(_LIMIT_ANGLE, "largest rms blur of a good sheet"),
+    "residual_power": Key(_DIOPTRES, "largest residual power of a good sheet"),
+    "moire_period": Key(_LIMIT_LENGTH, "least moire period of a good sheet"),
+}
 SECTIONS: Final[dict[str, dict[str, Key]]] = {
     "law": LAW,
     "pair": PAIR,
     "lattice": LATTICE,
     "body": BODY,
     "check": CHECK,
+    "tolerances": TOLERANCES,
 }
-OPTIONAL: Final = ("body", "check")
+OPTIONAL: Final = ("body", "check", "tolerances")
 """Sections that may be left out."""
 
 

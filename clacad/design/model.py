@@ -189,8 +189,8 @@ class Allowed:
 class CheckSpec:
     """Limits the built design and its files are judged by. Angles in radians, lengths in design units.
 
-    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag pitch`),
-    or nothing is asked (`mesh_law_rms`).
+    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag pitch tool
+    wall draft slope voxel layer aspect`), or nothing is asked (`mesh_law_rms`).
 
     Parameters
     ----------
@@ -224,6 +224,13 @@ class CheckSpec:
     radius: float | None
     sag: float | None
     pitch: float | None
+    tool: float | None
+    wall: float | None
+    draft: float | None
+    slope: float | None
+    voxel: float | None
+    layer: float | None
+    aspect: float | None
     volume: float
     shape: float
     file_rms: float
@@ -231,6 +238,61 @@ class CheckSpec:
     scale: float
     fresnel_number: float
     allow: tuple[Allowed, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TolerancesSpec:
+    """What fabrication may get wrong, and what a good sheet still is. Lengths in design units, angles in radians.
+
+    Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
+
+    Parameters
+    ----------
+    decentre : (2,) tuple of float, length
+        Displacement of array 1 and array 2 as wholes, in x and in y.
+    rotation : float, radians
+        Turn of array 2 against array 1 about the sheet's normal.
+    separation : float, length
+        Displacement of array 2 along the sheet's normal.
+    radius : (2,) tuple of float
+        Relative error of all radii of a face of array 1 and array 2.
+    index : float
+        Error of the refractive index of each body.
+    thickness : (2,) tuple of float, length
+        Error of the centre thickness of each body.
+    tilt : float, radians
+        Tilt of array 2 against array 1 about x and about y.
+    roughness : float, length
+        Rms height.
+    distribution : {"normal", "uniform"}
+        Normal: t is two standard deviations; uniform: t is the end.
+    samples, seed : int
+        Of the Monte-Carlo run.
+    image_shift, blur, residual_power, moire_period : float or None
+        Limits of a good sheet besides those of [check]: radians, radians, 1/m, length.
+    """
+
+    decentre: Pair2
+    rotation: float
+    separation: float
+    radius: Pair2
+    index: float
+    thickness: Pair2
+    tilt: float
+    roughness: float
+    distribution: Literal["normal", "uniform"]
+    samples: int
+    seed: int
+    image_shift: float | None
+    blur: float | None
+    residual_power: float | None
+    moire_period: float | None
+
+
+NO_TOLERANCES = TolerancesSpec(
+    (0.0, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 0.0, "normal", 1000, 0, None, None, None, None
+)
+"""A design that states none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,6 +329,7 @@ class Design:
     lattice: LatticeSpec
     body: BodySpec
     check: CheckSpec
+    tolerances: TolerancesSpec = NO_TOLERANCES
     notes: tuple[str, ...] = ()
     given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     source: str | None = field(default=None, repr=False, compare=False)

@@ -20,6 +20,7 @@ from clacad.design.model import (
     LawSpec,
     Outline,
     PairSpec,
+    TolerancesSpec,
 )
 from clacad.design.places import KeyPath, located, split_key
 from clacad.design.rules import Asked, broken
@@ -200,7 +201,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     part = {
         section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()
     }
-    law, pair, lattice, body, check = (part[section] for section in SECTIONS)
+    law, pair, lattice, body, check, tolerances = (part[section] for section in SECTIONS)
     if isinstance(pair["thickness"], tuple) and not isinstance(data["pair"]["thickness"], list):
         pair["thickness"] = pair["thickness"][0]
     if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
@@ -220,5 +221,5 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     assert unit is not None, values["unit"]  # UnitWord accepted it
     return Design(
         values["name"], values["unit"], float(unit.metres), LawSpec(**law), PairSpec(**pair), LatticeSpec(**lattice),
-        BodySpec(**body), CheckSpec(**check), values["notes"], data, source, path,
+        BodySpec(**body), CheckSpec(**check), TolerancesSpec(**tolerances), values["notes"], data, source, path,
     )  # fmt: skip

@@ -119,6 +119,9 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
     if form == "slab" and a("pair.confocal") in ("thin", "best"):
         yield Mistake("CL114", f"{a.says('pair.confocal')} does not belong to a slab", "pair.confocal",
                       allowed='"exact": a slab is afocal by construction')  # fmt: skip
+    if form == "slab" and a("tolerances.separation"):
+        yield Mistake("CL114", "tolerances.separation does not belong to a slab: its separation is its thickness",
+                      "tolerances.separation", allowed="tolerances.thickness", hint="leave it out")  # fmt: skip
     if form == "slab" and a("body.baffle"):
         yield Mistake("CL114", "a slab has no room for a baffle between its faces", "body.baffle",
                       allowed='false, or pair.form = "biconvex" | "plano"')  # fmt: skip

@@ -19,13 +19,13 @@ from clacad.feasibility.facts import (
     LensFacts,
     two,
 )
-from clacad.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin
+from clacad.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
 from clacad.sheet import Window
 from clacad.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, thin_cells
 
 __all__ = [
     "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "body_range", "components",
-    "connectedness", "describe", "feasibility", "least_thickness", "lens_margin",
+    "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
 ]  # fmt: skip
 
 

@@ -167,7 +167,7 @@ def least_thickness(window: Window, array: int) -> float:
     thickness = _centre_thickness(body, face)
     zone, change = optical_tile(window), 0.0
     for _ in range(40):  # Newton: thickness along z grows by 1/n_z or so, a tilt apart, per unit of T
-        moved = replace(window, bodies=tuple(_thicker(b, change) if b is body else b for b in window.bodies))
+        moved = replace(window, bodies=tuple(thicker(b, change) if b is body else b for b in window.bodies))
         missing, _ = least(lens_margin(moved, array), zone)
         if missing == -np.inf:
             return np.inf
@@ -180,7 +180,7 @@ def least_thickness(window: Window, array: int) -> float:
     return thickness + change
 
 
-def _thicker(body: Body, change: float) -> Body:
+def thicker(body: Body, change: float) -> Body:
     """Body whose lens faces stand `change` farther apart along the lens axis (plano: its plane face moves)."""
 
     def moved(face: Face, sign: float) -> Face:
