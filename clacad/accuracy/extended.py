@@ -66,6 +66,24 @@ def direction_errors(
     return errors
 
 
+def direction_differences(
+    window: Window, position: Floats, direction: Floats, found: Floats, cell: Ints, order: Ints
+) -> Floats:
+    """Directions (n, 3) a kernel found less the same rays in 50 digits; parameters as in `direction_errors`.
+
+    The difference is taken in 50 digits and then rounded, so it is good to 16 digits of itself. NaN as there.
+    """
+    found_less = np.full((len(position), 3), np.nan)
+    with localcontext() as context:
+        context.prec = DIGITS
+        for k in range(len(position)):
+            steps = _steps(window, cell[k], order[k])
+            exact = _through(steps, _vector(position[k]), _unit(_vector(direction[k])))
+            if exact is not None:
+                found_less[k] = [float(v) for v in _subtracted(_unit(_vector(found[k])), exact)]
+    return found_less
+
+
 def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
     steps, before = [], Decimal(1)
     for body in window.bodies:

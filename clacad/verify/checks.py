@@ -125,14 +125,47 @@ def not_run(id: str, why: str, **rest: Any) -> Check:
 
 
 def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Mark the warnings that the design accepts, with the reason it gives."""
+    """Mark the warnings that the design accepts, with the reason it gives; say where each limit comes from."""
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
     return tuple(
         replace(c, sentence=f"{c.sentence} Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
-        if c.state == "warn" and c.code in reasons
+        if c.state == "warn" and c.code in reasons and "accepted" not in c.detail
         else c
-        for c in checks
+        for c in sourced(checks, design)
     )  # fmt: skip
+
+
+def sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
+    """Say of each limit whether the design file gives it, it is a default, or it follows from another one.
+
+    A check knows whether its limit is a key of [check] ("default"), or made from one ("law_rms", "2 × eta");
+    whether the design gives that key is known here.
+    """
+    return tuple(
+        replace(c, source=_source(c, design)) if c.limit is not None or c.state == "not run" else c
+        for c in checks
+    )
+
+
+KEYS = ("law_rms", "law_bias", "eta", "delta", "confocality", "volume", "shape", "file_rms")
+"""Keys of [check] that limits of other checks are made from."""
+
+
+def _source(check: Check, design: Design) -> str:
+    name, given = check.source, design.given.get("check", {})
+    if name.startswith(f"{design.check.process}: "):
+        return f"process profile {name}"
+    if check.id == "field":  # its limit is a fact; the key of that name is the cone of the test rays
+        return "derived from pitch, separation and law"
+    if name == "default":
+        # a Fresnel number below 1 voids the ray picture, whatever the design allows
+        own = check.id in given and not (check.id == "fresnel_number" and check.limit == 1.0)
+        return "design file" if own else "default"
+    if name in KEYS:
+        return f"derived from {name} ({'design file' if name in given else 'default'})"
+    if any(word in name for word in ("forecast", "stated", "as their size")) and "derived" not in name:
+        return f"derived: {name}"
+    return f"default: {name}" if name.startswith("1e-") else name
 
 
 def passed(checks: Iterable[Check]) -> bool:

@@ -44,6 +44,8 @@ class MeshEvidence:
         Rms, over the middle cell.
     law, law_design : Law or None
         Fitted through the file's triangles, and through the design cut into the same triangles; same rays.
+    gathered : Gathered or None
+        Facets of the cells that were looked at, kept for what a report measures beyond the checks.
     """
 
     measure: Measure
@@ -55,6 +57,7 @@ class MeshEvidence:
     law: Law | None
     law_design: Law | None
     facts: Mapping[str, Any] = field(default_factory=dict)
+    gathered: Gathered | None = None
 
 
 def light_checks(
@@ -83,7 +86,7 @@ def light_checks(
     law, exact = _fits(design, window, gathered, rays, present)
     forecasts = np.array([forecast_rms(window, d) for d in off])
     evidence = MeshEvidence(
-        found, gathered.cells, np.array(rms), law_rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost}
+        found, gathered.cells, np.array(rms), law_rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost}, gathered
     )
     checks = [_file_rms(design, evidence, lost, str(main), common)]
     checks += _file_fit(design, evidence, common)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,18 +38,26 @@ from clacad.verify.solidfile import judge_solid
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.verify.evidence import Evidence
 
 FORMAT = 1
 
 
 @dataclass(frozen=True, eq=False)
 class FileReport:
-    """One file that was judged: what it is, and the evidence gathered on it."""
+    """One file that was judged: what it is, and the evidence gathered on it.
+
+    window : Window or None
+        With the cells of the file; None where they are the design's.
+    present : names of the bodies in it, or None for all
+    """
 
     subject: Subject
     note: str = ""
     mesh: MeshEvidence | None = None
     solid: Mapping[str, Any] | None = None
+    window: Window | None = None
+    present: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +78,8 @@ class Report:
     convergence : Convergence or None
     files : tuple of FileReport
     versions : mapping
+    evidence : Evidence or None
+        What the page shows beside its checks; None until `with_evidence`.
     """
 
     design: Design
@@ -81,6 +91,15 @@ class Report:
     convergence: Convergence | None = None
     files: tuple[FileReport, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+    evidence: Evidence | None = None
+
+    def with_evidence(self, progress: Progress | None = None) -> Report:
+        """The same report with what its page shows beside the checks; itself where it has that."""
+        if self.evidence is not None:
+            return self
+        from clacad.verify.evidence import gather_evidence
+
+        return replace(self, evidence=gather_evidence(self, progress if progress is not None else _silent))
 
     @property
     def passed(self) -> bool:
@@ -132,6 +151,7 @@ class Report:
             "files": [_file_row(f) for f in self.files],
             "notes": list(self.design.notes),
             "versions": dict(self.versions),
+            **({} if self.evidence is None else self.evidence.to_dict()),
         }  # fmt: skip
 
     def to_json(self) -> str:
@@ -346,4 +366,4 @@ def _judge_triangles(
         f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else ""),
         **common,
     )
-    return [readable, *found], FileReport(subject, note, evidence)
+    return [readable, *found], FileReport(subject, note, evidence, window=window, present=present)
