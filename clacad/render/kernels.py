@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.render.stage import Stage
-from clacad.trace.compiled import exact
+from clacad.trace.compiled import exact, owning
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ BLOCK = 256
 """Rays of a block: its columns stay in the first-level cache."""
 
 
-@exact
+@owning
 def look_all(
     world: Floats, cluster: Floats, prim: Floats, store: Floats, origin: Floats, direction: Floats,
     limit: Floats, light: Floats, met: NDArray[np.bool_],
@@ -106,7 +106,7 @@ def look_all(
             hit[i] = which[i] >= 0
 
 
-@exact
+@owning
 def law_all(
     world: Floats, cluster: Floats, prim: Floats, store: Floats, matrix: Floats, axis: Floats, edges: Floats,
     scale: float, before: bool, opaque: bool, origin: Floats, direction: Floats, light: Floats,
@@ -486,7 +486,7 @@ def inside_outline(store: Floats, first: int, end: int, x: float, y: float) -> b
     return inside
 
 
-@exact
+@owning
 def in_tree(
     store: Floats, root: int, x: float, y: float, z: float, u: float, v: float, w: float, limit: float
 ) -> tuple[float, int]:

@@ -25,16 +25,27 @@ _forget_stale()
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+_PLAIN: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": True}
+
 
 def exact(function: Function) -> Function:
-    """Compile so that every operation is rounded as written."""
-    return cast(Function, njit(cache=True, error_model="numpy", nogil=True)(function))
+    """Compile so that every operation is rounded as written; the function may make no array.
+
+    Without arrays of its own a function need not count who holds those it is given. That counting, an
+    atomic instruction for every array of every call, takes ten times as long as a walk's arithmetic, and
+    threads wait for one another's.
+    """
+    return cast(Function, njit(_nrt=False, **_PLAIN)(function))
 
 
 def fused(function: Function) -> Function:
     """Compile with multiply-adds fused: for plain arithmetic only, never around an exact product."""
-    options = {"cache": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
-    return cast(Function, njit(**options)(function))
+    return cast(Function, njit(_nrt=True, fastmath={"contract"}, **_PLAIN)(function))
+
+
+def owning(function: Function) -> Function:
+    """Compile like `exact` a function that makes arrays of its own."""
+    return cast(Function, njit(_nrt=True, **_PLAIN)(function))
 
 
 def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:

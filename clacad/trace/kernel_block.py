@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from clacad.rays import NO_CELL, Fate
 from clacad.trace import packing as slot
-from clacad.trace.compiled import exact, fused, least
+from clacad.trace.compiled import exact, fused, least, owning
 from clacad.trace.kernel_block_slots import (
     BLOCK,
     CI,
@@ -433,7 +433,7 @@ def _store_hit(
             turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
 
 
-@exact
+@owning
 def straight(
     tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
     hits: Floats, turns: Floats, carried: Floats,
@@ -562,7 +562,7 @@ def _blank(
     return sound and ray[row, 2] > 0.0
 
 
-@exact
+@owning
 def trace_chunk(
     tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
     ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clacad.trace import packing as slot
 from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
-from clacad.trace.compiled import exact
+from clacad.trace.compiled import exact, owning
 from clacad.trace.kernel_column import DISTANCE, KIND, PLACE, box_span, sheet_xy, to_array
 from clacad.trace.kernel_scalar import height
 from clacad.trace.layout import Floats
@@ -79,7 +79,7 @@ def _hit(
     return (u * az + v * bz + w * cz) / (total * N), u / total, v / total, w / total
 
 
-@exact
+@owning
 def nearest(
     tiles: Tiles, b: int, ox: float, oy: float, oz: float, x: float, y: float, z: float, L: float, M: float,
     N: float, least: float, most: float,
@@ -113,7 +113,7 @@ def nearest(
     return (best, which) if which >= 0 else (inf, -1)
 
 
-@exact
+@owning
 def _senses(
     tiles: Tiles, b: int, ox: float, oy: float, oz: float, x: float, y: float, z: float, L: float, M: float,
     N: float, least: float, most: float,
