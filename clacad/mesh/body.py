@@ -89,6 +89,10 @@ class BodyMesh:
         rms angle between facet and exact normal, area-weighted over optical facets, worse face (radians).
     sag_error : float
         Largest normal distance between facet and exact surface (length).
+    saddles : int
+        Vertical lines in which two columns touch and nothing else.
+    bevel_volume : float
+        Volume that bevels at saddles add (length³).
     """
 
     name: str
@@ -100,6 +104,8 @@ class BodyMesh:
     step: float
     slope_error: float
     sag_error: float
+    saddles: int = 0
+    bevel_volume: float = 0.0
 
     def blocks(self) -> Iterator[Block]:
         """Cells grouped by row and template."""

@@ -36,7 +36,11 @@ def with_borders(make: Maker, plan: pl.Planar, quads: int) -> tuple[pl.Planar, l
             groups: list[Floats] = []
         else:
             least = _least(make, border.start, border.end, quads)
-            groups = pl.space(border.roots, least)
+            stops = border.roots
+            if make.bevel > 0.0:
+                length = float(np.hypot(border.end[0] - border.start[0], border.end[1] - border.start[1]))
+                stops = np.concatenate([stops, border_stops(make.bevel, length)])
+            groups = pl.space(stops, least)
             t, grid_at = pl.place(np.array([0.5 * (g[0] + g[-1]) for g in groups]), quads, least)
         rows = _border_levels(make, border.index, t, groups, nodes)
         t, rows = _parted(make, border.index, t, rows, groups, nodes)
@@ -46,6 +50,11 @@ def with_borders(make: Maker, plan: pl.Planar, quads: int) -> tuple[pl.Planar, l
     if not seam:
         plan = pl.with_side_samples(plan, make.tiling.tile, placed)
     return plan, [t for t, _ in placed], levels
+
+
+def border_stops(width: float, length: float) -> Floats:
+    """Parameters on a border of this length at which bevels end."""
+    return np.array([width / length, 1.0 - width / length])
 
 
 def _least(make: Maker, start: tuple[float, float], end: tuple[float, float], quads: int) -> float:

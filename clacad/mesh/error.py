@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.mesh.prototile import LENS, Prototile
+from clacad.mesh.levels import LENS
+from clacad.mesh.prototile import Prototile
 from clacad.sheet import Body, Face, lens_height_and_normal
 
 Floats = NDArray[np.float64]
@@ -26,7 +27,7 @@ def facet_errors(tile: Prototile, body: Body) -> tuple[float, float]:
     """
     slopes, sags = [0.0], [0.5 * tile.step]
     for side, face in enumerate((body.front, body.back)):
-        chosen = tile.part[:, side] == LENS
+        chosen = (tile.part[:, side] == LENS) & ~tile.bevelled(side)
         if face.array is None or not chosen.any() or (np.abs(tile.lens[:, side]) >= 2**60).all():
             continue
         slope, sag = _face_errors(tile, face, side, chosen)

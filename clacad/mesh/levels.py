@@ -20,6 +20,7 @@ Bools = NDArray[np.bool_]
 
 FAR = 2**60  # the other side of a body whose faces are meshed apart
 NONE = 2**61  # a front without a surface; −NONE a back without one
+LENS, LAND, VOID = 0, 1, 2  # what a face of a footprint's triangle is
 LEAST_GAP = 4  # steps between two levels that are not one
 
 

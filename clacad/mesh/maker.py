@@ -25,6 +25,7 @@ class Maker:
     tiling: Tiling
     step: float
     gap: int
+    bevel: float = 0.0
 
     def names(self) -> tuple[bool, bool]:
         """Whether front and back belong to this tiling's mesh."""

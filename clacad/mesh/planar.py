@@ -7,6 +7,7 @@ in order, from corner k to corner k + 1 inclusive.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from clacad.lattice import Lattice
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Tags = TypeVar("Tags", NDArray[np.bool_], NDArray[np.uint8])
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,12 +232,14 @@ def edges_of(triangles: Ints) -> tuple[Ints, Ints]:
     return edges, inverse.reshape(-1, 3).astype(np.int64)
 
 
-def split(triangles: Ints, zone: Bools, xy: Floats, number: Ints, middle: Ints) -> tuple[Ints, Bools]:
+def split(triangles: Ints, zone: Tags, xy: Floats, number: Ints, middle: Ints) -> tuple[Ints, Tags]:
     """Split triangles at the points that lie on their edges.
 
     Parameters
     ----------
-    triangles (m, 3), zone (m,), xy (n, 2)
+    triangles (m, 3), xy (n, 2)
+    zone : (m, ...)
+        What each triangle is; its pieces are the same.
     number : (m, 3)
         Edge numbers, as `edges_of` gives.
     middle : (e,)

@@ -6,24 +6,23 @@ at the same levels; rims are cut into the triangles at exact points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.cell_complex import CellComplex, Tiling
 from clacad.mesh import planar as pl
+from clacad.mesh.bevel import added_volume, bevelled, check_width
 from clacad.mesh.cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.edges import settle_inside, settle_sides, with_borders
-from clacad.mesh.levels import FAR, NONE
+from clacad.mesh.levels import FAR, LAND, LENS, NONE, VOID
 from clacad.mesh.maker import Maker
 from clacad.sheet import Body, Window, optical_tile
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-LENS, LAND, VOID = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +44,8 @@ class Prototile:
         Height of one level.
     side_t : m arrays
         Parameters of the points of each side of the tile.
+    lifted : (m, 2, 3) int64 or None
+        Levels of front and back at the corners of triangles that a saddle's bevel raises, NONE elsewhere.
     """
 
     plan: pl.Planar
@@ -54,6 +55,7 @@ class Prototile:
     plane: tuple[bool, bool]
     step: float
     side_t: tuple[Floats, ...]
+    lifted: Ints | None = None
 
     def corner_levels(self) -> Ints:
         """Front and back level at each triangle's corners, (m, 3, 2); NONE, −NONE where void."""
@@ -70,12 +72,31 @@ class Prototile:
         land = np.array(self.land)
         none = np.array([NONE, -NONE])
         part = self.part[:, None, :]
-        return np.asarray(np.where(part == LENS, lens, np.where(part == LAND, land, none)))
+        flush = np.asarray(np.where(part == LENS, lens, np.where(part == LAND, land, none)))
+        if self.lifted is None:
+            return flush
+        raised = np.moveaxis(self.lifted, 1, 2)
+        return np.asarray(np.where(raised != NONE, raised, flush))
+
+    def bevelled(self, side: int) -> Bools:
+        """Triangles of one face that belong to a bevel, not to lens or land, (m,)."""
+        if self.lifted is None:
+            return np.zeros(len(self.plan.triangles), dtype=bool)
+        return np.asarray(self.lifted[:, side, 0] != NONE)
+
+    def bevel_volume(self) -> float:
+        """Volume (length³) that a cell's bevels add."""
+        if self.lifted is None:
+            return 0.0
+        return added_volume(
+            self.plan, replace(self, lifted=None).corner_levels(), self.corner_levels(), self.step
+        )
 
 
 def make_prototile(
-    window: Window, body: Body, cells: CellComplex, tiling: Tiling, quads: int, step: float, gap: int
-) -> Prototile:
+    window: Window, body: Body, cells: CellComplex, tiling: Tiling, quads: int, step: float, gap: int,
+    bevel: float = 0.0,
+) -> Prototile:  # fmt: skip
     """Mesh one cell of a body's tiling.
 
     Parameters
@@ -87,13 +108,15 @@ def make_prototile(
         Height of one level.
     gap : int
         Merge height in steps.
+    bevel : length
+        Width of the bevels at saddles; 0: none.
 
     Raises
     ------
     ValueError
         A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge.
     """
-    make = Maker(window, body, cells, tiling, step, gap)
+    make = Maker(window, body, cells, tiling, step, gap, bevel)
     tile, zone = tiling.tile, optical_tile(window)
     plan = pl.grid(window.lattice, tile, zone, quads, _diagonal(make, zone, quads))
     plan, side_t, levels = with_borders(make, plan, quads)
@@ -120,8 +143,12 @@ def make_prototile(
             "inside its cell; more quads would find it"
         )
     whole = not (part == VOID).any()
+    lifted = None
+    if make.bevel > 0.0:
+        check_width(make, make.bevel)
+        plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
-    return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t))
+    return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t), lifted)
 
 
 def _again(make: Maker, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:

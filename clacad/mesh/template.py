@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from clacad.cell_complex import node_cells
 from clacad.lattice import Lattice
 from clacad.mesh import planar as pl
-from clacad.mesh.levels import FAR, NONE
-from clacad.mesh.prototile import LAND, LENS, Prototile
+from clacad.mesh.levels import FAR, LAND, LENS, NONE
+from clacad.mesh.prototile import Prototile
 from clacad.mesh.walls import Column, Ring, strip
 
 Floats = NDArray[np.float64]
@@ -197,6 +197,7 @@ class TemplateMaker:
                 solid = (part[:, side] == LENS) | (part[:, side] == LAND)
                 corners, z = plan.triangles[solid], level[solid]
                 kind = np.where(part[solid, side] == LENS, (FRONT, BACK)[side], (FRONT_LAND, BACK_LAND)[side])
+                kind[self.tile.bevelled(side)[solid]] = WALL
             if side == 0:  # material above: seen from outside (below) the turn is the other way
                 corners, z = corners[:, ::-1], z[:, ::-1]
             points.append(corners)
@@ -207,11 +208,13 @@ class TemplateMaker:
         return vertex[:, 0], vertex[:, 1], inverse.reshape(-1, 3), np.concatenate(kinds).astype(np.uint8)
 
     def _plane_cap(self) -> Ints:
-        """Triangles of a plane face: a fan over the border points only."""
+        """Triangles of a plane face: a fan over the border points only, where a point lies inside."""
         sides = self.tile.plan.sides
         if all(len(side) == 2 for side in sides):
             return pl.polygon_fan(np.array([side[0] for side in sides]))
         centre = int(np.argmin(np.hypot(*self.tile.plan.xy.T)))
+        if any(centre in side for side in sides):
+            return self.tile.plan.triangles
         return pl.fan(sides, centre)
 
     def _inner_walls(self) -> list[tuple[int, int, int, int]]:

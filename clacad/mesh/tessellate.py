@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import ceil
 
 from clacad.cell_complex import CellComplex, cell_complex
+from clacad.cell_complex.count import saddle_count
 from clacad.mesh.body import BodyMesh, Tiled, no_plain
 from clacad.mesh.error import facet_errors
 from clacad.mesh.land import make_plain
@@ -19,8 +20,9 @@ MOST_QUADS = 2048  # a prototile of 17 M triangles
 
 
 def tessellate(
-    window: Window, slope_error: float | None = None, quads: int | None = None, merge: float | None = None
-) -> Mesh:
+    window: Window, slope_error: float | None = None, quads: int | None = None, merge: float | None = None,
+    saddle_bevel: float = 0.0,
+) -> Mesh:  # fmt: skip
     """Mesh every body of a window, watertight by construction.
 
     Exactly one of `slope_error` and `quads` is given.
@@ -34,6 +36,9 @@ def tessellate(
         Grid steps along each side of a cell's optical zone.
     merge : length, optional
         Steps between neighbours below this height are closed up. Default: four z steps.
+    saddle_bevel : length, optional
+        Width of the bevels that give columns which only touch at a saddle a real contact. Default 0: none, the
+        columns keep vertices of their own and the surface is exact.
 
     Returns
     -------
@@ -43,7 +48,7 @@ def tessellate(
     ------
     ValueError
         Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
-        surface ends inside its cell; a cell reaches beyond the outline.
+        surface ends inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
@@ -52,12 +57,16 @@ def tessellate(
         quads = forecast_quads(window, slope_error)
     if quads < 1:
         raise ValueError(f"quads = {quads}: at least 1 is needed")
-    return Mesh(window, tuple(mesh_body(window, body, quads, merge) for body in window.bodies), quads)
+    return Mesh(
+        window, tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies), quads
+    )
 
 
-def mesh_body(window: Window, body: Body, quads: int, merge: float | None = None) -> BodyMesh:
+def mesh_body(
+    window: Window, body: Body, quads: int, merge: float | None = None, saddle_bevel: float = 0.0
+) -> BodyMesh:
     """Mesh one body; see `tessellate`."""
-    parts = _parts(window, body, merge)
+    parts = _parts(window, body, merge, saddle_bevel)
     tiles = [parts.tile(n, quads) for n in range(len(parts.cells.tilings))]
     tiled = tuple(
         Tiled(TemplateMaker(tile, window.lattice), tiling.shift)
@@ -78,6 +87,8 @@ def mesh_body(window: Window, body: Body, quads: int, merge: float | None = None
         parts.step,
         max(e[0] for e in errors),
         max(e[1] for e in errors),
+        saddle_count(parts.cells),
+        window.lattice.cell_count * sum(tile.bevel_volume() for tile in tiles),
     )
 
 
@@ -90,19 +101,20 @@ class _Parts:
     cells: CellComplex
     step: float
     gap: int
+    bevel: float
 
     def tile(self, tiling: int, quads: int) -> Prototile:
         """The prototile of one tiling."""
         return make_prototile(
-            self.window, self.body, self.cells, self.cells.tilings[tiling], quads, self.step, self.gap
-        )
+            self.window, self.body, self.cells, self.cells.tilings[tiling], quads, self.step, self.gap, self.bevel
+        )  # fmt: skip
 
 
-def _parts(window: Window, body: Body, merge: float | None) -> _Parts:
+def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
     step = z_step(window)
     gap = merge_steps(merge, step)
     cells = cell_complex(window, body, merge=gap * step, spacing=0.0, rims=False)
-    return _Parts(window, body, cells, step, gap)
+    return _Parts(window, body, cells, step, gap, bevel)
 
 
 def count_facets(window: Window, quads: int) -> int:
