@@ -168,6 +168,14 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Pass the limits on facets, bytes and memory.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
+    step_schema: Annotated[str, typer.Option("--step-schema", help="STEP: ap242 or ap214.")] = "ap242",
+    pcurves: Annotated[bool, typer.Option("--pcurves/--no-pcurves", help="STEP: write exact parameter curves; without "
+                                          "them files are smaller.")] = True,
+    saddle_bevel: Annotated[str | None, typer.Option("--saddle-bevel", metavar="W", help="Meshes: fill the corners where "
+                            "cells only touch, W wide, e.g. '5 um'; default: they touch, the surface is exact.")] = None,
+    gpu_instancing: Annotated[bool, typer.Option("--gpu-instancing", help="GLB: one node for all cells of a body.")] = False,
+    grey_levels: Annotated[int, typer.Option("--grey-levels", metavar="N", min=2, max=65536, help="GDSII: layers from "
+                                             "lowest to highest.")] = 64,
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -178,7 +186,8 @@ def export(
 
     request = ExportRequest(
         out, tuple(f.strip() for f in format.split(",") if f.strip()), slope_error, quads, step, cells,
-        overwrite=overwrite, force=force, dry_run=dry_run,
+        overwrite=overwrite, force=force, dry_run=dry_run, step_schema=step_schema, pcurves=pcurves,
+        saddle_bevel=saddle_bevel, gpu_instancing=gpu_instancing, grey_levels=grey_levels,
     )  # fmt: skip
     return export_design(design, set or [], request, json=json, quiet=quiet)
 
@@ -259,6 +268,66 @@ def accuracy(
     from clacad.cli.accuracy_command import measure_accuracy
 
     return measure_accuracy(design, set or [], rays, target, out, overwrite=overwrite, json=json, quiet=quiet)
+
+
+Workers = Annotated[
+    int | None, typer.Option("--workers", min=1, help="Processes on this machine; default one a core.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to work on instead, e.g. tcp://host:8786."
+    ),
+]
+Again = Annotated[bool, typer.Option("--overwrite", help="Begin again; replace files of another origin.")]
+
+
+@app.command()
+def tolerance(
+    design: Design,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Write tolerances.json, .csv and .png "
+                                             "here; a run that was stopped goes on from here.")] = None,
+    samples: Annotated[int | None, typer.Option("--samples", min=0, max=10_000_000, help="Sheets drawn; default the "
+                                                "design's tolerances.samples.")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, max=1_000_000_000, help="Default the design's.")] = None,
+    rays: Annotated[int, typer.Option("--rays", min=64, max=1_000_000, help="Rays of each bundle.")] = 256,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    overwrite: Again = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """What fabrication errors do to light: ranked contributors, Monte Carlo, yield."""
+    from clacad.cli.tolerance_command import Where, run_tolerance
+
+    where = Where(out, workers, scheduler, overwrite)
+    return run_tolerance(design, set or [], samples, seed, rays, where, json=json, quiet=quiet)
+
+
+@app.command()
+def sweep(
+    design: Design,
+    vary: Annotated[list[str], typer.Option("--vary", metavar="KEY=FROM:TO:COUNT", help="Values of one key, or KEY=A,B,C; "
+                                            "FROM:TO:COUNT:log for equal ratios. Several: every combination.")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Write sweep.csv and sweep.png here; a "
+                                             "run that was stopped goes on from here.")] = None,
+    format: Annotated[str, typer.Option("--format", metavar="F,G", help="csv, parquet.")] = "csv",
+    rays: Annotated[int, typer.Option("--rays", min=64, max=1_000_000, help="Rays of each bundle.")] = 256,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    overwrite: Again = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Build, judge and trace a design at every point of a grid of values: table and plots."""
+    from clacad.cli.tolerance_command import Where, run_sweep
+
+    where = Where(out, workers, scheduler, overwrite)
+    return run_sweep(design, set or [], vary, rays, format, where, json=json, quiet=quiet)
 
 
 @app.command()

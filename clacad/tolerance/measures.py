@@ -13,8 +13,8 @@ blur
     Rms spread of the exit directions of parallel light over a cell.
 throughput
     Share of the light of the field that stays in its telescopelet and out of the haze of rough faces.
-law_rms, law_bias, eta, delta
-    As the checks of the same names define them.
+law_rms, law_bias, eta, delta, kept
+    As the checks of the same names define them (kept: throughput over the closed form), with fewer rays.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ MEASURES: Mapping[str, str] = {
     "power_xx": "1/m", "power_xy": "1/m", "power_yx": "1/m", "power_yy": "1/m",
     "image_shift": "rad", "moire_rate": "", "moire_period": "m", "residual_power": "1/m", "blur": "rad",
     "throughput": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "", "delta_y": "",
+    "eta_error": "", "delta_error": "", "kept": "",
 }  # fmt: skip
 """Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others follow."""
 
@@ -107,8 +108,10 @@ class Bench:
             bias.append(self._bias(out, alive))
             if number == 0:
                 found |= self._fitted(out, alive)
+        kept = min(share_)
         return found | {
-            "blur": max(spread), "throughput": min(share_), "law_rms": max(rms), "law_bias": max(bias),
+            "blur": _worst(spread), "throughput": kept, "law_rms": _worst(rms), "law_bias": _worst(bias),
+            "kept": kept / self.closed_form if self.closed_form > 0.0 else np.nan,
         }  # fmt: skip
 
     def _sent(self, cell: Telescopelet, errors: Errors) -> tuple[Floats, NDArray[np.bool_]]:
@@ -142,14 +145,18 @@ class Bench:
     def _fitted(self, out: Floats, alive: NDArray[np.bool_]) -> dict[str, float]:
         rows = self.parts["narrow"]
         into, lit = self.rays[1][rows][alive[rows]], out[rows][alive[rows]]
-        names = ("eta_x", "eta_y", "delta_x", "delta_y")
+        names = ("eta_x", "eta_y", "delta_x", "delta_y", "eta_error", "delta_error")
         if len(lit) < 64:
             return dict.fromkeys(names, np.nan)
         try:
             law = Law.fit(into, lit, axes=self.window.law).law
         except ValueError:  # light that leaves without depending on how it came
             return dict.fromkeys(names, np.nan)
-        return {name: float(getattr(law, name)) for name in names}
+        asked = self.window.law
+        eta, delta = (law.eta_x, law.eta_y), (law.delta_x, law.delta_y)
+        off_eta = max(abs(eta[0] / asked.eta_x - 1.0), abs(eta[1] / asked.eta_y - 1.0))
+        off_delta = max(abs(delta[0] - asked.delta_x), abs(delta[1] - asked.delta_y))
+        return dict(zip(names, (*eta, *delta, off_eta, off_delta), strict=True))
 
     def _chief_measures(self, errors: Errors) -> dict[str, float]:
         """Image shift, slip and power, from the chief ray and its neighbours."""
@@ -259,6 +266,11 @@ def _places(window: Window) -> Floats:
     centres = lattice.centres(lattice.cells())
     far = [centres[int(np.argmax(centres @ np.array(way)))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
     return np.concatenate([np.zeros((1, 2)), np.array(far)])
+
+
+def _worst(values: list[float]) -> float:
+    """The largest; NaN if any could not be measured."""
+    return float(np.max(values))
 
 
 def _rms(angles: Floats) -> float:

@@ -1,0 +1,161 @@
+"""`clacad tolerance` and `clacad sweep`: what fabrication errors, or other parameters, do to light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.cli.console import Progress, say, show_json, show_text, table
+from clacad.cli.design_commands import load_design
+
+if TYPE_CHECKING:
+    from clacad.tolerance import Study, Sweep
+
+TOP = 5
+"""Contributors printed for each measure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where the work is done and where its results go."""
+
+    out: Path | None
+    workers: int | None
+    scheduler: str | None
+    overwrite: bool
+
+
+def run_tolerance(
+    path: Path, overrides: list[str], samples: int | None, seed: int | None, rays: int, where: Where, *, json: bool,
+    quiet: bool,
+) -> int:  # fmt: skip
+    """Make many sheets with the design's tolerances, print contributors and yield, write the tables."""
+    from clacad.tolerance import Farm, tolerance, write_study
+    from clacad.tolerance.write import TOLERANCES, study_document
+
+    design = load_design(path, overrides)
+    kept = _kept(where, TOLERANCES)
+    again = kept is not None and kept.exists()
+    progress = Progress(quiet=quiet)
+    try:
+        study = tolerance(design, samples, seed, rays, Farm(where.workers, where.scheduler), kept, progress)
+    finally:
+        progress.done()
+    written = [] if where.out is None else write_study(study, where.out, overwrite=where.overwrite or again)
+    if json:
+        show_json(study_document(study))
+    else:
+        show_text(tolerance_text(study), quiet=quiet)
+    if written:
+        say("wrote " + ", ".join(str(p) for p in written), quiet=quiet)
+    return 0
+
+
+def run_sweep(
+    path: Path, overrides: list[str], vary: list[str], rays: int, formats: str, where: Where, *, json: bool,
+    quiet: bool,
+) -> int:  # fmt: skip
+    """Build, judge and trace every point of a grid, print the table, write it."""
+    from clacad.tolerance import Farm, parse_vary, sweep, write_sweep
+    from clacad.tolerance.write import SWEEP
+
+    design = load_design(path, overrides)
+    axes = [parse_vary(text) for text in vary]
+    kept = _kept(where, SWEEP)
+    again = kept is not None and kept.exists()
+    progress = Progress(quiet=quiet)
+    try:
+        found = sweep(design, axes, rays, Farm(where.workers, where.scheduler), kept, progress)
+    finally:
+        progress.done()
+    names = tuple(name.strip() for name in formats.split(",") if name.strip())
+    written = (
+        [] if where.out is None else write_sweep(found, where.out, names, overwrite=where.overwrite or again)
+    )
+    if json:
+        show_json(
+            {"design": found.name, "sha256": found.sha256, "columns": found.columns(), "rows": found.rows}
+        )
+    else:
+        show_text(sweep_text(found), quiet=quiet)
+    if written:
+        say("wrote " + ", ".join(str(p) for p in written), quiet=quiet)
+    return 0
+
+
+def _kept(where: Where, kind: str) -> Path | None:
+    """The checkpoint in the output folder; with --overwrite a new one."""
+    from clacad.tolerance.write import checkpoint_path
+
+    if where.out is None:
+        return None
+    kept = checkpoint_path(where.out, kind)
+    if where.overwrite:
+        kept.unlink(missing_ok=True)
+    return kept
+
+
+def tolerance_text(study: Study) -> str:
+    """Contributors of each measure, limits and yield."""
+    from clacad.tolerance.plot import WORDS
+    from clacad.tolerance.study import RANKED
+
+    sides = (
+        "± tolerance; two standard deviations" if study.distribution == "normal" else "± tolerance; uniform"
+    )
+    lines = [["parameter", sides, "unit"]]
+    lines += [[p.name, f"{p.half:.4g}", p.unit] for p in study.parameters]
+    blocks = [study.name, table(lines)]
+    for measure in RANKED:
+        title, factor = WORDS[measure]
+        low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))
+        blocks.append(
+            f"{title}: as designed {factor * study.nominal[measure]:.4g}; of the sheets 5 % below {low}, half below "
+            f"{middle}, 95 % below {high}"
+        )
+        rows = [(n, c, s) for n, c, s in study.ranking(measure) if s >= 1e-3][:TOP]
+        if rows:
+            blocks.append(
+                table([[f"{100 * s:.1f} %", n, _change(factor * c)] for n, c, s in rows], indent="    ")
+            )
+    blocks.append(_yield_text(study))
+    return "\n".join(blocks)
+
+
+def _change(value: float) -> str:
+    return f"{value:.4g}" if isfinite(value) else "no light gets through"
+
+
+def _yield_text(study: Study) -> str:
+    share, low, high = study.yields()
+    missed = study.misses()
+    rows = [["a good sheet keeps", "limit", "sheets that miss it", "from"]]
+    for limit in study.limits:
+        rows.append(
+            [limit.measure, f"{limit.relation} {limit.value:.4g}", str(missed[limit.measure]), limit.source]
+        )
+    text = table(rows)
+    nominal = study.nominal_misses()
+    if nominal:
+        text += f"\nthe sheet as designed already misses: {', '.join(nominal)}"
+    if len(study.measures):
+        text += f"\nyield {100 * share:.1f} % of {len(study.measures)} sheets (95 %: {100 * low:.1f} to {100 * high:.1f})"
+    return text
+
+
+def sweep_text(found: Sweep) -> str:
+    """The table of a sweep in mrad and percent, the worst numbers only."""
+    keys = [key for key, _ in found.axes]
+    lines = [[*keys, "state", "law rms", "law bias", "blur", "throughput", "eta x, y", ""]]
+    for row in found.rows:
+        lines.append(
+            [*(str(row[key]) for key in keys), row["state"], *_optics(row), row["failed"] or row["message"]]
+        )
+    return f"{found.name}; angles in mrad\n{table(lines)}"
+
+
+def _optics(row: dict[str, Any]) -> list[str]:
+    angles = [f"{1e3 * row[name]:.4g}" for name in ("law_rms", "law_bias", "blur")]
+    return [*angles, f"{row['throughput']:.3f}", f"{row['eta_x']:.5g}, {row['eta_y']:.5g}"]
