@@ -348,6 +348,32 @@ def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
                 s[GOOD, i] = 0.0
 
 
+@fused
+def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
+    """Do as `_thick` where both faces are quadrics: the hit's place against the other's own half space."""
+    x, y, z, good = s[X], s[Y], s[Z], s[GOOD]
+    ox, oy, oz = (
+        face[slot.VX] - other[slot.VX],
+        face[slot.VY] - other[slot.VY],
+        face[slot.VZ] - other[slot.VZ],
+    )
+    cx, cy, kappa, side = other[slot.CX], other[slot.CY], other[slot.KX], other[slot.SIDE]
+    if other[slot.TURNED] == 0.0:
+        for i in range(m):
+            u, v, w = x[i] + ox, y[i] + oy, z[i] + oz
+            over = w - 0.5 * side * (cx * u * u + cy * v * v + kappa * w * w)
+            good[i] = least(good[i], least(1.0 - side * kappa * w, -sign * over))
+        return
+    a, b, c = other[slot.R0], other[slot.R0 + 1], other[slot.R0 + 2]
+    d, e, f = other[slot.R0 + 3], other[slot.R0 + 4], other[slot.R0 + 5]
+    g, h, k = other[slot.R0 + 6], other[slot.R0 + 7], other[slot.R0 + 8]
+    for i in range(m):
+        p, q, r = x[i] + ox, y[i] + oy, z[i] + oz
+        u, v, w = a * p + d * q + g * r, b * p + e * q + h * r, c * p + f * q + k * r
+        over = w - 0.5 * side * (cx * u * u + cy * v * v + kappa * w * w)
+        good[i] = least(good[i], least(1.0 - side * kappa * w, -sign * over))
+
+
 @exact
 def _cross(
     faces: Floats, f: int, lat: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, within: bool, ox: float,
@@ -486,7 +512,10 @@ def straight(
                 if not columnar:
                     _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy, lat[slot.MARGIN])
                 elif body[slot.COVERED] == 0.0 and len(tiles.part) == 0:
-                    _thick(faces, 2 * b + side, s, m)
+                    if face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
+                        _between(face, other, s, m, 1.0 - 2.0 * side)
+                    else:
+                        _thick(faces, 2 * b + side, s, m)
             if not columnar:
                 _in_inner(body, lat, s, m, array, ox, oy)
             if b == 0 and side == 0:
