@@ -32,6 +32,11 @@ class ExportRequest:
     overwrite: bool
     force: bool
     dry_run: bool
+    step_schema: str = "ap242"
+    pcurves: bool = True
+    saddle_bevel: str | None = None
+    gpu_instancing: bool = False
+    grey_levels: int = 64
 
 
 def export_design(
@@ -45,15 +50,17 @@ def export_design(
 
     design = load_design(path, overrides)
     cells = parse_cells(request.cells)
+    schema, bevel = parse_schema(request.step_schema), parse_length(request.saddle_bevel, design)
     if request.dry_run:
-        return _forecast(design, request, cells, json=json, quiet=quiet)
+        return _forecast(design, request, cells, bevel, json=json, quiet=quiet)
     progress = Progress(quiet=quiet)
     try:
         manifest = export(
             design, request.out, request.formats,
             slope_error=parse_slope_error(request.slope_error), quads=request.quads,
             step=parse_step(request.step), cells=cells, overwrite=request.overwrite, force=request.force,
-            progress=progress,
+            progress=progress, step_schema=schema, pcurves=request.pcurves, saddle_bevel=bevel,
+            gpu_instancing=request.gpu_instancing, grey_levels=request.grey_levels,
         )  # fmt: skip
     finally:
         progress.done()
@@ -69,15 +76,23 @@ def export_design(
 
 
 def _forecast(
-    design: Design, request: ExportRequest, cells: tuple[int, int] | None, *, json: bool, quiet: bool
+    design: Design,
+    request: ExportRequest,
+    cells: tuple[int, int] | None,
+    bevel: float,
+    *,
+    json: bool,
+    quiet: bool,
 ) -> int:
     from clacad.cli.tables import forecast_text
-    from clacad.export.run import Request, forecast_rows
+    from clacad.export.request import Request
+    from clacad.export.run import forecast_rows
 
     step, slope_error = parse_step(request.step), parse_slope_error(request.slope_error)
     asked = Request(
-        request.formats, slope_error, request.quads, step, cells, request.overwrite, request.force
-    )
+        request.formats, slope_error, request.quads, step, cells, request.overwrite, request.force,
+        pcurves=request.pcurves, saddle_bevel=bevel,
+    )  # fmt: skip
     rows: list[dict[str, Any]] = [row.to_dict() for row in forecast_rows(design, asked)]
     if json:
         show_json(rows)
@@ -120,3 +135,25 @@ def parse_step(text: str) -> Literal["auto", "fused", "instanced"]:
     if text not in ("auto", "fused", "instanced"):
         raise BadOption(f"--step {text}: it is one of auto, fused, instanced")
     return cast("Literal['auto', 'fused', 'instanced']", text)
+
+
+def parse_schema(text: str) -> Literal["ap242", "ap214"]:
+    """One of the two application protocols of STEP."""
+    if text.lower() not in ("ap242", "ap214"):
+        raise BadOption(f"--step-schema {text}: it is one of ap242, ap214")
+    return cast("Literal['ap242', 'ap214']", text.lower())
+
+
+def parse_length(text: str | None, design: Design) -> float:
+    """Read a length such as "5 um" in the design's unit; a bare number is in that unit, None is 0."""
+    from clacad.design.units import family_of, in_metres, split
+
+    if text is None:
+        return 0.0
+    parts = split(text)
+    if parts is None or (parts[1] and family_of(parts[1]) != "length"):
+        raise BadOption(f"--saddle-bevel {text}: it is a length such as '5 um'")
+    value = in_metres(parts[0], parts[1]) / design.unit_m if parts[1] else float(parts[0])
+    if not value > 0.0:
+        raise BadOption(f"--saddle-bevel {text}: it is a length above 0, such as '5 um'")
+    return value

@@ -40,6 +40,11 @@ def export(
     overwrite: bool = False,
     force: bool = False,
     progress: Progress | None = None,
+    step_schema: Literal["ap242", "ap214"] = "ap242",
+    pcurves: bool = True,
+    saddle_bevel: float = 0.0,
+    gpu_instancing: bool = False,
+    grey_levels: int = 64,
 ) -> Manifest:
     """Write a design's files into a folder: all at once, each read back and compared with the design first.
 
@@ -49,7 +54,8 @@ def export(
     out : path
         Folder; made if missing. Nothing is written outside it.
     formats : sequence of str
-        step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask.
+        step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
+        `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border).
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
         cell side whose STL stays within 2 GB and 50 M facets.
@@ -65,6 +71,18 @@ def export(
         Pass the limits on facets, bytes and memory.
     progress : callable or None
         Called with a stage's name and the share done.
+    step_schema : "ap242" or "ap214"
+        Application protocol of STEP files.
+    pcurves : bool
+        Whether fused STEP files hold the exact parameter curves; without them they are smaller and readers
+        recompute the curves.
+    saddle_bevel : float, length
+        Meshes: width of the bevels that give columns which touch at a saddle real contact; 0: none, the columns
+        touch and the surface is exact. STEP is exact always.
+    gpu_instancing : bool
+        GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
+    grey_levels : int
+        GDSII: number of layers from the lowest to the highest point of a face.
 
     Returns
     -------
@@ -83,7 +101,11 @@ def export(
     FileDisagrees, WorkerDied
         The only format asked for failed so; nothing was published.
     """
-    from clacad.export.run import Request, run_export
+    from clacad.export.request import Request
+    from clacad.export.run import run_export
 
-    request = Request(tuple(formats), slope_error, quads, step, cells, overwrite, force)
+    request = Request(
+        tuple(formats), slope_error, quads, step, cells, overwrite, force, step_schema, pcurves, saddle_bevel,
+        gpu_instancing, grey_levels,
+    )  # fmt: skip
     return run_export(design, os.fspath(out), request, progress)

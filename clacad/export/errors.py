@@ -28,6 +28,12 @@ class UnknownFormat(ExportError, ValueError):
     exit_status = 2
 
 
+class NotPossible(ExportError):
+    """A file that this design cannot have: a frame without a gap, a baffle without walls; the message says why."""
+
+    exit_status = 2
+
+
 class ExportIncomplete(ExportError):
     """Some of the files could not be made; the others were published, and `manifest` lists them.
 

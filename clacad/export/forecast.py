@@ -173,7 +173,9 @@ def facets_at_least(window: Window, quads: int) -> int:
     return quads * quads * structured * window.lattice.cell_count
 
 
-def forecast(meshes: Meshes, formats: Sequence[str], quads: int, step: str = "auto") -> list[Forecast]:
+def forecast(
+    meshes: Meshes, formats: Sequence[str], quads: int, step: str = "auto", pcurves: bool = True
+) -> list[Forecast]:
     """Forecast each format.
 
     Parameters
@@ -183,11 +185,13 @@ def forecast(meshes: Meshes, formats: Sequence[str], quads: int, step: str = "au
     quads : int
         Facet grid a cell side for the mesh formats.
     step : "auto", "fused" or "instanced"
+    pcurves : bool
+        Whether STEP files hold parameter curves.
     """
-    return [_forecast_one(meshes, name, quads, step) for name in formats]
+    return [_forecast_one(meshes, name, quads, step, pcurves) for name in formats]
 
 
-def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
+def _forecast_one(meshes: Meshes, name: str, quads: int, step: str, pcurves: bool = True) -> Forecast:
     window = meshes.window
     if name in ("stl", "stl-parts"):
         files = 1 if name == "stl" else len(window.bodies)
@@ -195,7 +199,7 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, step: str) -> Forecast:
     if name in WELDED_FORMATS:
         return _forecast_welded(meshes, name, quads)
     if name == "step":
-        return _forecast_step(window, step)
+        return _forecast_step(window, step, pcurves)
     if name in FIXTURES:
         return _forecast_fixture(window, name)
     return _forecast_map(window, name)
@@ -243,7 +247,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     )
 
 
-def _forecast_step(window: Window, step: str) -> Forecast:
+def _forecast_step(window: Window, step: str, pcurves: bool = True) -> Forecast:
     from clacad.export.sizes import step_bytes
     from clacad.export.step import chosen_mode
 
@@ -255,7 +259,7 @@ def _forecast_step(window: Window, step: str) -> Forecast:
     else:
         seconds = (0.8, 10.0 + 3e-4 * columns)
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
-    return Forecast("step", step_bytes(window, mode), False, None, None, seconds, memory)
+    return Forecast("step", step_bytes(window, mode, pcurves), False, None, None, seconds, memory)
 
 
 def _forecast_map(window: Window, name: str) -> Forecast:
@@ -271,9 +275,11 @@ def _forecast_map(window: Window, name: str) -> Forecast:
         size = sizes.table_bytes(window)
     elif name == "mask":
         size = sizes.mask_bytes(window)
+    elif name == "pov":
+        size = sizes.pov_bytes(window)
     else:  # six bytes a pixel of two TIFFs, a line of 85 a point, one cell of 65 x 65 lines of 70
         size = {"tiff": 6 * pixels, "xyz": 85 * pixels, "sag": faces * 70 * 65 * 65}[name]
-    drawn = pixels if name in ("tiff", "png", "xyz") else 100 * cells * faces
+    drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1}.get(name, 100 * cells * faces)
     return Forecast(
         name, size, False, None, None, (1e-7 * drawn, 6e-6 * drawn + 0.5), (100_000_000, 400_000_000)
     )

@@ -12,6 +12,7 @@ from clacad.export.atomic import Stage, canonical_json, file_hash, flush
 from clacad.export.errors import UnknownFormat
 from clacad.export.fixtures import baffle_records, brep_records, coupon_records, frame_records
 from clacad.export.manifest import FileRecord
+from clacad.export.request import Request
 from clacad.export.truth import Integral, body_volume, volume_sum
 from clacad.export.worker import Progress, Worker
 from clacad.sheet import Window
@@ -33,7 +34,8 @@ class Job:
     stage : Stage
     tessellation : Tessellation
     worker : Worker
-    step : "auto", "fused" or "instanced"
+    request : Request
+        What was asked.
     progress : callable
     """
 
@@ -42,7 +44,7 @@ class Job:
     stage: Stage
     tessellation: Tessellation
     worker: Worker
-    step: str
+    request: Request
     progress: Progress
 
     @property
@@ -116,10 +118,18 @@ def _mesh_facts(
         "triangles": facets, "quads": job.tessellation.quads, "slope_error_rms": float(mesh.slope_error),
         "sag_error_max": float(mesh.sag_error) * job.scale, "volume": volume * cube,
         "volume_exact": None if exact is None else exact * cube,
-        "saddles": sum(int(getattr(part, "saddles", 0)) for part in parts),
-        "wedges": sum(int(getattr(part, "wedges", 0)) for part in parts),
-        "merged_steps": sum(int(getattr(part, "merged_steps", 0)) for part in parts),
+        **_saddle_facts(job, sum(part.saddles for part in parts)),
     }  # fmt: skip
+
+
+def _saddle_facts(job: Job, saddles: int) -> dict[str, Any]:
+    """How many saddles a mesh has, and what was done about them."""
+    bevel = job.request.saddle_bevel * job.scale
+    if not saddles:
+        return {"saddles": 0}
+    if bevel:
+        return {"saddles": saddles, "saddle_policy": "bevel", "saddle_bevel": bevel}
+    return {"saddles": saddles, "saddle_policy": "touch"}
 
 
 def _threemf(job: Job) -> list[FileRecord]:
@@ -135,9 +145,12 @@ def _ply(job: Job) -> list[FileRecord]:
 
 
 def _glb(job: Job) -> list[FileRecord]:
+    from functools import partial
+
     from clacad.export.glb import write_glb
 
-    return [_indexed(job, "glb", write_glb, single=True, instanced=None)]
+    write = partial(write_glb, gpu_instancing=job.request.gpu_instancing)
+    return [_indexed(job, "glb", write, single=True, instanced=None)]
 
 
 Writer = Callable[["Sequence[Piece]", Path, float, str], None]
@@ -158,8 +171,10 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     promise = job.tessellation.promise(instanced=repeated, single=single)
     verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))
     facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies)
+    if repeated:  # cells side by side that share no vertex: nothing touches within one
+        facts = {key: value for key, value in facts.items() if not key.startswith("saddle")} | {"saddles": 0}
+        facts |= {"saddle_policy": "bevel"} if promise.bevel else {}
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
-    facts |= {"saddles": 0, "wedges": 0, "merged_steps": 0} if repeated else {}
     return job.record(path, kind, unit="m" if kind == "glb" else "mm", facts=facts, checks=verdict.checks)
 
 

@@ -1,4 +1,4 @@
-"""GLB: glTF 2.0 in one binary file, for viewers. One mesh a body, one node a cell, exact normals.
+"""GLB: glTF 2.0 in one binary file, for viewers. One mesh a body, one node a cell or a body, exact normals.
 
 Coordinates are millimetres about each cell's own centre; a root node scales them to the metres that
 glTF is in. Glass is said by KHR_materials_transmission and KHR_materials_ior.
@@ -25,9 +25,12 @@ _MOST_NODES = 2_000_000
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MILLIMETRE = 1e-3
+INSTANCING = "EXT_mesh_gpu_instancing"
 
 
-def write_glb(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> None:
+def write_glb(
+    pieces: Sequence[Piece], path: Path, scale: float, name: str, gpu_instancing: bool = False
+) -> None:
     """Write pieces as one GLB file.
 
     Parameters
@@ -38,6 +41,9 @@ def write_glb(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> N
     scale : float
         Millimetres per design unit.
     name : str
+    gpu_instancing : bool
+        One node for all cells of a body, their places in an array (EXT_mesh_gpu_instancing, float32): far smaller,
+        for viewers that know the extension; others refuse the file.
 
     Raises
     ------
@@ -55,7 +61,8 @@ def write_glb(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> N
     }  # fmt: skip
     for piece in pieces:
         _add_mesh(document, binary, piece, scale)
-        _add_nodes(document, piece, len(document["meshes"]) - 1, scale)
+        add = _add_instances if gpu_instancing and piece.places is not None else _add_nodes
+        add(document, binary, piece, len(document["meshes"]) - 1, scale)
     document["buffers"] = [{"byteLength": len(binary)}]
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
@@ -119,7 +126,29 @@ def _add_accessor(document: dict[str, Any], binary: bytearray, array: np.ndarray
     return len(document["accessors"]) - 1
 
 
-def _add_nodes(document: dict[str, Any], piece: Piece, mesh: int, scale: float) -> None:
+def _add_instances(
+    document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float
+) -> None:
+    assert piece.places is not None
+    place = np.asarray(piece.places.centres() * scale, dtype="<f4") + np.float32(0.0)
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": place.nbytes}
+    binary.extend(np.ascontiguousarray(place).tobytes())
+    document["bufferViews"].append(view)
+    accessor = {
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": 5126,
+        "count": len(place),
+        "type": "VEC3",
+    }
+    document["accessors"].append(accessor)
+    document["nodes"][0]["children"].append(len(document["nodes"]))
+    where = {INSTANCING: {"attributes": {"TRANSLATION": len(document["accessors"]) - 1}}}
+    document["nodes"].append({"name": piece.name, "mesh": mesh, "extensions": where})
+    document["extensionsUsed"] = sorted({*document["extensionsUsed"], INSTANCING})
+    document["extensionsRequired"] = [INSTANCING]
+
+
+def _add_nodes(document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float) -> None:
     nodes, children = document["nodes"], document["nodes"][0]["children"]
     if piece.places is None:
         children.append(len(nodes))
@@ -184,7 +213,7 @@ def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any,
 
 
 def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
-    if document.get("extensionsRequired"):
+    if set(document.get("extensionsRequired", ())) - {INSTANCING}:
         raise UnreadableFile(f"needs the extensions {document['extensionsRequired']}, which are not read")
     if any("uri" in buffer for buffer in document["buffers"]) or len(document["buffers"]) != 1:
         raise UnreadableFile("its data lie in another file")
@@ -201,11 +230,12 @@ def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
             raise UnreadableFile(f"node {number} stands twice: a scene is a tree")
         seen.add(number)
         node = nodes[number]
-        if "extensions" in node or "skin" in node:
+        if set(node.get("extensions", ())) - {INSTANCING} or "skin" in node:
             raise UnreadableFile(f"node {number} uses an extension or skin, which is not read")
         place = _local(node) @ above
         if "mesh" in node:
-            places.setdefault(int(node["mesh"]), []).append(place[:, :3])
+            found = _instances(document, binary, node) if "extensions" in node else [np.eye(4)]
+            places.setdefault(int(node["mesh"]), []).extend((one @ place)[:, :3] for one in found)
         stack.extend((int(child), place) for child in node.get("children", ()))
     parts = [
         part
@@ -215,6 +245,19 @@ def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
     if not parts:
         raise UnreadableFile("its scene shows no triangle")
     return FileMesh("glb", tuple(parts), 1.0, str(scene.get("name", "")))
+
+
+def _instances(document: dict[str, Any], binary: np.ndarray[Any, Any], node: dict[str, Any]) -> list[Floats]:
+    """Row-vector matrices of a node's instances, (4, 4) each, last first like the nodes of a tree."""
+    attributes = node["extensions"][INSTANCING]["attributes"]
+    if set(attributes) != {"TRANSLATION"}:
+        raise UnreadableFile("instances that are turned or scaled are not read")
+    offsets = _accessed(document, binary, attributes["TRANSLATION"], 3).astype(np.float64)
+    if len(offsets) > _MOST_NODES or not np.isfinite(offsets).all():
+        raise UnreadableFile("its instances are too many, or stand nowhere")
+    matrices = np.tile(np.eye(4), (len(offsets), 1, 1))
+    matrices[:, 3, :3] = offsets
+    return list(matrices[::-1])
 
 
 def _local(node: dict[str, Any]) -> Floats:

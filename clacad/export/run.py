@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from clacad import log
 from clacad.export import forecast as limits
 from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
-from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, WorkerDied
+from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, NotPossible, WorkerDied
 from clacad.export.formats import FORMATS, Job, known_formats
 from clacad.export.manifest import FileRecord, Manifest, carried_over, document
+from clacad.export.request import Request
 from clacad.export.tessellation import Meshes, Tessellation
 from clacad.export.worker import Progress, Worker, ended_by_signals
 
@@ -23,26 +23,6 @@ if TYPE_CHECKING:
 
 KERNEL = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 """What the worker loads while the parent still prepares the work."""
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What was asked of an export; see `clacad.export.export`."""
-
-    formats: tuple[str, ...]
-    slope_error: float | Literal["auto"] = "auto"
-    quads: int | None = None
-    step: Literal["auto", "fused", "instanced"] = "auto"
-    cells: tuple[int, int] | None = None
-    overwrite: bool = False
-    force: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        """Options as the manifest keeps them."""
-        return {
-            "formats": list(self.formats), "slope_error": self.slope_error, "quads": self.quads, "step": self.step,
-            "cells": None if self.cells is None else list(self.cells),
-        }  # fmt: skip
 
 
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
@@ -58,9 +38,9 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             worker.start()  # the kernel loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
-        meshes = Meshes(window)
+        meshes = Meshes(window, request.saddle_bevel)
         quads = _quads(meshes, request, formats)
-        rows = limits.forecast(meshes, formats, quads, request.step)
+        rows = limits.forecast(meshes, formats, quads, request.step, request.pcurves)
         if not request.force:
             limits.refuse_over_limits(meshes, rows, Path(out))
         with Stage(out, overwrite=request.overwrite) as stage:
@@ -96,8 +76,8 @@ def forecast_rows(design: Design, request: Request) -> list[limits.Forecast]:
     formats = known_formats(request.formats)
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
-    meshes = Meshes(_prescribed(made))
-    return limits.forecast(meshes, formats, _quads(meshes, request, formats), request.step)
+    meshes = Meshes(_prescribed(made), request.saddle_bevel)
+    return limits.forecast(meshes, formats, _quads(meshes, request, formats), request.step, request.pcurves)
 
 
 def _silent(_name: str, _done: float) -> None:
@@ -137,7 +117,7 @@ def _job(
     report: Progress,
 ) -> Job:
     stem = safe_name(design.name)
-    return Job(tessellation.window, stem, stage, tessellation, worker, request.step, report)
+    return Job(tessellation.window, stem, stage, tessellation, worker, request, report)
 
 
 def _produced(
@@ -153,8 +133,8 @@ def _produced(
         try:
             with translated(job.stage.folder):
                 records += FORMATS[name](job)
-        except (ExportError, MemoryError) as error:
-            failures[name] = error if isinstance(error, ExportError) else _starved(name)
+        except (ExportError, MemoryError, ValueError) as error:
+            failures[name] = _failure(name, error)
             log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))
             for path in set(job.stage.written()) - before:
                 path.unlink(missing_ok=True)
@@ -164,8 +144,15 @@ def _produced(
     return records, failures, seconds
 
 
-def _starved(name: str) -> ExportError:
-    return WorkerDied(f"{name}: ran out of memory; use fewer quads or fewer cells")
+def _failure(name: str, error: Exception) -> ExportError:
+    """What stopped one format, as an error with a sentence and a status; a mistake of our own goes on up."""
+    if isinstance(error, ExportError):
+        return error
+    if isinstance(error, MemoryError):
+        return WorkerDied(f"{name}: ran out of memory; use fewer quads or fewer cells")
+    if getattr(error, "exit_status", None) is None:
+        raise error
+    return NotPossible(str(error))
 
 
 def _content(

@@ -142,24 +142,34 @@ def mask_bytes(window: Window) -> int:
     return int(total)
 
 
+def pov_bytes(window: Window) -> int:
+    """Size of the POV-Ray scene, drawn up as it is: its loops do not grow; 0 for a sheet it cannot hold."""
+    from clacad.export.pov import NotForPov, pov_lines
+
+    try:
+        return sum(len(line.encode()) + 1 for line in pov_lines(window, None))
+    except NotForPov:  # said when it is written, so that the other formats still come out
+        return 0
+
+
 # -- STEP ------------------------------------------------------------------------------------------
 
 
-def step_bytes(window: Window, mode: str) -> int:
+def step_bytes(window: Window, mode: str, pcurves: bool = True) -> int:
     """Size of the STEP file, from the text of small sheets: it grows as A + B (n1 + n2) + C n1 n2."""
     n1, n2 = window.lattice.count
     if max(n1, n2) <= 8:
-        return _step_text(window, mode)
+        return _step_text(window, mode, pcurves)
     if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode
         small, large = _smaller_sheet(window, 8), _smaller_sheet(window, 16)
-        one, two = _step_text(small, mode), _step_text(large, mode)
+        one, two = _step_text(small, mode, pcurves), _step_text(large, mode, pcurves)
         power = 1.0 if mode == "fused" else 0.5
         first, second, whole = (sheet.lattice.cell_count**power for sheet in (small, large, window))
         return int(two + (two - one) / (second - first) * (whole - second)) if second > first else two
     if mode == "instanced" and instanceable(window):
-        a, b = (_step_text(_smaller_sheet(window, n), mode) for n in (2, 6))
+        a, b = (_step_text(_smaller_sheet(window, n), mode, pcurves) for n in (2, 6))
         return int(a + (b - a) / 8 * (n1 + n2 - 4))
-    a, b, c = (_step_text(_smaller_sheet(window, n), mode) for n in (1, 4, 8))
+    a, b, c = (_step_text(_smaller_sheet(window, n), mode, pcurves) for n in (1, 4, 8))
     # Through n = 1, 4, 8 on the diagonal: f = A + B n + C n^2. Longer numbers add some per cent a decade.
     square = ((c - b) / 4 - (b - a) / 3) / 7
     linear = (b - a) / 3 - 5 * square
@@ -167,10 +177,10 @@ def step_bytes(window: Window, mode: str) -> int:
     return int((a - linear - square + 0.5 * linear * (n1 + n2) + square * n1 * n2) * digits)
 
 
-def _step_text(window: Window, mode: str) -> int:
+def _step_text(window: Window, mode: str, pcurves: bool) -> int:
     from clacad.export.step_record import text_length
 
-    return text_length(window, mode)
+    return text_length(window, mode, pcurves)
 
 
 def _smaller_sheet(window: Window, n: int) -> Window:

@@ -38,7 +38,9 @@ def step_record(job: Job) -> FileRecord:
         "clacad.export.step_record:write",
         job.window,
         str(path),
-        job.step,
+        job.request.step,
+        job.request.step_schema.upper(),
+        job.request.pcurves,
         timeout=SECONDS,
         progress=job.progress,
     )
@@ -53,15 +55,18 @@ def step_record(job: Job) -> FileRecord:
         "mode": written["mode"], "schema": written["schema"], "solids": written["solids"], "faces": written["faces"],
         "saddles": written["saddles"], "wedges": written["wedges"], "merged_steps": written["merged_steps"],
         "volume": found.get("volume"), "volume_exact": None if exact is None else exact.value * cube, "float": "f64",
+        "saddle_policy": "exact" if written["saddles"] else None,
     }  # fmt: skip
     return job.record(path, "step", facts=facts, checks=checks)
 
 
-def write(window: Window, path: str, mode: str) -> dict[str, Any]:
+def write(
+    window: Window, path: str, mode: str, schema: str = "AP242", pcurves: bool = True
+) -> dict[str, Any]:
     """Write in the worker; the kernel is not needed, but its memory and time are."""
     from clacad.export.step import write_step
 
-    return write_step(window, path, mode=mode)  # type: ignore[arg-type]
+    return write_step(window, path, mode, schema, pcurves)  # type: ignore[arg-type]
 
 
 def read(path: str, window: Window) -> dict[str, Any]:
@@ -85,7 +90,7 @@ class _Counter(io.StringIO):
         return len(text)
 
 
-def text_length(window: Window, mode: str) -> int:
+def text_length(window: Window, mode: str, pcurves: bool = True) -> int:
     """Bytes of the STEP file of a window, by drawing up its text and throwing it away."""
     from clacad.brep.shell import MERGE
     from clacad.export import step
@@ -94,7 +99,7 @@ def text_length(window: Window, mode: str) -> int:
     stream = _Counter()
     part = Part21(stream, "AP242", window.name, step.PROGRAM, window.lattice.pitch[0] * window.unit / 1e-3)
     writer = step._write_fused if mode == "fused" else step._write_instanced
-    writer(window, part, True, MERGE)
+    writer(window, part, pcurves, MERGE)
     part.close()
     return stream.length
 

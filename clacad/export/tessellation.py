@@ -31,36 +31,45 @@ class Tessellation:
     window : Window
     quads : int
         Facet grid a cell side.
+    saddle_bevel : float, length
+        Width of the bevels at saddles; 0: columns that touch keep vertices of their own.
     """
 
     window: Window
     quads: int
+    saddle_bevel: float = 0.0
 
     @cached_property
     def mesh(self) -> Mesh:
         """Mesh of the whole sheet (its facets come as a stream)."""
         from clacad.mesh import tessellate
 
-        return tessellate(self.window, quads=self.quads)
+        return tessellate(self.window, quads=self.quads, saddle_bevel=self.saddle_bevel)
 
     @cached_property
     def cell(self) -> Mesh:
         """Mesh of one cell alone: what instanced formats repeat."""
         from clacad.mesh import tessellate
 
-        return tessellate(one_cell(self.window), quads=self.quads)
+        return tessellate(one_cell(self.window), quads=self.quads, saddle_bevel=self.saddle_bevel)
 
     def promise(self, instanced: bool, single: bool, bodies: Sequence[str] | None = None) -> Promise:
         """What a file of this mesh, or of some of its bodies, must be found to be."""
         mesh = self.cell if instanced else self.mesh
         times = self.window.lattice.cell_count if instanced else 1
-        named = zip(self.window.bodies, mesh.bodies, strict=True)
-        facets = sum(part.facet_count for body, part in named if bodies is None or body.name in bodies)
+        chosen = [
+            part
+            for body, part in zip(self.window.bodies, mesh.bodies, strict=True)
+            if bodies is None or body.name in bodies
+        ]
+        facets = sum(part.facet_count for part in chosen)
         return Promise(
             facets=facets * times,
             sag_error=float(mesh.sag_error),
             merge=MERGE_STEPS * max(part.step for part in mesh.bodies),
             single=single,
+            bevel=self.saddle_bevel if any(part.bevel_volume for part in chosen) else 0.0,
+            added=times * sum(part.bevel_volume for part in chosen),
         )
 
     def pieces(self, instanced: bool, normals: bool) -> list[Piece]:
@@ -87,13 +96,13 @@ class Tessellation:
 class Meshes:
     """The tessellations of one window that were asked for, each made once."""
 
-    def __init__(self, window: Window) -> None:
-        self.window = window
+    def __init__(self, window: Window, saddle_bevel: float = 0.0) -> None:
+        self.window, self._bevel = window, saddle_bevel
         self._made: dict[int, Tessellation] = {}
 
     def at(self, quads: int) -> Tessellation:
         """Tessellation with so many quads a cell side."""
-        return self._made.setdefault(quads, Tessellation(self.window, quads))
+        return self._made.setdefault(quads, Tessellation(self.window, quads, self._bevel))
 
     def facets(self, quads: int) -> int:
         """Facets of the whole sheet, exactly, without expanding them."""

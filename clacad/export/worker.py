@@ -116,6 +116,8 @@ class Worker:
             The child crashed, ran out of memory or time, or answered nonsense.
         CannotWrite, LimitRefused, UnreadableFile, FileDisagrees, ExportRefused
             Raised by the function itself.
+        NotPossible
+            Any other error of the function that has an exit status of its own.
         """
         self.start()
         process = self._process
@@ -244,7 +246,14 @@ def _send(stream: IO[bytes], payload: bytes) -> None:
         stream.flush()
 
 
-_OWN_ERRORS = ("CannotWrite", "ExportRefused", "LimitRefused", "UnreadableFile", "FileDisagrees")
+_OWN_ERRORS = (
+    "CannotWrite",
+    "ExportRefused",
+    "LimitRefused",
+    "UnreadableFile",
+    "FileDisagrees",
+    "NotPossible",
+)
 
 
 def _unwrapped(message: dict[str, Any]) -> Any:
@@ -326,7 +335,11 @@ def _called(request: tuple[str, tuple[Any, ...], dict[str, Any]]) -> dict[str, A
         return {"kind": "error", "type": "CannotWrite", "text": text, "trace": traceback.format_exc()}
     except Exception as error:  # every failure must reach the parent as a message, whatever its type
         text = str(error).strip().partition("\n")[0][:500]
-        return {"kind": "error", "type": type(error).__name__, "text": text, "trace": traceback.format_exc()}
+        status = getattr(error, "exit_status", None)  # an error that has one was meant for the user
+        name = (
+            type(error).__name__ if status is None or type(error).__name__ in _OWN_ERRORS else "NotPossible"
+        )
+        return {"kind": "error", "type": name, "text": text, "trace": traceback.format_exc()}
 
 
 def _answer(message: dict[str, Any]) -> None:
