@@ -86,6 +86,18 @@ def one_body(window, k):
     return replace(window, bodies=(window.bodies[k],))
 
 
+SWEEPS = {
+    "tilt": lambda angle: {"euler": (0.0, angle, 0.0), "eta": (-0.8, -0.8)},
+    "anamorphic tilt": lambda angle: {"euler": (33.0, angle, 0.0)},
+    "turn": lambda angle: {"euler": (angle, 0.0, 0.0)},
+    "turned tilt": lambda angle: {"euler": (45.0, angle, 0.0)},
+    "nearly round, turned": lambda angle: {"euler": (45.0, 0.0, 0.0), "eta": (-0.8, -0.8 - 0.01 * angle)},
+    "hexagonal": lambda angle: {"euler": (20.0, angle, 0.0), "kind": "hexagonal"},
+    "galilean": lambda angle: {"euler": (20.0, angle, 0.0), "eta": (0.5, 0.3)},
+}
+"""Families of sheets whose steps between neighbours go from nothing to much with one angle (degrees)."""
+
+
 def column_volume(window, body, order=48):
     """Volume (mm³) of a body whose faces cover their cells, by Gauss quadrature of the exact heights."""
     from clacad.sheet import face_height

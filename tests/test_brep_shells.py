@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from brepwindows import biconvex, column_volume
+from brepwindows import SWEEPS, biconvex, column_volume
 
 import clacad
 from clacad.brep import describe_body
@@ -264,22 +264,21 @@ def test_steps_of_any_height_give_valid_solids(tilt):
     assert counts.largest_shift <= 3e-6
 
 
+@pytest.mark.parametrize("family", SWEEPS)
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "family", ["tilt", "anamorphic tilt", "turn", "turned tilt", "hexagonal", "galilean"]
-)
 def test_sweep_of_sixty_four_angles_stays_valid(family):
-    make = {
-        "tilt": lambda a: {"euler": (0.0, a, 0.0), "eta": (-0.8, -0.8)},
-        "anamorphic tilt": lambda a: {"euler": (33.0, a, 0.0)},
-        "turn": lambda a: {"euler": (a, 0.0, 0.0)},
-        "turned tilt": lambda a: {"euler": (45.0, a, 0.0)},
-        "hexagonal": lambda a: {"euler": (20.0, a, 0.0), "kind": "hexagonal"},
-        "galilean": lambda a: {"euler": (20.0, a, 0.0), "eta": (0.5, 0.3)},
-    }[family]
     for angle in np.geomspace(1e-9, 20.0, 64):
-        window = biconvex(thickness=0.25, count=(2, 3), **make(float(angle)))
+        window = biconvex(thickness=0.25, count=(2, 3), **SWEEPS[family](float(angle)))
         for body in window.bodies:
             solids, _ = built(window, body)
             assert len(solids) == 1
             assert is_valid(solids[0]), angle
+
+
+@pytest.mark.long
+def test_sixty_four_tilts_of_a_turned_pair_stay_valid():
+    for angle in np.geomspace(1e-9, 20.0, 64):
+        window = biconvex(thickness=0.25, count=(2, 1), **SWEEPS["anamorphic tilt"](float(angle)))
+        solids, _ = built(window, window.bodies[1])
+        assert len(solids) == 1
+        assert is_valid(solids[0]), angle

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from brepwindows import biconvex, column_volume, one_body
+from brepwindows import SWEEPS, biconvex, column_volume, one_body
 
 import clacad
 from clacad.export.errors import UnreadableFile
@@ -123,18 +123,11 @@ def test_steps_of_any_height_survive_writing_and_reading(tmp_path, angle):
     assert (read["kernel_solids"], read["kernel_faces"]) == (1, facts["faces"])
 
 
+@pytest.mark.parametrize("family", SWEEPS)
 @pytest.mark.long
-@pytest.mark.parametrize("make", [
-    lambda a: {"euler": (0.0, a, 0.0), "eta": (-0.8, -0.8)},
-    lambda a: {"euler": (33.0, a, 0.0)},
-    lambda a: {"euler": (a, 0.0, 0.0)},
-    lambda a: {"euler": (45.0, a, 0.0)},
-    lambda a: {"euler": (20.0, a, 0.0), "kind": "hexagonal"},
-    lambda a: {"euler": (20.0, a, 0.0), "eta": (0.5, 0.3)},
-], ids=["tilt", "anamorphic", "turn", "turned tilt", "hexagonal", "galilean"])  # fmt: skip
-def test_sweep_of_sixty_four_angles_survives_writing_and_reading(tmp_path, make):
+def test_sweep_of_sixty_four_angles_survives_writing_and_reading(tmp_path, family):
     for angle in np.geomspace(1e-9, 20.0, 64):
-        window = one_body(biconvex(thickness=0.25, count=(2, 3), **make(float(angle))), 1)
+        window = one_body(biconvex(thickness=0.25, count=(2, 3), **SWEEPS[family](float(angle))), 1)
         facts = write_step(window, tmp_path / "x.step", mode="fused")
         read = read_step(tmp_path / "x.step")
         assert read["valid"], angle

@@ -1,38 +1,68 @@
-"""Measure STEP writing: fused and instanced sheets of growing size, beside the Boolean route.
+"""What a STEP file costs, by N: `python tests/benchmarks/step_table.py --into tests/benchmarks/step.md` writes the table.
 
-    python tests/benchmarks/step_table.py [--design FILE] [--sizes 10 50 100 200] [--boolean 5]
-
-Prints a Markdown table. Every row runs in a process of its own, so that its peak memory is its own.
+Fused and instanced, with and without parameter curves, beside the obvious route by Boolean operations of the CAD
+kernel. Every row runs in a process of its own, so that its peak memory is its own; seconds are processor seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+MARKS = ("<!-- table -->", "<!-- end of table -->")
+HEAD = ("| design | N × N | route | build s | write s | MB | faces | solids | peak MB |\n"
+        "|---|---|---|---|---|---|---|---|---|\n")  # fmt: skip
+SIZES = (10, 50, 100, 200)
+BOOLEAN_SECONDS = 900
+
+
+class Nothing:
+    """A writer that only counts: describing a sheet to it is building without writing."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def vertex(self, *_: Any) -> int:
+        """Count."""
+        self._count += 1
+        return self._count
+
+    edge = surface = face = vertex
+
 
 def written(design: str, n: int, mode: str, pcurves: bool) -> dict[str, float]:
-    """Write one sheet of n × n cells; what it took."""
+    """Build, then build and write one sheet of n × n cells; what each took."""
     import clacad
+    from clacad.brep import describe_body
     from clacad.export.step import write_step
 
     window = clacad.prescribe(clacad.load(design)).with_cells((n, n))
+    start = time.process_time()
+    if mode == "fused":
+        for body in window.bodies:
+            describe_body(window, body, Nothing())
+    build = time.process_time() - start
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sheet.step"
         start = time.process_time()
         facts = write_step(window, path, mode=mode, pcurves=pcurves)
-        seconds = time.process_time() - start
-    return {"seconds": seconds, "megabytes": facts["bytes"] / 1e6, "faces": facts["faces"],
-            "solids": facts["solids"], "memory": _peak()}  # fmt: skip
+        total = time.process_time() - start
+    if mode != "fused":
+        build = 0.0  # one cell, one row: nothing to tell apart
+    return {"build": build, "write": max(0.0, total - build), "megabytes": facts["bytes"] / 1e6,
+            "faces": facts["faces"], "solids": facts["solids"], "memory": _peak()}  # fmt: skip
 
 
 def by_booleans(n: int) -> dict[str, float]:
@@ -45,31 +75,61 @@ def by_booleans(n: int) -> dict[str, float]:
         0, 0, thickness / 2 - radius
     ) * b.Sphere(radius)
     lens &= b.Box(pitch, pitch, 1.0)
-    cells = [b.Pos(i * pitch, j * pitch, 0) * lens for i in range(n) for j in range(n)]
+    # A lens a cell, each turned as a design's are: nothing is shared, and every neighbour stands a step off.
+    cells = [b.Pos(i * pitch, j * pitch, 0.01 * ((i + 2 * j) % 3)) * lens for i in range(n) for j in range(n)]
     sheet = cells[0].fuse(*cells[1:]) if n > 1 else cells[0]
+    build = time.process_time() - start
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sheet.step"
         b.export_step(sheet, str(path))
         size = path.stat().st_size
-    return {"seconds": time.process_time() - start, "megabytes": size / 1e6, "faces": len(sheet.faces()),
-            "solids": len(sheet.solids()), "memory": _peak()}  # fmt: skip
+    return {"build": build, "write": time.process_time() - start - build, "megabytes": size / 1e6,
+            "faces": len(sheet.faces()), "solids": len(sheet.solids()), "memory": _peak()}  # fmt: skip
 
 
 def _peak() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _apart(*arguments: object) -> dict[str, float]:
+def _apart(*arguments: object) -> dict[str, float] | None:
     command = [sys.executable, __file__, "--row", *map(str, arguments)]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    try:
+        made = subprocess.run(command, check=True, capture_output=True, text=True, timeout=BOOLEAN_SECONDS)
+    except subprocess.TimeoutExpired:
+        return None
+    return json.loads(made.stdout)
+
+
+def rows(designs: list[str], sizes: list[int], booleans: int) -> Iterator[str]:
+    """Lines of the table, one at a time."""
+    for name in designs:
+        design = str(ROOT / "designs" / f"{name}.toml")
+        for mode, curves, route in (("fused", True, "fused"), ("fused", False, "fused, no parameter curves"),
+                                    ("instanced", True, "instanced")):  # fmt: skip
+            for n in sizes:
+                yield _line(name, n, route, _apart(mode, n, design, curves))
+    for n in (2, 5, 10):
+        if n <= booleans:
+            yield _line("spheres, one body", n, "Booleans of the kernel", _apart("boolean", n))
+
+
+def _line(name: str, n: int, route: str, row: dict[str, float] | None) -> str:
+    if row is None:
+        return f"| {name} | {n} | {route} | stopped after {BOOLEAN_SECONDS} s | | | | | |\n"
+    build = f"{row['build']:.2f}" if row["build"] else "–"
+    return (f"| {name} | {n} | {route} | {build} | {row['write']:.2f} | {row['megabytes']:.2f} | {row['faces']:.0f} "
+            f"| {row['solids']:.0f} | {row['memory']:.0f} |\n")  # fmt: skip
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table, or write it into a file between its marks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--design", default=str(ROOT / "designs" / "tilted.toml"))
-    parser.add_argument("--sizes", type=int, nargs="+", default=[10, 50, 100, 200])
-    parser.add_argument("--boolean", type=int, default=5, help="largest sheet to build by Booleans (0: none)")
+    parser.add_argument("--designs", nargs="+", default=["tilted", "tilted-biconvex", "galilean"])
+    parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES))
+    parser.add_argument(
+        "--boolean", type=int, default=10, help="largest sheet to build by Booleans (0: none)"
+    )
+    parser.add_argument("--into", type=Path, help="Markdown file whose table is replaced")
     parser.add_argument("--row", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.row:
@@ -79,17 +139,21 @@ def main() -> None:
         )
         sys.stdout.write(json.dumps(result))
         return
-    out = sys.stdout
-    out.write("| N × N | route | CPU s | MB | faces | solids | peak MB |\n|---|---|---|---|---|---|---|\n")
-    rows = [(f"fused{'' if curves else ', no parameter curves'}", n, ("fused", n, options.design, curves))
-            for n in options.sizes for curves in (True, False)]  # fmt: skip
-    rows += [("instanced", n, ("instanced", n, options.design, True)) for n in options.sizes]
-    rows += [("Booleans", n, ("boolean", n)) for n in (2, 5, 10) if n <= options.boolean]
-    for name, n, arguments in rows:
-        row = _apart(*arguments)
-        out.write(f"| {n} | {name} | {row['seconds']:.2f} | {row['megabytes']:.2f} | {row['faces']:.0f} "
-                  f"| {row['solids']:.0f} | {row['memory']:.0f} |\n")  # fmt: skip
-        out.flush()
+    text = HEAD
+    sys.stdout.write(HEAD)
+    for line in rows(options.designs, options.sizes, options.boolean):
+        text += line
+        sys.stdout.write(line)
+        sys.stdout.flush()
+    if options.into:
+        replace_between(options.into, MARKS, f"{text}\n{os.cpu_count()} processor cores.\n")
+
+
+def replace_between(path: Path, marks: tuple[str, str], text: str) -> None:
+    """Put a text between two marks of a Markdown file."""
+    old = path.read_text(encoding="utf-8")
+    start, end = old.index(marks[0]) + len(marks[0]), old.index(marks[1])
+    path.write_text(f"{old[:start]}\n\n{text}\n{old[end:]}", encoding="utf-8")
 
 
 if __name__ == "__main__":
