@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import atan, degrees
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +13,15 @@ from hard.sheets import window_of
 from mpmath import mp
 from oracle import thick
 
-from clacad import DesignError, Rays, tessellate, trace
+from clacad import DesignError, Rays, load, prescribe, tessellate, trace
 from clacad.export.closed import measure
 from clacad.export.truth import body_volume
 from clacad.feasibility import feasibility
 from clacad.rays import Fate
 from clacad.sheet import lens_height
+from clacad.trace import surfaces
 
+DESIGNS = Path(__file__).parents[1] / "designs"
 PITCH = 0.005
 SMALL = {"lattice.count": [3, 3], "pair.confocal": "thin"}
 
@@ -165,3 +169,44 @@ def test_steps_from_nothing_to_a_pitch_are_traced_alike_and_stay_closed(kind, st
     np.testing.assert_allclose(one.direction[on], other.direction[on], rtol=0, atol=1e-12)
     mesh = tessellate(window, quads=4)
     assert measure([mesh.vertices[mesh.triangles]]).closed
+
+
+# -- beside a seam ---------------------------------------------------------------------------------------------------
+
+
+def walked(window, rays, monkeypatch):
+    """The rays by the complete walk alone, which the straight path may only abbreviate."""
+    straight = surfaces.in_cell
+
+    def never(*given):
+        passage = straight(*given)
+        return replace(passage, good=np.zeros_like(passage.good))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(surfaces, "in_cell", never)
+        return trace(window, rays, path="numpy")
+
+
+@pytest.mark.parametrize("path", ["numpy", "numba"])
+@pytest.mark.parametrize("land", ["opaque", "clear"])
+def test_the_straight_path_does_not_pass_over_a_seam_that_the_walk_meets(land, path, monkeypatch):
+    """Islands above a sunk land: light that is over the seam at a face's lowest plane must not be taken for a lenslet's."""
+    window = prescribe(load(DESIGNS / "tilted-seam.toml", overrides=[f'lattice.land="{land}"']))
+    rng, pitch = np.random.default_rng(5), window.lattice.pitch[0]
+    n, half = 4096, 0.5 * (pitch - window.land.seam)
+    cells = window.lattice.centres(rng.integers(3, 17, (n, 2)))
+    edge = np.column_stack(
+        [half * rng.choice([-1, 1], n) * rng.normal(1, 0.02, n), rng.uniform(-half, half, n)]
+    )
+    edge = np.where(rng.random((n, 1)) < 0.5, edge, edge[:, ::-1])
+    ray = np.column_stack([rng.normal(0, 0.3, (n, 2)), np.ones(n)])
+    # through the edges of lens 1 and, going back through the glass, of lens 2
+    behind = rng.random((n, 1)) < 0.5
+    aim = np.column_stack([cells + edge, np.zeros(n)]) + behind * np.append(window.shifts[1], 0.0)
+    aim[:, 2] += np.where(behind[:, 0], window.bodies[0].back.vertex[2], 0.0)
+    rays = Rays(aim - 40 * pitch * ray, ray)
+    whole, got = walked(window, rays, monkeypatch), trace(window, rays, path=path)
+    assert (whole.fate == (Fate.VIGNETTED if land == "opaque" else Fate.LAND)).sum() > 100
+    assert np.array_equal(got.fate, whole.fate)
+    assert np.array_equal(got.order, whole.order)
+    np.testing.assert_allclose(got.direction, whole.direction, rtol=0, atol=1e-13)
