@@ -1,4 +1,4 @@
-"""Error-free sums and products of doubles, and the angle between directions built from them.
+"""Differences of products without cancellation, and the angle between directions built from them.
 
 A sum or product of two doubles equals its rounded value plus an error that is itself a double
 (Dekker 1971, Knuth TAOCP 4.2.2). Carrying that error keeps differences such as m − δ m_z accurate to
@@ -10,52 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clacad.compensated import two_product, two_sum
+
 Floats = NDArray[np.float64]
-
-_SPLITTER = 134217729.0  # 2**27 + 1 (Veltkamp): halves a 53-bit significand
-
-
-def two_sum(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """Rounded a + b and the error it makes, exactly: a + b = sum + error (Knuth).
-
-    Parameters
-    ----------
-    a, b : arrays of one shape
-
-    Returns
-    -------
-    sum, error : arrays of that shape
-    """
-    total = a + b
-    back = total - a
-    return total, (a - (total - back)) + (b - back)
-
-
-def _halves(a: Floats | float) -> tuple[Floats | float, Floats | float]:
-    """Upper and lower 26 bits of a; exact for |a| < 2**996 (Veltkamp)."""
-    spread = _SPLITTER * a
-    upper = spread - (spread - a)
-    return upper, a - upper
-
-
-def two_product(a: Floats | float, b: Floats) -> tuple[Floats, Floats]:
-    """Rounded a·b and the error it makes, exactly: a·b = product + error (Dekker).
-
-    Parameters
-    ----------
-    a : float or array
-    b : array
-        |a|, |b| < 2**996 and |a·b| between 2**-968 and 2**1023, or 0.
-
-    Returns
-    -------
-    product, error : arrays
-    """
-    product = a * b
-    a_up, a_low = _halves(a)
-    b_up, b_low = _halves(b)
-    error = a_low * b_low - (((product - a_up * b_up) - a_low * b_up) - a_up * b_low)
-    return np.asarray(product), np.asarray(error)
 
 
 def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
@@ -63,7 +20,7 @@ def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats
 
     Parameters
     ----------
-    a, b, c, d : arrays of one shape, within the range of `two_product`
+    a, b, c, d : arrays of one shape, within the range of `compensated.two_product`
     """
     first, first_error = two_product(a, b)
     second, second_error = two_product(c, d)

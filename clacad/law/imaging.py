@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clacad.law.exact import two_product, two_sum
+from clacad.compensated import two_product, two_sum
 from clacad.law.model import Law
 
 Floats = NDArray[np.float64]

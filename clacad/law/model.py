@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clacad.law.exact import two_product, two_sum
+from clacad.compensated import two_product, two_sum
 from clacad.law.rotation import Axes, rotation
 
 if TYPE_CHECKING:
