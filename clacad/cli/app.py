@@ -174,7 +174,7 @@ def export(
     saddle_bevel: Annotated[str | None, typer.Option("--saddle-bevel", metavar="W", help="Meshes: fill the corners where "
                             "cells only touch, W wide, e.g. '5 um'; default: they touch, the surface is exact.")] = None,
     gpu_instancing: Annotated[bool, typer.Option("--gpu-instancing", help="GLB: one node for all cells of a body.")] = False,
-    grey_levels: Annotated[int, typer.Option("--grey-levels", metavar="N", min=2, max=65536, help="GDSII: layers from "
+    grey_levels: Annotated[int, typer.Option("--grey-levels", metavar="N", min=2, max=256, help="GDSII: layers from "
                                              "lowest to highest.")] = 64,
     set: Set = None,
     json: Json = False,

@@ -9,13 +9,15 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.export import seconds as cost
 from clacad.export.errors import LimitRefused
+from clacad.rates import Rates
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -49,8 +51,11 @@ class Forecast:
         Whether `bytes` is exact; otherwise within 20 %.
     facets : int or None
     quads : int or None
-    seconds, memory : (low, high)
-        Processor seconds; bytes of memory.
+    modelled : float
+        Processor seconds on the machine whose constants the models hold.
+    memory : (low, high) bytes
+    seconds : (low, high)
+        Processor seconds on this machine.
     """
 
     format: str
@@ -58,8 +63,14 @@ class Forecast:
     exact: bool
     facets: int | None
     quads: int | None
-    seconds: tuple[float, float]
+    modelled: float
     memory: tuple[int, int]
+    seconds: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def task(self) -> str:
+        """Name under which the seconds of this format are noted."""
+        return f"export {self.format}"
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form."""
@@ -188,7 +199,14 @@ def forecast(
     pcurves : bool
         Whether STEP files hold parameter curves.
     """
-    return [_forecast_one(meshes, name, quads, step, pcurves) for name in formats]
+    return timed([_forecast_one(meshes, name, quads, step, pcurves) for name in formats])
+
+
+def timed(rows: Sequence[Forecast]) -> list[Forecast]:
+    """Rows with the seconds they will take on this machine, by what it took before."""
+    rates = Rates.here()
+    spans = [rates.span(row.task, row.modelled) for row in rows]
+    return [replace(row, seconds=(span.low, span.high)) for row, span in zip(rows, spans, strict=True)]
 
 
 def _forecast_one(meshes: Meshes, name: str, quads: int, step: str, pcurves: bool = True) -> Forecast:
@@ -210,16 +228,16 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
     cells = window.lattice.cell_count
     if name == "baffle":
         sides = len(window.lattice.steps)
-        row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None, (0.1, 5.0 + 1e-4 * cells),
-                       (80_000_000, 400_000_000))  # fmt: skip
+        row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None,
+                       cost.stl(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
         return row
     size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
-    return Forecast(name, size, False, None, None, (3.0, 60.0), (500_000_000, 2_500_000_000))
+    return Forecast(name, size, False, None, None, cost.kernel(size), (500_000_000, 2_500_000_000))
 
 
 def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
-    seconds = (6e-7 * facets, 6e-6 * facets + 0.2)
-    return Forecast(name, 84 * files + 50 * facets, exact, facets, quads, seconds, (80_000_000, 400_000_000))
+    size = 84 * files + 50 * facets
+    return Forecast(name, size, exact, facets, quads, cost.stl(facets), (80_000_000, 400_000_000))
 
 
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
@@ -241,7 +259,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     else:
         size = threemf_bytes(meshes, quads)
     memory = int(700 * held + 400 * places)
-    seconds = (1.0e-5 * held + 4e-6 * places + 0.05, 5e-5 * held + 4e-5 * places + 0.5)
+    seconds = cost.welded(name, held, places)
     return Forecast(
         name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000)
     )
@@ -254,15 +272,14 @@ def _forecast_step(window: Window, step: str, pcurves: bool = True) -> Forecast:
     mode = chosen_mode(window, step)  # type: ignore[arg-type]
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
-        seconds = (4e-4 * columns + 0.8, 8e-3 * columns + 8.0)
         memory = (400_000_000, 900_000_000 + 250_000 * columns)
     else:
-        seconds = (0.8, 10.0 + 3e-4 * columns)
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
-    return Forecast("step", step_bytes(window, mode, pcurves), False, None, None, seconds, memory)
+    size = step_bytes(window, mode, pcurves)
+    return Forecast("step", size, False, None, None, cost.step(size, mode), memory)
 
 
-def _forecast_map(window: Window, name: str) -> Forecast:
+def _forecast_map(window: Window, name: str, levels: int = 64) -> Forecast:
     from clacad.export import sizes
     from clacad.export.sag import samples_per_cell, structured_faces
 
@@ -275,14 +292,18 @@ def _forecast_map(window: Window, name: str) -> Forecast:
         size = sizes.table_bytes(window)
     elif name == "mask":
         size = sizes.mask_bytes(window)
+    elif name == "gds":
+        from clacad.export.gds import gds_bytes
+
+        size = gds_bytes(window, levels, sizes.mm(window))
     elif name == "pov":
         size = sizes.pov_bytes(window)
     else:  # six bytes a pixel of two TIFFs, a line of 85 a point, one cell of 65 x 65 lines of 70
         size = {"tiff": 6 * pixels, "xyz": 85 * pixels, "sag": faces * 70 * 65 * 65}[name]
-    drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1}.get(name, 100 * cells * faces)
-    return Forecast(
-        name, size, False, None, None, (1e-7 * drawn, 6e-6 * drawn + 0.5), (100_000_000, 400_000_000)
+    drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
+        name, 100 * cells * faces
     )
+    return Forecast(name, size, False, None, None, cost.map(name, drawn), (100_000_000, 400_000_000))
 
 
 # -- limits --------------------------------------------------------------------------------------
@@ -385,7 +406,7 @@ def outlook(window: Window) -> list[dict[str, Any]]:
     )
     plain = _forecast_stl("stl", facets[quads], 1, quads, exact=quads <= 8)
     rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8, "auto")]
-    return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in rows]
+    return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in timed(rows)]
 
 
 def _refusal(meshes: Meshes, row: Forecast) -> str | None:

@@ -109,14 +109,15 @@ def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
 
 
 def _mesh_facts(
-    job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str]
+    job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str], unit: str = "mm"
 ) -> dict[str, Any]:
     mesh = job.tessellation.mesh
-    cube = job.scale**3
+    scale = job.scale * {"mm": 1.0, "m": 1e-3}[unit]
+    cube = scale**3
     parts = [part for part, body in zip(mesh.bodies, job.window.bodies, strict=True) if body.name in names]
     return {
         "triangles": facets, "quads": job.tessellation.quads, "slope_error_rms": float(mesh.slope_error),
-        "sag_error_max": float(mesh.sag_error) * job.scale, "volume": volume * cube,
+        "sag_error_max": float(mesh.sag_error) * scale, "volume": volume * cube,
         "volume_exact": None if exact is None else exact * cube,
         **_saddle_facts(job, sum(part.saddles for part in parts)),
     }  # fmt: skip
@@ -170,12 +171,13 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     job.progress(f"read back {name}", 0.5)
     promise = job.tessellation.promise(instanced=repeated, single=single)
     verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))
-    facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies)
+    unit = "m" if kind == "glb" else "mm"
+    facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies, unit)
     if repeated:  # cells side by side that share no vertex: nothing touches within one
         facts = {key: value for key, value in facts.items() if not key.startswith("saddle")} | {"saddles": 0}
         facts |= {"saddle_policy": "bevel"} if promise.bevel else {}
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
-    return job.record(path, kind, unit="m" if kind == "glb" else "mm", facts=facts, checks=verdict.checks)
+    return job.record(path, kind, unit=unit, facts=facts, checks=verdict.checks)
 
 
 # -- exact solids ----------------------------------------------------------------------------------
@@ -220,6 +222,27 @@ def _tiff(job: Job) -> list[FileRecord]:
 
 def _png(job: Job) -> list[FileRecord]:
     return _maps(job, "png", {"png16": "u16.png"})
+
+
+def _gds(job: Job) -> list[FileRecord]:
+    from clacad.export.gds import check_gds, grey_cell, write_gds
+    from clacad.export.sag import structured_faces
+
+    records, calibration = [], {}
+    for body, face, label in structured_faces(job.window):
+        cell = grey_cell(job.window, body, face, label, job.request.grey_levels, job.scale)
+        calibration[label] = cell.calibration(job.scale)
+        path = job.stage.path(f"{job.stem}.{label}.gds")
+        job.progress(f"write {path.name}", 0.0)
+        placed = write_gds(cell, path, job.scale)
+        check_gds(cell, path, placed)
+        facts = {"mode": "instanced", "grey_levels": cell.levels, "lenslets": placed}
+        records.append(job.record(path, "gds", unit="um", bodies=[body.name], facts=facts))
+    path = job.stage.path(f"{job.stem}.gds.json")
+    text = canonical_json({"format": 1, "unit": "mm", "faces": calibration})
+    path.write_text(text, encoding="utf-8", newline="\n")
+    records.append(job.record(path, "height-calibration"))
+    return records
 
 
 def _sag(job: Job) -> list[FileRecord]:
@@ -288,7 +311,7 @@ def _pov(job: Job) -> list[FileRecord]:
 
 FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
-    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "pov": _pov, "brep": brep_records,
+    "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""
@@ -301,6 +324,8 @@ def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
     ------
     UnknownFormat
         With the nearest word and the list.
+    NotPossible
+        A format needs an extra that is not installed.
     """
     from difflib import get_close_matches
 
@@ -310,4 +335,8 @@ def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
         hint = f"; did you mean {near[0]}?" if near else ""
         what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
         raise UnknownFormat(f"{what}\n  allowed: {', '.join(FORMATS)}")
+    if "gds" in asked:
+        from clacad.export.gds import require_gdstk
+
+        require_gdstk()
     return tuple(dict.fromkeys(asked))
