@@ -119,7 +119,7 @@ def _on_cluster(address: str, work: Work, study: str, pieces: Sequence[Any]) -> 
     except ImportError as error:
         raise NoCluster("--scheduler needs the package distributed: pip install 'clacad[dask]'") from error
     try:
-        client = Client(address, timeout="10s", set_as_default=False)
+        client = Client(address, timeout="5s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise NoCluster(f"no Dask scheduler answers at {address}") from error
     with client:

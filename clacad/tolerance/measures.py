@@ -204,11 +204,12 @@ def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
         For the field of the checks.
     window : Window
     rays : int
-        Rays of each bundle; the parallel beams beside the middle one take a quarter.
+        Rays of each bundle; the cone, whose rays are counted, takes four times as many, the parallel beams beside
+        the middle one a quarter.
     """
     spec = design.check
     middle = middle_direction(window, spec.field_centre)
-    bundles = {"cone": bundle(window, rays, spec.field, spec.field_centre)}
+    bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre)}
     for number, direction in enumerate(field_points(window, spec.field, spec.field_centre)[[0, 1, 3, 5, 7]]):
         count = rays if number == 0 else max(64, rays // 4)
         bundles["beam" if number == 0 else f"beam {number}"] = bundle(window, count, 0.0, middle=direction)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WORDS = {
-    "image_shift": ("image shift / mrad", 1e3), "moire_rate": ("moiré: slip of the arrays / 1e-6", 1e6),
+    "image_shift": ("image shift / mrad", 1e3), "moire_rate": ("moiré: slip of array 2 / 1e-6", 1e6),
     "residual_power": ("residual power / dioptres", 1.0), "blur": ("blur, rms / mrad", 1e3),
     "throughput": ("throughput", 1.0), "law_rms": ("law error, rms / mrad", 1e3),
     "law_bias": ("law bias / mrad", 1e3),
@@ -61,7 +61,7 @@ def _draw_study(figure: Figure, study: Study) -> None:
     share, low, high = study.yields()
     figure.suptitle(
         f"{study.name}: {len(study.measures)} sheets, {100 * share:.1f} % good "
-        f"(95 %: {100 * low:.1f} to {100 * high:.1f})",
+        f"(95 %: {100 * low:.1f} to {100 * high:.1f}); bars: largest change over each tolerance alone",
         fontsize=10,
     )
     axes = figure.subplots(4, 3).ravel()
@@ -74,9 +74,11 @@ def _draw_study(figure: Figure, study: Study) -> None:
 
 def _draw_ranking(axes: Any, study: Study, measure: str) -> None:
     title, factor = WORDS[measure]
-    rows = [(n, c) for n, c, _ in study.ranking(measure) if isfinite(c) and c > 0.0][:SHOWN][::-1]
+    ranked = study.ranking(measure)
+    worst = max((c for _, c, _ in ranked if isfinite(c)), default=0.0)
+    rows = [(n, c) for n, c, _ in ranked if isfinite(c) and c > 0.01 * worst][:SHOWN][::-1]
     axes.barh([name for name, _ in rows], [factor * change for _, change in rows], color=BAR)
-    axes.set_title(f"{title}: change over each tolerance", loc="left")
+    axes.set_title(title, loc="left")
     axes.margins(y=0.02)
 
 
@@ -90,7 +92,7 @@ def _draw_histogram(axes: Any, study: Study, measure: str, limit: float | None) 
         axes.axvline(factor * study.nominal[measure], color=LINE, lw=1.2, label="as designed")
     if limit is not None:
         axes.axvline(factor * limit, color=LIMIT, lw=1.2, ls="--", label="limit")
-    axes.set_title(f"{title}: sheets", loc="left")
+    axes.set_ylabel("sheets")
     axes.legend(fontsize=7, frameon=False)
 
 
