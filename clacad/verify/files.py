@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,10 @@ UNITS: Mapping[str, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in"
 FACTORS: tuple[tuple[str, float], ...] = (
     ("mm", 1e-3), ("m", 1.0), ("um", 1e-6), ("in", 0.0254), ("mm / 25.4", 1e-3 / 25.4),
 )  # fmt: skip
-"""Units in metres that a file without a manifest may be in."""
+"""Units in metres that a file without a manifest may be in, if its format has none."""
+
+STATED = ("3mf", "glb")
+"""Formats whose files are in a unit that every reader takes them to be in."""
 
 SAME_EXTENT = 0.02
 """Relative difference up to which two extents are the same."""
@@ -194,10 +197,10 @@ def written_window(
 
 
 def unit_of(subject: Subject, mesh: FileMesh) -> float | None:
-    """Metres per unit of the file, as its manifest or its format says."""
-    if subject.entry:
-        return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
-    return mesh.unit
+    """Metres per unit of the file, as it says itself, as a reader elsewhere takes it; else as its manifest says."""
+    if mesh.unit is not None or not subject.entry:
+        return mesh.unit
+    return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
 
 
 def present_bodies(window: Window, subject: Subject, height: float) -> tuple[str, ...]:
@@ -231,20 +234,23 @@ def register(
     Raises
     ------
     CannotRegister
-        No unit or several make the file as large as the design.
+        No unit or several make the file as large as the design; or only another one than the file states.
     """
     low, high = mesh.box()
     extent = high - low
-    own = () if mesh.unit is None else (("its own unit", mesh.unit),)
     whole = prescribe(design) if window is None else window
     heights = [whole.z_range[1] - whole.z_range[0]]
     heights += [high - low for low, high in (body_range(whole, body) for body in whole.bodies)]
-    matches: list[tuple[str, float, Window]] = []
-    for name, metres in dict((v, (k, v)) for k, v in (*FACTORS, *own)).values():
-        factor = metres / design.unit_m
-        fitting = _fitting(design, whole, window is not None, heights, extent * factor)
-        if fitting is not None:
-            matches.append((name, factor, fitting))
+
+    def matching(units: Iterable[tuple[str, float]]) -> list[tuple[str, float, Window]]:
+        tried = [(name, metres / design.unit_m) for name, metres in units]
+        found = [
+            (name, f, _fitting(design, whole, window is not None, heights, extent * f)) for name, f in tried
+        ]
+        return [(name, factor, fitting) for name, factor, fitting in found if fitting is not None]
+
+    own = None if mesh.unit is None or mesh.format not in STATED else mesh.unit
+    matches = matching(FACTORS if own is None else [("its own unit", own)])
     size = " x ".join(f"{v:.4g}" for v in extent)
     if len(matches) == 1:
         name, factor, fitting = matches[0]
@@ -259,6 +265,12 @@ def register(
         raise CannotRegister(
             f"{subject.name} measures {size}; that is the design in {' as well as in '.join(m[0] for m in matches)}: "
             "give the cells (--cells), or a format that states its unit"
+        )
+    if own is not None:
+        others = " or ".join(name for name, _, _ in matching(FACTORS))
+        only = f"; it is the design only if its numbers are in {others}" if others else ""
+        raise CannotRegister(
+            f"{subject.name} measures {size} in units of {own:g} m and the design {want} mm{only}"
         )
     raise CannotRegister(
         f"{subject.name} measures {size} and the design {want} mm; in none of the units {tried} are they the same part"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.export.truth import distance_to_face
 from clacad.feasibility import body_range
 from clacad.sheet import Body, Face, Window, lens_height
 from clacad.verify.bundle import central_cell
@@ -51,6 +52,10 @@ class Gathered:
         Key → list of (k, 3, 3) arrays, sheet frame, design units.
     optical, walls, degenerate : int
         Facets of each kind in the whole file; degenerate ones have no area.
+    farthest : float
+        Largest distance of the middle of any facet of the whole file from the exact face under it, design units.
+    farthest_cell : (i, j) or None
+        Where that is.
     """
 
     cells: tuple[Cell, ...]
@@ -58,6 +63,8 @@ class Gathered:
     optical: int = 0
     walls: int = 0
     degenerate: int = 0
+    farthest: float = 0.0
+    farthest_cell: Cell | None = None
 
     def corners(self, body: int, side: int, cell: int) -> Floats:
         """Facets (k, 3, 3) of one side of one body over one of the chosen cells."""
@@ -91,6 +98,7 @@ class Gatherer:
         self.result.degenerate += int((length == 0.0).sum())
         self.result.optical += int(optical.sum())
         self.result.walls += int((~optical).sum())
+        upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
         middle = corners.mean(axis=1)
         body = np.searchsorted(self._levels, middle[:, 2])
         back = normal[:, 2] > 0.0
@@ -99,6 +107,18 @@ class Gatherer:
                 rows = np.flatnonzero(optical & (body == number) & (back == bool(side)))
                 if len(rows):
                     self._keep(number, side, owner(piece, face), corners[rows], middle[rows])
+                    self._hold(face, owner(piece, face), middle[rows], upright[rows])
+
+    def _hold(self, face: Face, array: int, middle: Floats, upright: Floats) -> None:
+        """Hold every facet against the face it is on: a lenslet that is not among the chosen may be wrong too."""
+        off = distance_to_face(self.window, face, middle[:, None], middle[:, :2])[:, 0] * upright
+        worst = int(np.argmax(off))
+        if off[worst] > self.result.farthest:
+            shift = self.window.shifts[array]
+            place = middle[worst : worst + 1]
+            index, _, _ = self.window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+            self.result.farthest = float(off[worst])
+            self.result.farthest_cell = (int(index[0, 0]), int(index[0, 1]))
 
     def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
         shift = self.window.shifts[array]

@@ -96,7 +96,7 @@ def shape_check(
     design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], name: str,
     stated: Mapping[str, Any], present: Sequence[str] | None,
 ) -> Check:  # fmt: skip
-    """Distance of the facets from the exact faces, over the chosen cells."""
+    """Distance of the facets from the exact faces: closely over the chosen cells, by their middles over all."""
     common: dict[str, Any] = {"where": "file", "subject": name, "unit": design.unit}
     if not all(d.complete for d in off):
         dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
@@ -106,7 +106,12 @@ def shape_check(
     worst = float(max(d.distance.max() for d in off))
     at_corners = max(_corners(window, gathered, k, present) for k in range(len(off)))
     rms = float(np.max([d.slope_rms.max() for d in off]))
-    detail: dict[str, Any] = {"distance": worst, "corners": at_corners, "slope_error": off[0].slope_rms}
+    detail: dict[str, Any] = {
+        "distance": worst,
+        "corners": at_corners,
+        "everywhere": gathered.farthest,
+        "slope_error": off[0].slope_rms,
+    }
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
     if "sag_error_max" in stated:
@@ -122,13 +127,24 @@ def shape_check(
         f"facets lie up to {worst:.4g} {design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
         f"slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
     )
+    if gathered.farthest > max(worst, at_corners):
+        where = gathered.farthest_cell
+        sentence += f"; over all cells up to {gathered.farthest:.4g}, in cell {where}"
     if "slope_error_rms" in stated:
         told = float(stated["slope_error_rms"])
         sentence += f" ({1e3 * told:.4g} stated)"
         if rms > design.check.file_rms * told:
             return Check("shape", "fail", f"{sentence}: steeper facets than stated", rms, told, detail=detail,
                          source="stated slope error of the file", **{**common, "unit": "rad"})  # fmt: skip
-    return judge("shape", max(worst, at_corners), limit, sentence, source=source, detail=detail, **common)
+    return judge(
+        "shape",
+        max(worst, at_corners, gathered.farthest),
+        limit,
+        sentence,
+        source=source,
+        detail=detail,
+        **common,
+    )
 
 
 def _corners(window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None) -> float:

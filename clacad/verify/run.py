@@ -360,9 +360,11 @@ def _judge_triangles(
                 f"it holds {', '.join(present)}; {', '.join(missing)} taken from the design",
             ]
         )
+    odd = "mm / 25.4" in note  # nobody's unit: millimetres that were taken for inches on the way
+    note += ": it is 25.4 times as large as the design" if odd else ""
     readable = Check(
         "readable",
-        "pass",
+        "warn" if odd else "pass",
         f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else ""),
         **common,
     )
