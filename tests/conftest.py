@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import signal
 import socket
 from collections.abc import Iterator
@@ -14,6 +15,9 @@ from hypothesis import settings
 # the same examples every time: a failure can be repeated, a success means the same everywhere
 settings.register_profile("clacad", derandomize=True, deadline=None)
 settings.load_profile("clacad")
+
+# forecasts rest on nothing that ran here before, and tests leave nothing in the user's cache
+os.environ["CLACAD_CACHE_DIR"] = ""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # started in the background by a shell that ignores Ctrl-C for its jobs; programs under test would inherit that

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from clacad.export.manifest import FileRecord, Manifest, carried_over, document
 from clacad.export.request import Request
 from clacad.export.tessellation import Meshes, Tessellation
 from clacad.export.worker import Progress, Worker, ended_by_signals
+from clacad.rates import Rates, seconds_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -46,7 +47,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
             job = _job(meshes.at(quads), design, stage, worker, request, report)
-            records, failures, seconds = _produced(job, formats)
+            records, failures, seconds = _produced(job, formats, rows)
             if not records:
                 raise next(iter(failures.values()))
             content = _content(design, window, records, request, quads)
@@ -121,14 +122,18 @@ def _job(
 
 
 def _produced(
-    job: Job, formats: tuple[str, ...]
+    job: Job, formats: tuple[str, ...], rows: Sequence[limits.Forecast]
 ) -> tuple[list[FileRecord], dict[str, ExportError], dict[str, float]]:
-    """Make every format; one that fails leaves nothing behind and does not stop the others."""
+    """Make every format; one that fails leaves nothing behind and does not stop the others.
+
+    What each took is noted beside what its row of the forecast says, for the next forecast.
+    """
+    rates = Rates.here()
     records: list[FileRecord] = []
     failures: dict[str, ExportError] = {}
     seconds: dict[str, float] = {}
-    for name in formats:
-        began = time.monotonic()
+    for name, row in zip(formats, rows, strict=True):
+        began, used = time.monotonic(), _used(job.worker)
         before, done = set(job.stage.written()), len(records)
         try:
             with translated(job.stage.folder):
@@ -138,10 +143,18 @@ def _produced(
             log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))
             for path in set(job.stage.written()) - before:
                 path.unlink(missing_ok=True)
+        else:
+            rates.note(row.task, row.modelled, _used(job.worker) - used)
         seconds[name] = time.monotonic() - began
         for made in records[done:]:
             log.note("file", seconds=round(seconds[name], 4), **made.to_dict())
     return records, failures, seconds
+
+
+def _used(worker: Worker) -> float:
+    """Processor seconds so far, the worker's among them; elapsed ones where the system does not tell."""
+    pid = worker.pid
+    return time.process_time() + (0.0 if pid is None else seconds_of(pid, time.monotonic()))
 
 
 def _failure(name: str, error: Exception) -> ExportError:

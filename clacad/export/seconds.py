@@ -1,0 +1,47 @@
+"""What each format costs in processor seconds, as formulas of its size.
+
+The constants are those of one reference machine, an x86-64 server core; `clacad.rates` knows what another machine
+makes of them. Forms: a file of text or triangles costs a constant a piece, welding sorts.
+"""
+
+from __future__ import annotations
+
+from math import log2
+
+BASE = 0.02
+"""Opening, hashing and reading back a file of next to nothing."""
+
+
+def prepare(quads: int | None) -> float:
+    """Everything before the first file and after the last: prescribing, forecasting, meshing a cell, publishing."""
+    return 0.11 + (0.0 if quads is None else 1.9e-4 * quads * quads)
+
+
+def stl(facets: int) -> float:
+    """Triangles streamed out and back."""
+    return BASE + 4.4e-6 * facets
+
+
+def welded(name: str, held: int, places: int) -> float:
+    """Shared vertices, exact normals and, where cells repeat, their places."""
+    if name == "ply":
+        return BASE + 4.2e-7 * held * log2(max(2, held))
+    each, place = {"glb": (4.0e-6, 1.3e-5), "3mf": (5.5e-6, 7.0e-6)}[name]
+    if places == 0:  # the whole sheet is welded: sorting decides
+        return BASE + 6.0e-7 * held * log2(max(2, held))
+    return BASE + 0.01 + each * held + place * places
+
+
+def step(size: int, mode: str) -> float:
+    """STEP: text, and the kernel reading it in a process of its own."""
+    return 0.68 + 1.12e-6 * size if mode == "fused" else 0.85 + 2.8e-6 * size
+
+
+def kernel(size: int) -> float:
+    """Solids made by the kernel: frame, coupon, BREP."""
+    return 1.5 + 2.0e-6 * size
+
+
+def map(name: str, drawn: int) -> float:
+    """Height maps, points, tables, masks: a constant a pixel, point or hundredth of a lenslet."""
+    return BASE + 1e-6 * drawn

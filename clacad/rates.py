@@ -1,0 +1,295 @@
+"""What work costs on this machine: seconds it took here before, kept in the user's cache, and forecasts made of them.
+
+A task's seconds are first modelled from its size with the constants of one reference machine. What the task
+then really took, divided by that model, is noted; the next forecast is the model times what was noted for
+tasks of about its size. Only talk and forecasts read this file, no written byte depends on it; a file that
+is missing, broken or not writable costs the forecast its narrowness and nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import secrets
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+
+FORMAT = 1
+KEPT = 12
+"""Observations kept a task, the newest; older ones tell of another state of the machine."""
+
+LEAST = 0.02
+"""Seconds below which the clock and the first call of everything decide, not the work: not noted."""
+
+MOST_BYTES = 200_000
+UNSEEN = math.log(2.5)
+"""Half width of a forecast of a task never seen here, in logarithm: machines in use differ by about that."""
+
+OTHERS_SEEN = math.log(1.7)
+"""The same where the machine's speed is known from other tasks."""
+
+SEEN = math.log(1.28)
+"""Least half width: runs of one task on one machine differ by this much."""
+
+FAR = 0.12
+"""Half width added for each factor e between the size asked and the nearest size seen."""
+
+Noted = tuple[float, float]
+"""Modelled seconds, and seconds it took."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A forecast: seconds as a range.
+
+    Parameters
+    ----------
+    low, high : float, processor seconds
+    seen : int
+        Runs of this task on this machine that it rests on.
+    """
+
+    low: float
+    high: float
+    seen: int = 0
+
+    @property
+    def middle(self) -> float:
+        """Geometric middle, seconds."""
+        return math.sqrt(self.low * self.high)
+
+    def __str__(self) -> str:
+        """Give the range as a person says it: "12–20 s", "3–5 min"."""
+        return span_text(self.low, self.high)
+
+
+def span_text(low: float, high: float) -> str:
+    """Range of seconds for a person: two digits at most, in s, min or h.
+
+    >>> span_text(12.3, 20.4), span_text(0.31, 0.62), span_text(200.0, 310.0)
+    ('12–20 s', '0.31–0.62 s', '3.3–5.2 min')
+    """
+    if high < 0.1:
+        return "under 0.1 s"
+    unit, size = next((u, s) for u, s in (("h", 3600.0), ("min", 60.0), ("s", 0.0)) if high >= 2.0 * s)
+    first, last = (_two_digits(value / (size or 1.0)) for value in (low, high))
+    return f"about {last} {unit}" if first == last else f"{first}–{last} {unit}"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def total(spans: Sequence[Span]) -> Span:
+    """Range of several tasks one after the other; seen as often as the one seen least."""
+    return Span(
+        sum(s.low for s in spans), sum(s.high for s in spans), min((s.seen for s in spans), default=0)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """What tasks took on one machine.
+
+    Parameters
+    ----------
+    path : Path or None
+        Where it is kept; None keeps nothing.
+    tasks : mapping of task to a sequence of (modelled, taken) seconds, oldest first
+    """
+
+    path: Path | None = None
+    tasks: Mapping[str, tuple[Noted, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def here(cls) -> Rates:
+        """Rates of this machine, this version and this number of threads."""
+        folder = cache_folder()
+        if folder is None:
+            return cls()
+        path = folder / f"rates-{machine_key()}.json"
+        return cls(path, _read(path))
+
+    def span(self, task: str, modelled: float) -> Span:
+        """Forecast a task from the seconds its model gives (> 0)."""
+        noted = self.tasks.get(task, ())
+        if not noted:
+            others = [math.log(took / model) for rows in self.tasks.values() for model, took in rows]
+            factor, width = (_median(others), OTHERS_SEEN) if others else (0.0, UNSEEN)
+            return _around(modelled, factor, width, 0)
+        distance = [abs(math.log(modelled / model)) for model, _ in noted]
+        factors = [math.log(took / model) for model, took in noted]
+        newest = len(noted) - 1
+        weights = [0.85 ** (newest - k) / (0.2 + d) ** 2 for k, d in enumerate(distance)]
+        factor = _median(factors, weights)
+        spread = _median([abs(f - factor) for f in factors], weights)
+        width = max(SEEN, 1.5 * spread) + FAR * min(distance)
+        return _around(modelled, factor, min(width, UNSEEN), len(noted))
+
+    def note(self, task: str, modelled: float, took: float) -> None:
+        """Keep what a task took; nothing happens where the cache cannot be written."""
+        if self.path is None or not (_positive(modelled) and _positive(took)) or took < LEAST:
+            return
+        tasks = dict(_read(self.path))  # another process may have noted something meanwhile
+        tasks[task] = (*tasks.get(task, ()), (float(modelled), float(took)))[-KEPT:]
+        _write(self.path, tasks)
+
+    @contextmanager
+    def noting(self, task: str, modelled: float) -> Iterator[None]:
+        """Note the processor seconds of the block, if it ends well."""
+        began = processor_seconds()
+        yield
+        self.note(task, modelled, processor_seconds() - began)
+
+
+def _around(modelled: float, factor: float, width: float, seen: int) -> Span:
+    return Span(modelled * math.exp(factor - width), modelled * math.exp(factor + width), seen)
+
+
+def _median(values: Sequence[float], weights: Sequence[float] | None = None) -> float:
+    """Value with half of the weight below it: one odd run among several does not count."""
+    each = [1.0] * len(values) if weights is None else list(weights)
+    order = sorted(range(len(values)), key=lambda k: values[k])
+    half, below = 0.5 * sum(each), 0.0
+    for k in order:
+        below += each[k]
+        if below >= half:
+            return values[k]
+    return values[order[-1]]
+
+
+def _positive(value: object) -> bool:
+    return isinstance(value, (int, float)) and math.isfinite(value) and value > 0.0
+
+
+# -- the clock -------------------------------------------------------------------------------------
+
+
+def processor_seconds() -> float:
+    """Processor seconds of this process and of its children that ended: what work costs however busy the machine."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
+def seconds_of(pid: int | None, otherwise: float) -> float:
+    """Processor seconds of a running process so far; `otherwise` where the system does not tell."""
+    with suppress(OSError, ValueError, IndexError, AttributeError):
+        text = Path(f"/proc/{pid}/stat").read_text()
+        fields = text.rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return otherwise
+
+
+# -- the machine and its file ----------------------------------------------------------------------
+
+
+def cache_folder() -> Path | None:
+    """Folder of the user's cache; CLACAD_CACHE_DIR names another, and empty keeps nothing."""
+    named = os.environ.get("CLACAD_CACHE_DIR")
+    if named is not None:
+        return Path(named) if named else None
+    with suppress(RuntimeError):  # no home
+        if sys.platform == "win32":
+            return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "clacad"
+        if sys.platform == "darwin":
+            return Path.home() / "Library" / "Caches" / "clacad"
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "clacad"
+    return None
+
+
+def machine() -> dict[str, str]:
+    """What rates depend on: version, processor, cores, threads asked for."""
+    from clacad import __version__
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return {
+        "version": __version__, "processor": _processor(), "cores": str(cores),
+        "threads": os.environ.get("CLACAD_THREADS", ""), "python": platform.python_version(),
+    }  # fmt: skip
+
+
+def _processor() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def machine_key() -> str:
+    """Short name of the machine, for a file name."""
+    return sha256(json.dumps(machine(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _read(path: Path) -> dict[str, tuple[Noted, ...]]:
+    """Observations of a file; none where it is missing, too large or not what it should be."""
+    try:
+        with path.open("rb") as stream:
+            text = stream.read(MOST_BYTES + 1)
+        found = json.loads(text) if len(text) <= MOST_BYTES else None
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if (
+        not isinstance(found, dict)
+        or found.get("format") != FORMAT
+        or not isinstance(found.get("tasks"), dict)
+    ):
+        return {}
+    kept: dict[str, tuple[Noted, ...]] = {}
+    for task, rows in found["tasks"].items():
+        good = [
+            (float(row[0]), float(row[1]))
+            for row in (rows if isinstance(rows, list) else ())
+            if isinstance(row, list) and len(row) == 2 and all(map(_positive, row))
+        ]
+        if good:
+            kept[str(task)] = tuple(good[-KEPT:])
+    return kept
+
+
+def _write(path: Path, tasks: Mapping[str, tuple[Noted, ...]]) -> None:
+    """Replace the file by a complete one, or leave it as it is."""
+    text = json.dumps({"format": FORMAT, "machine": machine(), "tasks": tasks}, indent=1, sort_keys=True)
+    draft = path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, path)
+    except OSError:
+        with suppress(OSError):
+            draft.unlink()
+
+
+def measure(clock: object = None) -> float:
+    """Time a fixed piece of arithmetic of the interpreter and give it relative to the reference machine.
+
+    Notes
+    -----
+    It is noted as the task "machine", so that a forecast of a task never seen here knows how fast the machine is.
+    """
+    tick = clock if callable(clock) else time.process_time
+    best = math.inf
+    for _ in range(3):
+        began = tick()
+        _reference_work()
+        best = min(best, tick() - began)
+    return best
+
+
+REFERENCE = 0.035
+"""Processor seconds of `_reference_work` on the machine whose constants the models hold."""
+
+
+def _reference_work() -> int:
+    """Dictionary, float and text work, as exports mostly are."""
+    kept: dict[str, float] = {}
+    for k in range(40_000):
+        kept[f"{k % 997} {k * 0.1!r}"] = math.sqrt(k) / (k + 1.0)
+    return len(kept)
