@@ -303,7 +303,7 @@ def _forecast_map(window: Window, name: str, levels: int = 64) -> Forecast:
     drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
         name, 100 * cells * faces
     )
-    return Forecast(name, size, False, None, None, cost.map(name, drawn), (100_000_000, 400_000_000))
+    return Forecast(name, size, False, None, None, cost.map(name, drawn, faces), (100_000_000, 400_000_000))
 
 
 # -- limits --------------------------------------------------------------------------------------
