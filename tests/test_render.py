@@ -11,14 +11,16 @@ import pytest
 from viewscenes import CASES, ROOT, VIEWS, view_data, view_scene
 
 from clacad.rays import Fate
-from clacad.render import kernels, view_through
+from clacad.render import view_through
 from clacad.render.camera import aim, offsets, rays
 from clacad.render.files import decode, encode, facts, labelled, read_picture, write_movie, write_picture
+from clacad.render.kernel_look import look_all
 from clacad.render.measure import measure
 from clacad.render.meet import look, nearest
 from clacad.render.picture import render, render_movie
 from clacad.render.plan import geometry_alone
 from clacad.render.stage import set_stage
+from clacad.render.tables import tables
 from clacad.render.tree import grow, nearest_triangle
 from clacad.scene import Scene, SceneError
 from clacad.scene.place import turned
@@ -124,9 +126,9 @@ def test_compiled_and_plain_code_see_the_same():
     stage = set_stage(lit)
     start, direction = random_rays(20000)
     light, met = look(stage, start, direction)
-    tables = kernels.tables(stage)
+    laid = tables(stage)
     other, hit = np.empty_like(light), np.empty(len(light), dtype=np.bool_)
-    kernels.look_all(*tables, start, direction, np.full(len(start), np.inf), other, hit)
+    look_all(*laid, start, direction, np.full(len(start), np.inf), other, hit, np.empty(len(light)))
     np.testing.assert_array_equal(hit, met)
     differ = np.abs(light - other).max(axis=1) > 1e-9
     assert differ.mean() < 2e-4  # edges of stripes, tiles and sides, where a last bit decides

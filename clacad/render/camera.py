@@ -91,9 +91,14 @@ def offsets(pixels: Ints, first: int, count: int, whole: int) -> Floats:
     """
     if whole == 1:
         return np.full((len(pixels), count, 4), 0.5)
-    points = np.rint(sobol(count, 4, skip=first) * 2.0**_BITS).astype(np.uint64)
+    points = digits(first, count)
     shift = np.stack([_hash(pixels, k) for k in range(4)], axis=-1) >> np.uint64(64 - _BITS)
     return np.asarray((points[None] ^ shift[:, None]) * 2.0**-_BITS, dtype=np.float64)
+
+
+def digits(first: int, count: int) -> NDArray[np.uint64]:
+    """Points (count, 4) of the sequence from number `first` on, as 52 binary digits each."""
+    return np.rint(sobol(count, 4, skip=first) * 2.0**_BITS).astype(np.uint64)
 
 
 def _hash(number: Ints, salt: int) -> NDArray[np.uint64]:

@@ -1,4 +1,4 @@
-"""What rays meet in the scene and the light they find there, in numpy. `clacad.render.kernels` is its twin.
+"""What rays meet in the scene and the light they find there, in numpy. `clacad.render.kernel_look` is its twin.
 
 All distances are in lengths of the given direction, which need not be a unit vector.
 """

@@ -189,19 +189,23 @@ def _each(
 
 def tile(
     viewing: Viewing, scene: Scene, view: View, rows: slice, columns: slice
-) -> tuple[Floats, Ints, Floats]:
-    """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...).
+) -> tuple[Floats, Ints | int, Floats | float]:
+    """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...), or one for all.
 
     With a noise target, pixels that miss it (or whose neighbours do) get as many samples again as they
     have, until they meet it or have `most_samples`.
     """
     y, x = np.mgrid[rows, columns]
     pixels = (y * view.width + x).ravel().astype(np.int64)
-    total, square = np.zeros((len(pixels), 3)), np.zeros((len(pixels), 3))
-    count = np.zeros(len(pixels), dtype=np.int64)
     camera = scene.camera
+    total, active = np.zeros((len(pixels), 3)), np.arange(len(pixels))
+    if camera.samples == 1 and not camera.noise > 0.0:
+        _sample(viewing, view, pixels, active, 0, 1, 1, total, np.zeros((0, 3)))
+        return total.reshape(*y.shape, 3), 1, 0.0
+    square = np.zeros((len(pixels), 3))
+    count = np.zeros(len(pixels), dtype=np.int64)
     most = max(camera.samples, camera.most_samples) if camera.noise > 0.0 else camera.samples
-    active, first, more = np.arange(len(pixels)), 0, camera.samples
+    first, more = 0, camera.samples
     while len(active):
         _sample(viewing, view, pixels, active, first, more, most, total, square)
         count[active] += more
@@ -222,7 +226,12 @@ def _sample(
     viewing: Viewing, view: View, pixels: Ints, active: Ints, first: int, more: int, most: int, total: Floats,
     square: Floats,
 ) -> None:  # fmt: skip
-    """Add `more` samples to the sums of the active pixels, a block of rays at a time."""
+    """Add `more` samples to the sums of the active pixels; `square` has no rows where nothing asks for it."""
+    if viewing.pane is not None and view.aperture == 0.0:
+        from clacad.render.pane import sample
+
+        sample(viewing, view, pixels[active], active, 1 + first, more, most, total, square)
+        return
     batch = max(1, min(more, BLOCK))
     at_once = max(1, BLOCK // batch)
     for start in range(0, len(active), at_once):
@@ -230,45 +239,11 @@ def _sample(
         for done in range(0, more, batch):
             step = min(batch, more - done)
             points = offsets(pixels[some], 1 + first + done, step, most)
-            position, direction = _camera_rays(viewing, view, pixels[some], points)
-            _add(viewing, radiance(viewing, position, direction), some, step, total, square)
-
-
-def _add(viewing: Viewing, light: Floats, rows: Ints, step: int, total: Floats, square: Floats) -> None:
-    """Add the light of `step` samples a pixel, and its square, to the sums of some pixels."""
-    if viewing.compiled:
-        from clacad.render.kernels import add_all
-
-        add_all(light, rows, step, total, square)
-        return
-    samples = light.reshape(len(rows), step, 3)
-    total[rows] += samples.sum(axis=1)
-    square[rows] += (samples * samples).sum(axis=1)
-
-
-def _camera_rays(viewing: Viewing, view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:
-    """Rays of samples, by whichever path is chosen; see `camera.rays`."""
-    if not viewing.compiled or view.aperture > 0.0:
-        return rays(view, pixels, points)
-    from clacad.render.kernels import camera_all
-
-    position, direction = (
-        np.empty((points.shape[0] * points.shape[1], 3)),
-        np.empty((points.shape[0] * points.shape[1], 3)),
-    )
-    camera_all(
-        view.position,
-        view.ahead,
-        view.right,
-        view.down,
-        view.width,
-        view.height,
-        pixels,
-        points,
-        position,
-        direction,
-    )
-    return position, direction
+            position, direction = rays(view, pixels[some], points)
+            light = radiance(viewing, position, direction).reshape(len(some), step, 3)
+            total[some] += light.sum(axis=1)
+            if len(square):
+                square[some] += (light * light).sum(axis=1)
 
 
 def _standard_error(total: Floats, square: Floats, count: Ints) -> Floats:

@@ -15,8 +15,9 @@ from clacad.mesh import tessellate
 from clacad.prescription import prescribe
 from clacad.render.camera import aim, offsets, rays
 from clacad.render.files import Bytes, encode
-from clacad.render.kernels import Tables, look_all, reach_all, tables
+from clacad.render.kernel_look import look_all
 from clacad.render.stage import MESH, Primitive, set_stage, stage_of
+from clacad.render.tables import Tables, tables
 from clacad.render.tree import grow
 from clacad.scene import Scene
 
@@ -61,12 +62,10 @@ def _seen(background: Tables, glass: Tables, position: Floats, direction: Floats
     start, ray = np.array(position, dtype=np.float64), np.ascontiguousarray(direction)
     behind, found = np.empty((n, 3)), np.empty((n, 3))
     met, left, distance = np.empty(n, dtype=np.bool_), np.full(n, np.inf), np.empty(n)
-    look_all(*background, start, ray, left, behind, met)
-    reach_all(*background, start, ray, left.copy(), left)
+    look_all(*background, start, ray, left.copy(), behind, met, left)
     light, through = np.zeros((n, 3)), np.ones(n)
     for _ in range(4):
-        look_all(*glass, start, ray, left, found, met)
-        reach_all(*glass, start, ray, left, distance)
+        look_all(*glass, start, ray, left, found, met, distance)
         light += np.where(met, through * (1.0 - CLEAR), 0.0)[:, None] * np.where(met[:, None], found, 0.0)
         through = np.where(met, through * CLEAR, through)
         step = np.where(met, distance * (1.0 + 1e-9) + 1e-9, 0.0)

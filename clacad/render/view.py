@@ -53,6 +53,8 @@ class Viewing:
         Compiled code or numpy.
     tables : Tables
         The stage for compiled code.
+    pane : Pane or None
+        The sheet for the kernel that does everything, where that can be.
     """
 
     stage: Stage
@@ -67,6 +69,7 @@ class Viewing:
     before: bool
     compiled: bool
     tables: Any
+    pane: Any = None
 
 
 def set_up(
@@ -88,17 +91,23 @@ def set_up(
     stage = set_stage(scene)
     planned = plan_passage(scene, window) if passage is None else passage
     scale = scene.unit_m / window.unit
-    made = None
-    if compiled:
-        from clacad.render.kernels import tables
-
-        made = tables(stage)
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
     box = sheet_box(window) / scale
+    colours = lines(scene.light, window, "dispersion" in planned.names)
+    opaque, before = (
+        sheet and scene.sheet.surround == "opaque",
+        may_stand_before(stage, front, scene.camera, box),
+    )
+    made = pane = None
+    if compiled:
+        from clacad.render.pane import pane_of
+        from clacad.render.tables import tables
+
+        made = tables(stage)
+        pane = pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
     return Viewing(
-        stage, window, planned, lines(scene.light, window, "dispersion" in planned.names), scale, box, front,
-        sheet and scene.sheet.surround == "opaque", sheet, may_stand_before(stage, front, scene.camera, box), compiled, made,
-    )  # fmt: skip
+        stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, pane
+    )
 
 
 def sheet_box(window: Window) -> Floats:
@@ -137,10 +146,8 @@ def radiance(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
 
 
 def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength: float | None) -> Floats:
-    if viewing.compiled and viewing.present and homogeneous(viewing):
-        return _law(viewing, position, direction)
     light = np.zeros((len(position), 3))
-    rows = np.flatnonzero(_may_cross(viewing, position, direction))
+    rows = np.flatnonzero(may_cross(viewing.box, position, direction))
     beside = np.ones(len(position), dtype=bool)
     if len(rows) and viewing.present:
         start = position[rows] * viewing.scale
@@ -156,36 +163,6 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     elif len(rows):
         light[rows] = _before(viewing, position[rows], direction[rows])[0]
     return light
-
-
-def homogeneous(viewing: Viewing) -> bool:
-    """Whether the sheet is its law and a rectangle, so that one kernel sees through it."""
-    lattice = viewing.window.lattice
-    return viewing.passage.homogeneous and not lattice.hexagonal and lattice.outline is None
-
-
-def _law(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
-    from clacad.render.kernels import law_all
-
-    law, t = viewing.window.law, viewing.tables
-    light = np.empty((len(position), 3))
-    edges = np.array(viewing.window.lattice.extent())
-    law_all(
-        t.world, t.cluster, t.prim, t.store, law.matrix(), np.ascontiguousarray(law.optical_axis), edges,
-        viewing.scale, viewing.before, viewing.opaque, np.ascontiguousarray(position),
-        np.ascontiguousarray(direction), light,
-    )  # fmt: skip
-    return light
-
-
-def _may_cross(viewing: Viewing, position: Floats, direction: Floats) -> Mask:
-    if not viewing.compiled:
-        return may_cross(viewing.box, position, direction)
-    from clacad.render.kernels import crossing_all
-
-    inside = np.empty(len(position), dtype=np.bool_)
-    crossing_all(viewing.box, np.ascontiguousarray(position), np.ascontiguousarray(direction), inside)
-    return inside
 
 
 def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Mask) -> Floats:
@@ -236,13 +213,13 @@ def seen(viewing: Viewing, position: Floats, direction: Floats, limit: Floats | 
     """Light and hits of rays in the scene, by whichever path is chosen; see `meet.look`."""
     if not viewing.compiled:
         return look(viewing.stage, position, direction, limit)
-    from clacad.render.kernels import look_all
+    from clacad.render.kernel_look import look_all
 
     light, met = np.empty((len(position), 3)), np.empty(len(position), dtype=np.bool_)
     bound = np.full(len(position), limit) if np.isscalar(limit) else np.ascontiguousarray(limit)
     start, ray = np.ascontiguousarray(position), np.ascontiguousarray(direction)
     t = viewing.tables
-    look_all(t.world, t.cluster, t.prim, t.store, start, ray, bound, light, met)
+    look_all(t.world, t.cluster, t.prim, t.store, start, ray, bound, light, met, np.empty(len(position)))
     return light, met
 
 

@@ -13,11 +13,12 @@ from numba.extending import intrinsic
 
 def _forget_stale() -> None:
     """Drop cached kernels older than any kernel source: a cached caller keeps the callees it was built with."""
-    here = Path(__file__).parent
-    sources = [path.stat().st_mtime for path in here.glob("*.py")]
-    for cached in (here / "__pycache__").glob("kernel_*.nbi"):
+    package = Path(__file__).parent.parent
+    sources = [*package.glob("trace/*.py"), *package.glob("*/*kernel*.py"), package / "render" / "tables.py"]
+    newest = max(path.stat().st_mtime for path in sources)
+    for cached in package.glob("*/__pycache__/*kernel*.nbi"):
         with suppress(OSError):  # read-only, or another process was first
-            if cached.stat().st_mtime < max(sources):
+            if cached.stat().st_mtime < newest:
                 cached.unlink()
 
 

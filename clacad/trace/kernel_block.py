@@ -298,7 +298,7 @@ def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
 
 
 @fused
-def _centres(
+def centres(
     lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float
 ) -> None:
     """Sheet-frame x and y of points plus (ox, oy)."""
@@ -321,7 +321,7 @@ def _centres(
 def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
     """Rays must be certainly over the body."""
     px, py, good = s[GX], s[GY], s[GOOD]
-    _centres(lat, s, m, array, px, py, ox, oy)
+    centres(lat, s, m, array, px, py, ox, oy)
     mx, my, hx, hy, radius = (
         body[slot.MID_X],
         body[slot.MID_Y],
@@ -451,7 +451,7 @@ def _store_hit(
 ) -> None:
     """Note hits and directions at one face."""
     px, py, base = s[GX], s[GY], level + face[slot.VZ]
-    _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
         if s[GOOD, i] > 0.0:
             row = chosen[i]
@@ -550,7 +550,7 @@ def _store(
     m = len(chosen)
     px, py, z, dx, dy, dz, good, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
-    _centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
         good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
     for k in range(m):
