@@ -305,3 +305,15 @@ def test_the_ideal_pair_obeys_the_law_exactly_whatever_the_recipe(recipe):
     alive = found.fate == Fate.ALIVE
     assert alive.sum() > 200
     assert angle_between(found.direction[alive], window.law.refract(ray[alive])).max() < 1e-13
+
+
+@pytest.mark.parametrize("section", [
+    {"lattice": {"seam": 0.0002}}, {"body": {"border": 0.005}}, {"lattice": {"outline": {"circle": 0.015}}},
+], ids=["seam", "border", "outline"])  # fmt: skip
+def test_a_concave_lens_has_no_plate_for_a_seam_a_border_or_an_outline(section):
+    """Found by random designs: the land was left out without a word."""
+    galilean = PAPER | {"law": {"eta": [0.5, 0.5]}, "pair": PAPER["pair"] | {"thickness": "auto"}}
+    assert prescribe(Design.from_dict(galilean)).bodies[1].front.land is None
+    landed = galilean | {key: galilean.get(key, {}) | value for key, value in section.items()}
+    with pytest.raises(DesignError, match="lens 2 is concave: it has no plate for"):
+        prescribe(Design.from_dict(landed))

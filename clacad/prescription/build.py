@@ -144,8 +144,28 @@ def _biconvex(intent: Intent) -> Window:
     if intent.design.pair.confocal == "best":
         from clacad.prescription.best import best_pair
 
-        return best_pair(intent, lambda t, scale: _biconvex_given(intent, t, scale), _solved(intent))
-    return _biconvex_given(intent, _solved(intent))
+        window = best_pair(intent, lambda t, scale: _biconvex_given(intent, t, scale), _solved(intent))
+    else:
+        window = _biconvex_given(intent, _solved(intent))
+    _refuse_land_without_plate(intent.design, window)
+    return window
+
+
+def _refuse_land_without_plate(design: Design, window: Window) -> None:
+    """A concave lens is plate less lens: there is no plate of its own for a seam, border or outline to lie in."""
+    asked = {
+        "lattice.seam": design.lattice.seam > 0.0,
+        "body.border": design.body.border > 0.0,
+        "lattice.outline": design.lattice.outline is not None,
+    }
+    keys = [key for key, given in asked.items() if given]
+    for number, body in enumerate(window.bodies, start=1):
+        if keys and body.front.land is None:
+            raise NoSuchLens(
+                f"lens {number} is concave: it has no plate for {' and '.join(keys)}",
+                key=keys[0],
+                hint=f"no {' and no '.join(keys)}, or pair.form = 'plano'",
+            )
 
 
 def _solved(intent: Intent) -> Pair2:

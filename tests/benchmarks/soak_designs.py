@@ -2,6 +2,7 @@
 
     python tests/benchmarks/soak_designs.py                      10 designs
     python tests/benchmarks/soak_designs.py -n 500 --record      the soak of a release, into tests/trust/soak.json
+    python tests/benchmarks/soak_designs.py --again --record     those of the record that failed, once more
     python tests/benchmarks/soak_designs.py --only 17            one of them again, its design printed
 
 With `--record` it goes on where the record ends, so it can be run in pieces (`--seconds 600`). A design that the
@@ -112,7 +113,7 @@ def judge(number: int, folder: Path) -> tuple[str, str]:
         design = Design.from_dict(draw(number))
         export(design, folder, formats=formats_of(number), quads=8)
         with contextlib.nullcontext() if number % FULL_EVERY == 0 else without_curves():
-            report = verify(design, folder, rays=4096)
+            report = verify(design, folder, rays=16384)
     except LimitRefused as refusal:
         return "refused", str(refusal).strip().splitlines()[0]
     except DesignError as refusal:
@@ -150,6 +151,16 @@ class Tally:
             self.failed[str(self.next)] = why
         self.next += 1
         self.processor_seconds += seconds
+
+    def again(self, number: int, verdict: str, why: str) -> None:
+        """Count one that failed as it is judged now."""
+        del self.failed[str(number)]
+        if verdict == "refused":
+            self.refused[why] += 1
+            self.formats.subtract(formats_of(number))
+        elif verdict == "failed":
+            self.failed[str(number)] = why
+        self.passed += verdict == "passed"
 
     def text(self) -> str:
         """The record."""
@@ -191,6 +202,15 @@ def soak(tally: Tally, valid: int, seconds: float, record: Path | None) -> None:
             record.write_text(tally.text())
 
 
+def recheck(tally: Tally) -> None:
+    """Judge the failed ones of a record again."""
+    for number in [int(key) for key in tally.failed]:
+        with tempfile.TemporaryDirectory() as folder:
+            verdict, why = judge(number, Path(folder))
+        sys.stdout.write(f"{number}: {verdict} {why}\n")
+        tally.again(number, verdict, why)
+
+
 def main() -> int:
     """Run the soak; exit 1 if a design fails."""
     parser = argparse.ArgumentParser(description="Export and verify random designs.")
@@ -199,6 +219,7 @@ def main() -> int:
         "--record", type=Path, nargs="?", const=RECORD, help="keep count here, go on from there"
     )
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
+    parser.add_argument("--again", action="store_true", help="judge the failed ones of the record again")
     parser.add_argument("--only", type=int, help="one number")
     asked = parser.parse_args()
     if asked.only is not None:
@@ -207,7 +228,12 @@ def main() -> int:
         sys.stdout.write(f"{draw(asked.only)}\n{verdict} {why}\n")
         return int(verdict == "failed")
     tally = Tally() if asked.record is None else Tally.read(asked.record)
-    soak(tally, asked.n, asked.seconds, asked.record)
+    if asked.again:
+        recheck(tally)
+    else:
+        soak(tally, asked.n, asked.seconds, asked.record)
+    if asked.record is not None:
+        asked.record.write_text(tally.text())
     sys.stdout.write(tally.text())
     return 1 if tally.failed else 0
 
