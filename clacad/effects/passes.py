@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
+from threading import local
 from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
 
 import numpy as np
@@ -36,7 +37,7 @@ NAMES = (
 FOLLOWED = ("walls", "tir_paths")
 """Effects that trace ended rays anew, with every loss: they run last and have the last word on those rows."""
 
-BLOCK = 16384
+BLOCK = 4096
 """Rays at a time: the hits of four faces take 3 MB."""
 
 
@@ -244,7 +245,7 @@ def trace_with(
         if effect.launch is not None:
             rays = effect.launch(window, rays)
     passes = [effect for effect in passes if effect.apply is not None]
-    if not passes and not (rung == "surfaces" and one_colour(rays)):
+    if not passes:
         return trace(window, rays, rung, record=record, **options)
     keep = record or any("hits" in effect.needs for effect in passes)
     by_colour = not passes or any(effect.colours for effect in passes)
@@ -360,6 +361,7 @@ class Gathered:
         self.count, self.window = count, window
         self.columns: dict[str, Any] = {}
         self.whole: TraceResult | None = None
+        self.room = local()
         if direct is not None:
             faces = 2 * len(window.bodies) if direct else 0
             self.columns = {
@@ -383,11 +385,20 @@ class Gathered:
         faces = 2 * len(self.window.bodies) if keep else 0
         for name in ("hits", "directions"):
             whole = self.columns[name]
-            own[name] = np.empty((faces, len(rays), 3)) if whole is None else whole[:, rows]
+            own[name] = self.lent(name, faces, len(rays)) if whole is None else whole[:, rows]
         indices = tuple(body.index_at(wavelength) for body in self.window.bodies)
         ledger = Ledger(**own)
         trace_compiled(lay_out(self.window), rays, ledger, np.arange(len(rays)), indices, 1)
         return ledger.closed()
+
+    def lent(self, name: str, faces: int, count: int) -> Floats:
+        """Room for one block's hits, used again by the same thread's next block: fresh pages cost as much as a pass."""
+        size = faces * BLOCK * 3
+        room: Floats | None = getattr(self.room, name, None)
+        if room is None or len(room) < size:
+            room = np.empty(size)
+            setattr(self.room, name, room)
+        return room[: faces * count * 3].reshape(faces, count, 3)
 
     def enter(self, rows: Chosen, result: TraceResult, record: bool) -> None:
         """Write a block's rows."""

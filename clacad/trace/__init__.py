@@ -141,15 +141,26 @@ def _compiled(
 
     count = thread_count(threads)
     facets = NO_TILES if tiles is None else tiles
-    if rays.wavelength is None:
+    line = common_line(rays)
+    if line is not False:  # the kernels write every row themselves
         ledger = Ledger.blank(len(rays), recorded)
-        indices = tuple(body.index for body in layout.window.bodies)
+        indices = tuple(body.index_at(line) for body in layout.window.bodies)
         trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets)
         return ledger.closed()
     ledger = Ledger.opened(rays, recorded)
     for rows, indices in colours(layout, rays, ledger.launchable()):
         trace_compiled(layout, rays, ledger, rows, indices, count, facets)
     return ledger.closed()
+
+
+def common_line(rays: Rays) -> float | Literal[False] | None:
+    """Wavelength of all the rays, None for the design's; False if they differ or if some are no wavelengths."""
+    waves = rays.wavelength
+    if waves is None:
+        return None
+    if len(waves) == 0 or not 0.0 < waves[0] < np.inf or bool((waves != waves[0]).any()):
+        return False
+    return float(waves[0])
 
 
 def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
