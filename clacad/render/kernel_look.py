@@ -86,10 +86,10 @@ def look_block(world: Floats, cluster: Floats, prim: Floats, store: Floats, m: i
     _behind(world, m, pad.ray, pad.which, pad.colour)
     for c in range(len(cluster)):
         k = int(cluster[c, 0])
-        if cluster[c, 5] == np.inf and prim[k, KIND] == FLOOR:
+        if prim[k, KIND] == FLOOR and cluster[c, 1] == k + 1:
             _floor(world, prim, k, m, pad.ray, pad.best, pad.which, pad.colour)
             continue
-        bound(cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], m, pad.ray, pad.near)
+        bound(cluster, c, m, pad.ray, pad.near)
         count = _gather(m, pad)
         if count:
             _object(world, cluster, c, prim, store, count, pad)
@@ -128,13 +128,14 @@ def _floor(
     red, green, blue, left, index = colour[0, :m], colour[1, :m], colour[2, :m], best[:m], which[:m]
     height, side, reach = prim[k, ORIGIN + 1], prim[k, PATTERN], prim[k, SIZE]
     above, below = world[0] + world[1] * max(0.0, world[3]), world[0] + world[1] * max(0.0, -world[3])
+    per_side, square = 1.0 / side, reach * reach
     odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
     even0, even1, even2 = prim[k, COLOUR + 3], prim[k, COLOUR + 4], prim[k, COLOUR + 5]
     for i in range(m):
         s = (height - y[i]) / v[i]
-        far = s * math.sqrt(u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
-        hit = (s > 0.0) & (s < left[i]) & (far <= reach)
-        tile = np.floor((x[i] + s * u[i]) / side) + np.floor((z[i] + s * w[i]) / side)
+        far = s * s * (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+        hit = (s > 0.0) & (s < left[i]) & (far <= square)
+        tile = np.floor((x[i] + s * u[i]) * per_side) + np.floor((z[i] + s * w[i]) * per_side)
         odd = tile - 2.0 * np.floor(0.5 * tile) == 1.0
         lit = above if v[i] < 0.0 else below
         red[i] = (odd0 if odd else even0) * lit if hit else red[i]
@@ -145,21 +146,23 @@ def _floor(
 
 
 @exact
-def bound(bx: float, by: float, bz: float, radius: float, m: int, ray: Floats, near: Floats) -> None:
-    """Write a number that is negative where a ray does not come into a sphere at a distance above 0."""
+def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
+    """Write a number below 0 where a ray certainly keeps off the box round object c.
+
+    In the middle plane of the box a ray that comes through it lies within the box's extent and what the
+    ray leans over half the box's depth; one division, for objects are seen along z.
+    """
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     out = near[:m]
-    if radius == np.inf:
-        for i in range(m):
-            out[i] = 1.0
-        return
+    mx, my, mz, hx, hy, hz = (
+        cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], cluster[c, 6], cluster[c, 7],
+    )  # fmt: skip
     for i in range(m):
-        px, py, pz = bx - x[i], by - y[i], bz - z[i]
-        along, length2 = px * u[i] + py * v[i] + pz * w[i], u[i] * u[i] + v[i] * v[i] + w[i] * w[i]
-        from_here = px * px + py * py + pz * pz
-        inside = radius * radius * length2 + 1e-12 * along * along - (from_here * length2 - along * along)
-        ahead = (along >= 0.0) | (from_here <= radius * radius)
-        out[i] = inside if ahead else -1.0
+        inverse = 1.0 / w[i]
+        s, along, aside = (mz - z[i]) * inverse, u[i] * inverse, v[i] * inverse
+        off_x = abs(x[i] + s * u[i] - mx) - (hx + abs(along) * hz)
+        off_y = abs(y[i] + s * v[i] - my) - (hy + abs(aside) * hz)
+        out[i] = -1.0 if (off_x > 0.0) | (off_y > 0.0) else 1.0
 
 
 @exact

@@ -32,6 +32,12 @@ def to_frame(prim: Floats, k: int, m: int, ray: Floats, local: Floats) -> None:
     a, b, c = prim[k, TURN], prim[k, TURN + 1], prim[k, TURN + 2]
     d, e, f = prim[k, TURN + 3], prim[k, TURN + 4], prim[k, TURN + 5]
     g, h, q = prim[k, TURN + 6], prim[k, TURN + 7], prim[k, TURN + 8]
+    if a == 1.0 and e == 1.0 and q == 1.0:  # of a rotation: none
+        for i in range(m):
+            lx[i], ly[i], lz[i] = x[i] - ox, y[i] - oy, z[i] - oz
+        for i in range(m):
+            ru[i], rv[i], rw[i] = u[i], v[i], w[i]
+        return
     for i in range(m):
         px, py, pz = x[i] - ox, y[i] - oy, z[i] - oz
         lx[i], ly[i], lz[i] = px * a + py * d + pz * g, px * b + py * e + pz * h, px * c + py * f + pz * q

@@ -337,6 +337,11 @@ def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
 @exact
 def _blend(opaque: bool, before: bool, m: int, state: Ints, front: Floats, colour: Floats) -> None:
     """Black where nothing shines, and what stands before the sheet."""
+    dark = 0
+    for i in range(m):
+        dark += 1 if (state[i] == BLACK) | (state[i] == BEFORE) | (opaque & (state[i] == BESIDE)) else 0
+    if dark == 0:
+        return
     for c in range(3):
         out, ahead = colour[c, :m], front[c, :m]
         for i in range(m):

@@ -151,21 +151,34 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     count = view.width * view.height * still.camera.samples
     fast = count > SMALL_PICTURE if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)
-    light = np.empty((view.height, view.width, 3))
-    samples = np.empty((view.height, view.width), dtype=np.int64)
-    error = np.empty((view.height, view.width))
-    side = min(TILES[1], max(TILES[0], math.isqrt(BLOCK // still.camera.samples)))
-    corners = [(y, x) for y in range(0, view.height, side) for x in range(0, view.width, side)]
+    shape = view.height, view.width
+    light, samples, error = np.zeros((*shape, 3)), np.ones(shape, dtype=np.int64), np.zeros(shape)
+    single = still.camera.samples == 1 and not still.camera.noise > 0.0
+    height, width = _tile_shape(view, still.camera.samples, single)
+    corners = [(y, x) for y in range(0, view.height, height) for x in range(0, view.width, width)]
 
     def one(corner: tuple[int, int]) -> None:
-        rows = slice(corner[0], min(corner[0] + side, view.height))
-        columns = slice(corner[1], min(corner[1] + side, view.width))
+        rows = slice(corner[0], min(corner[0] + height, view.height))
+        columns = slice(corner[1], min(corner[1] + width, view.width))
+        if single:
+            pixels = np.arange(rows.start * view.width, rows.stop * view.width)
+            total = light[rows].reshape(-1, 3)  # whole rows: no copy
+            _sample(viewing, view, pixels, np.arange(len(pixels)), 0, 1, 1, total, np.zeros((0, 3)))
+            return
         light[rows, columns], samples[rows, columns], error[rows, columns] = tile(
             viewing, still, view, rows, columns
         )
 
     _each(one, corners, thread_count(threads), progress)
     return Picture(light, samples, error, still, viewing.passage, window)
+
+
+def _tile_shape(view: View, samples: int, single: bool) -> tuple[int, int]:
+    """Height and width of a tile: whole rows of single samples, else a square of about a block of rays."""
+    if single:
+        return max(1, BLOCK // view.width), view.width
+    side = min(TILES[1], max(TILES[0], math.isqrt(BLOCK // samples)))
+    return side, side
 
 
 def _each(
@@ -189,8 +202,8 @@ def _each(
 
 def tile(
     viewing: Viewing, scene: Scene, view: View, rows: slice, columns: slice
-) -> tuple[Floats, Ints | int, Floats | float]:
-    """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...), or one for all.
+) -> tuple[Floats, Ints, Floats]:
+    """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...).
 
     With a noise target, pixels that miss it (or whose neighbours do) get as many samples again as they
     have, until they meet it or have `most_samples`.
@@ -199,9 +212,6 @@ def tile(
     pixels = (y * view.width + x).ravel().astype(np.int64)
     camera = scene.camera
     total, active = np.zeros((len(pixels), 3)), np.arange(len(pixels))
-    if camera.samples == 1 and not camera.noise > 0.0:
-        _sample(viewing, view, pixels, active, 0, 1, 1, total, np.zeros((0, 3)))
-        return total.reshape(*y.shape, 3), 1, 0.0
     square = np.zeros((len(pixels), 3))
     count = np.zeros(len(pixels), dtype=np.int64)
     most = max(camera.samples, camera.most_samples) if camera.noise > 0.0 else camera.samples

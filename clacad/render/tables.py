@@ -32,8 +32,8 @@ class Tables(NamedTuple):
     ----------
     world : (14,)
         Ambient, key, direction to the light (3), zenith (3), horizon (3), ground (3).
-    cluster : (m, 6)
-        First and end primitive, centre and radius of a sphere round them.
+    cluster : (m, 8)
+        First and end primitive, centre and half extents of a box round them (infinite round a floor).
     prim : (n, 33)
         A primitive a row, columns as named above.
     store : (k,)
@@ -66,5 +66,46 @@ def tables(stage: Stage) -> Tables:
          stage.rotation.reshape(-1, 9), stage.colours.reshape(-1, 6)]
     )  # fmt: skip
     world = np.concatenate([[stage.ambient, stage.key], stage.towards_light, stage.sky.ravel(), stage.ground])
-    cluster = np.column_stack([stage.cluster, stage.cluster_bound])
+    cluster = np.column_stack([stage.cluster, _boxes(stage)])
     return Tables(world, np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH), store)
+
+
+def _boxes(stage: Stage) -> Floats:
+    """Centre and half extents (m, 6) of a box along the scene's axes round each object."""
+    found = np.empty((len(stage.cluster), 6))
+    for row, (first, end) in enumerate(stage.cluster):
+        corners = np.array([_box(stage, k) for k in range(first, end)]).reshape(-1, 2, 3)
+        low, high = corners[:, 0].min(axis=0, initial=np.inf), corners[:, 1].max(axis=0, initial=-np.inf)
+        if np.isfinite(corners).all():
+            found[row, :3], found[row, 3:] = (
+                0.5 * (low + high),
+                0.5 * (high - low) + 1e-9 * np.abs(high - low).max(),
+            )
+        else:
+            found[row, :3], found[row, 3:] = 0.0, np.inf
+    return found
+
+
+def _box(stage: Stage, k: int) -> Floats:
+    """Low and high corner (2, 3), scene frame, of a box round primitive k."""
+    kind, (a, b, c, _) = stage.kind[k], stage.size[k]
+    half, middle = np.array([a, b, c]), np.zeros(3)
+    if kind == FLOOR:
+        return np.array([[-np.inf] * 3, [np.inf] * 3])
+    if kind == SPHERE:
+        half = np.full(3, a)
+    elif kind == CONE:
+        radius = max(a, b)
+        half, middle = np.array([radius, 0.5 * c, radius]), np.array([0.0, 0.5 * c, 0.0])
+    elif kind == SCREEN:
+        half = np.array([a, b, 0.0])
+    elif kind in (PRISM, MESH):
+        if kind == PRISM:
+            outline = stage.outline[stage.piece[k, 0] : stage.piece[k, 1]]
+            low, high = np.append(outline.min(axis=0), -a), np.append(outline.max(axis=0), a)
+        else:
+            low, high = stage.forest.low[stage.root[k]], stage.forest.high[stage.root[k]]
+        half, middle = 0.5 * (high - low), 0.5 * (high + low)
+    turn = stage.rotation[k]
+    centre, reach = turn @ middle + stage.origin[k], np.abs(turn) @ half
+    return np.array([centre - reach, centre + reach])
