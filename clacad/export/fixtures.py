@@ -1,4 +1,4 @@
-"""Fixtures and kernel files: baffle (STL), frame and coupon (STEP), the bodies as BREP; each read back.
+"""Fixtures and kernel files: baffle (STL), frame, coupon and marked bodies (STEP), bodies as BREP; each read back.
 
 The modelling runs in the worker, for the kernel can crash; the parent gets numbers only.
 """
@@ -68,6 +68,20 @@ def coupon_records(job: Job) -> list[FileRecord]:
     return _modelled(job, "coupon")
 
 
+def marked_records(job: Job) -> list[FileRecord]:
+    """Write the bodies with name and arrow engraved in their border, one STEP file each.
+
+    Raises
+    ------
+    LimitRefused
+        More cells than the kernel takes.
+    NoFixture
+        The bodies have no border, or one too narrow.
+    """
+    _refuse_many(job, "marked")
+    return _modelled(job, "marked")
+
+
 def brep_records(job: Job) -> list[FileRecord]:
     """Write the bodies as one BREP file for the CAD kernel.
 
@@ -76,14 +90,19 @@ def brep_records(job: Job) -> list[FileRecord]:
     LimitRefused
         More cells than the kernel takes.
     """
+    _refuse_many(job, "BREP")
+    return _modelled(job, "brep")
+
+
+def _refuse_many(job: Job, what: str) -> None:
     from clacad.export.errors import LimitRefused
 
     cells = job.window.lattice.cell_count
     if cells > MOST_BREP_CELLS:
         raise LimitRefused(
-            f"BREP of {cells:,} cells: the kernel takes up to {MOST_BREP_CELLS:,}\n  use --cells 50x50, or --format step"
+            f"{what} of {cells:,} cells: the kernel takes up to {MOST_BREP_CELLS:,}\n"
+            "  use --cells 50x50, or --format step"
         )
-    return _modelled(job, "brep")
 
 
 def _modelled(job: Job, what: str) -> list[FileRecord]:
@@ -123,11 +142,15 @@ def _parts(what: str, window: Window) -> dict[str, Any]:
     if what == "frame":
         from clacad.fixture import frame_solids, frame_spec
 
-        return frame_solids(frame_spec(window, window.land.border))
+        return frame_solids(frame_spec(window, window.land.border), window.name)
     if what == "coupon":
         from clacad.fixture import coupon_solid
 
         return {"coupon": coupon_solid(window)}
+    if what == "marked":
+        from clacad.fixture import marked_solids
+
+        return {f"{name}.marked": part for name, part in marked_solids(window, window.name).items()}
     from clacad.brep import solids
 
     return {body.name: part for body, part in zip(window.bodies, solids(window), strict=True)}
@@ -137,7 +160,9 @@ def _step(part: Any, name: str, path: Path) -> dict[str, Any]:
     from build123d import Color, export_step, import_step
 
     part.label = name
-    part.color = Color(0.15, 0.15, 0.17) if name != "coupon" else Color(0.62, 0.78, 0.90)
+    part.color = (
+        Color(0.62, 0.78, 0.90) if name == "coupon" or name.endswith(".marked") else Color(0.15, 0.15, 0.17)
+    )
     export_step(part, str(path), timestamp="2000-01-01T00:00:00")
     return _facts(part, import_step(str(path)), [name])
 

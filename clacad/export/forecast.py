@@ -34,7 +34,7 @@ QUADS = (64, 32, 16, 8, 4)
 
 MESH_FORMATS = ("stl", "stl-parts", "3mf", "ply", "glb")
 WELDED_FORMATS = ("3mf", "ply", "glb")
-FIXTURES = ("baffle", "frame", "coupon", "brep")
+FIXTURES = ("baffle", "frame", "coupon", "brep", "marked")
 MOST_WELDED = 8_000_000
 """Facets up to which a mesh is welded into shared vertices in memory."""
 

@@ -8,9 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.export.atomic import Stage, canonical_json, file_hash, flush
+from clacad.export.atomic import Stage, canonical_json, file_hash
 from clacad.export.errors import UnknownFormat
-from clacad.export.fixtures import baffle_records, brep_records, coupon_records, frame_records
+from clacad.export.exchange import flush
+from clacad.export.fixtures import baffle_records, brep_records, coupon_records, frame_records, marked_records
 from clacad.export.manifest import FileRecord
 from clacad.export.request import Request
 from clacad.export.truth import Integral, body_volume, volume_sum
@@ -312,7 +313,7 @@ def _pov(job: Job) -> list[FileRecord]:
 FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
-    "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records,
+    "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""
 
