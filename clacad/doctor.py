@@ -244,8 +244,9 @@ def _threads() -> Iterator[Finding]:
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
-    from clacad.export.atomic import Stage, flush, translated
+    from clacad.export.atomic import Stage, translated
     from clacad.export.errors import CannotWrite
+    from clacad.export.exchange import flush
     from clacad.export.forecast import free_disk
 
     if not folder.is_dir():

@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 from clacad.export.errors import CannotWrite, ExportRefused
+from clacad.export.exchange import OLD, Unfinished, exchange, flush, undisturbed
 
 MANIFEST = "manifest.json"
 RUN_FACTS = "run.json"
 _SEALED = "sealed-manifest.json"
-_PREVIOUS = "previous-manifest.json"
 _PRIVATE = re.compile(r"\.clacad-(\d+)-(\d+)-[0-9a-f]+\Z")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}\Z")
 _BLOCK = 1 << 20
@@ -88,6 +88,7 @@ class Stage:
         self.overwrite = overwrite
         self._private: Path | None = None
         self._lock: int | None = None
+        self._torn = False
 
     def __enter__(self) -> Stage:
         with translated(self.folder):
@@ -98,12 +99,16 @@ class Stage:
             sweep(self.folder)
             name = f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
             self._private = self.folder / name
-            self._private.mkdir(mode=0o700)
-            self._lock = _locked(self._private)
+            try:
+                self._private.mkdir(mode=0o700)
+                self._lock = _locked(self._private)
+            except BaseException:
+                self.__exit__()
+                raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._private is not None:
+        if self._private is not None and not self._torn:
             shutil.rmtree(self._private, ignore_errors=True)
         if self._lock is not None:
             os.close(self._lock)
@@ -168,18 +173,28 @@ class Stage:
             for name in names:
                 flush(self._private / name)
             if manifest is None:
-                with _publishing(self.folder):
-                    for name in names:
-                        os.replace(self._private / name, self.folder / name)
+                with undisturbed(), _publishing(self.folder):
+                    exchange(self._private, self.folder, names, [])
                     flush(self.folder)
                 return
             draft = self.path(MANIFEST)
             self._write_json(draft, manifest)
             flush(draft)
             flush(self._private)
-            os.replace(draft, self._private / _SEALED)  # the point of no return
-            flush(self._private)
-            _finish(self._private, self.folder)
+            with undisturbed():
+                os.replace(
+                    draft, self._private / _SEALED
+                )  # from here on a killed publication is finished later
+                flush(self._private)
+                self._torn = True
+                try:
+                    _finish(self._private, self.folder)
+                    self._torn = False
+                except Unfinished:
+                    raise
+                except OSError:
+                    self._torn = False
+                    raise
 
     @staticmethod
     def _write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -263,17 +278,11 @@ def _finish(private: Path, folder: Path) -> None:
     The old manifest goes first: while files of two exports stand side by side, none vouches for them.
     """
     with _publishing(folder):
-        if os.path.lexists(folder / MANIFEST):
-            os.replace(folder / MANIFEST, private / _PREVIOUS)
-            flush(folder)
-        for file in _dropped(private, folder):
-            with suppress(FileNotFoundError):
-                os.unlink(file)
-        for file in sorted(private.iterdir()):
-            if file.name not in (_SEALED, _PREVIOUS):
-                os.replace(file, folder / file.name)
-        flush(folder)
-        os.replace(private / _SEALED, folder / MANIFEST)
+        (private / OLD).mkdir(exist_ok=True)
+        gone = [MANIFEST] if os.path.lexists(folder / MANIFEST) else []
+        gone += _dropped(private, folder)
+        names = sorted(p.name for p in private.iterdir() if p.name not in (_SEALED, OLD))
+        exchange(private, folder, names, gone, (_SEALED, MANIFEST))
         flush(folder)
 
 
@@ -288,28 +297,16 @@ def _publishing(folder: Path) -> Iterator[None]:
             os.close(lock)
 
 
-def _dropped(private: Path, folder: Path) -> list[Path]:
-    """List unchanged files of the previous export that the new one does not list: they would mislead."""
-    old = read_manifest(private, _PREVIOUS)
+def _dropped(private: Path, folder: Path) -> list[str]:
+    """Names of unchanged files of the previous export that the new one does not list: they would mislead."""
+    old = read_manifest(folder) or read_manifest(private / OLD)
     if old is None:
         return []
     sealed = json.loads((private / _SEALED).read_text(encoding="utf-8"))
     kept = {entry["name"] for entry in sealed["files"]}
     names = [e["name"] for e in old["files"] if isinstance(e, dict) and isinstance(e.get("name"), str)]
-    plain = [folder / name for name in names if name not in kept and _NAME.match(name)]
-    return [path for path in plain if path.is_file() and not path.is_symlink() and owns(old, path)]
-
-
-def flush(path: Path) -> None:
-    """Force a file or folder to the disk (folders: where the system allows it)."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    except OSError:
-        if not path.is_dir():
-            raise
-    finally:
-        os.close(descriptor)
+    plain = [folder / name for name in names if name not in kept and _NAME.match(name) and name != MANIFEST]
+    return [path.name for path in plain if path.is_file() and not path.is_symlink() and owns(old, path)]
 
 
 @contextmanager

@@ -1,0 +1,113 @@
+"""Files change places all together or not at all: what was there is kept until the last one stands."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+OLD = "old"
+"""Subfolder of the private folder for what was at the final names before."""
+
+
+class Unfinished(OSError):
+    """A publication that could be neither carried out nor undone; the next export into the folder finishes it."""
+
+
+def exchange(
+    private: Path, folder: Path, names: list[str], gone: list[str], last: tuple[str, str] | None = None
+) -> None:
+    """Move files into place, old ones out of it, and one last; undo it all if one cannot be moved.
+
+    Parameters
+    ----------
+    private, folder : path
+        Where the files are, and where they shall be.
+    names : list of str
+        Files to be moved, under their names.
+    gone : list of str
+        Files of `folder` that go first and for good.
+    last : (str, str) or None
+        A private file and the name it is published by.
+
+    Raises
+    ------
+    OSError
+        Nothing has changed.
+    Unfinished
+    """
+    old = private / OLD
+    old.mkdir(exist_ok=True)
+    undo: list[tuple[Path, Path | None, Path]] = []  # target, its old content, where the new content was
+    try:
+        for name in gone:
+            undo.append((folder / name, old / name, old / name))
+            os.replace(folder / name, old / name)
+        if gone:
+            flush(folder)
+        for name, public in [*zip(names, names), *([last] if last else [])]:
+            target = folder / public
+            there = os.path.lexists(target)
+            if there:
+                _keep(target, old / name)
+            undo.append((target, old / name if there else None, private / name))
+            if last == (name, public):
+                flush(folder)
+            os.replace(private / name, target)
+    except OSError as error:
+        try:
+            _undone(undo)
+        except OSError as again:
+            raise Unfinished(error.errno, error.strerror, error.filename) from again
+        raise
+
+
+def _keep(file: Path, as_well: Path) -> None:
+    """Give a file a second name; where there are no hard links, a copy."""
+    with suppress(FileNotFoundError):
+        as_well.unlink()
+    try:
+        os.link(file, as_well, follow_symlinks=False)
+    except (OSError, NotImplementedError):
+        shutil.copy2(file, as_well, follow_symlinks=False)
+
+
+def _undone(undo: list[tuple[Path, Path | None, Path]]) -> None:
+    """Put everything back where it was, the last first; a target never holds anything but old or new content."""
+    for target, old, new in reversed(undo):
+        if new != old and not os.path.lexists(new):
+            _keep(target, new)
+        if old is None:
+            target.unlink(missing_ok=True)
+        elif os.path.lexists(old):
+            os.replace(old, target)
+            old.unlink(missing_ok=True)  # two names of one file: the line above left both
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Let signals wait for the few milliseconds in which files change places."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def flush(path: Path) -> None:
+    """Force a file or folder to the disk (folders: where the system allows it)."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        if not path.is_dir():
+            raise
+    finally:
+        os.close(descriptor)
