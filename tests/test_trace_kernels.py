@@ -7,9 +7,9 @@ import sys
 
 import numpy as np
 import pytest
-from oracle.windows import beam, biconvex, collection
+from oracle.windows import beam, biconvex, collection, slab
 
-from clacad.rays import Rays
+from clacad.rays import Fate, Rays
 from clacad.trace import trace
 
 WINDOWS = collection()
@@ -64,3 +64,19 @@ def test_a_small_job_does_not_load_the_compiler():
     )
     path = [p for p in sys.path if p]
     subprocess.run([sys.executable, "-c", f"import sys; sys.path[:0] = {path!r}\n{code}"], check=True)
+
+
+@pytest.mark.parametrize("name", ["biconvex", "slab"])
+def test_single_precision_shows_the_same_light_to_a_microradian(name):
+    window = {"biconvex": biconvex, "slab": slab}[name]()
+    rays = Rays(*beam(window, 20_000, 5))
+    double, single = (trace(window, rays, path="numba", precision=p) for p in ("float64", "float32"))
+    assert (double.fate == single.fate).mean() > 0.999
+    lit = (double.fate == single.fate) & (double.fate <= Fate.GHOST) & (double.order == single.order).all(axis=1)
+    assert lit.sum() > 1000
+    apart = np.linalg.norm(double.direction - single.direction, axis=1)[lit]
+    assert 1e-9 < np.median(apart) < 1e-6, "rounded to 24 bits, not to 53"
+    assert np.quantile(apart, 0.999) < 1e-5
+    for wrong in ({"rung": "thin"}, {"path": "numpy"}, {"record": True}, {"effects": ("fresnel",)}):
+        with pytest.raises(ValueError, match="float32"):
+            trace(window, rays, precision="float32", **wrong)

@@ -45,6 +45,7 @@ def trace(
     normals: Normals = "facet",
     threads: int | None = None,
     path: Literal["numpy", "numba"] | None = None,
+    precision: Literal["float64", "float32"] = "float64",
 ) -> TraceResult:
     """Trace rays through a window.
 
@@ -68,6 +69,9 @@ def trace(
     path : "numpy", "numba" or None
         Which implementation; None takes numpy for small jobs, where compiled kernels would cost more to load
         than they save.
+    precision : "float64" or "float32"
+        Rung "surfaces" without effects only: "float32" computes the straight path of the light in single
+        precision, for pictures; directions are then good to about a microradian. Always compiled.
 
     Returns
     -------
@@ -77,8 +81,15 @@ def trace(
     Raises
     ------
     ValueError
-        An unknown rung, a mesh missing or of other bodies, or a wavelength outside a material's data.
+        An unknown rung, a precision the rung does not have, a mesh missing or of other bodies, or a wavelength outside a material's data.
     """
+    if precision not in ("float64", "float32"):
+        raise ValueError(f'precision is {precision!r}, not "float64" or "float32"')
+    single = precision == "float32"
+    if single and (rung != "surfaces" or effects or record or path == "numpy"):
+        raise ValueError(
+            'precision "float32" is for rung "surfaces", compiled, with no effects and no record'
+        )
     if effects:
         from clacad.effects import trace_with  # passes over the blocks of a trace without them
 
@@ -93,8 +104,10 @@ def trace(
     if rung == "mesh":
         return _through_mesh(window, rays, mesh, normals, recorded, threads)
     layout = lay_out(window)
-    if rung == "surfaces" and (path == "numba" or (path is None and len(rays) * faces > SMALL_JOB)):
-        return _compiled(layout, rays, recorded, threads)
+    if single or (
+        rung == "surfaces" and (path == "numba" or (path is None and len(rays) * faces > SMALL_JOB))
+    ):
+        return _compiled(layout, rays, recorded, threads, single=single)
     ledger = Ledger.opened(rays, recorded)
     rows = ledger.launchable()
     if rung == "law":
@@ -133,7 +146,12 @@ def _through_mesh(
 
 
 def _compiled(
-    layout: Layout, rays: Rays, recorded: int, threads: int | None, tiles: Tiles | None = None
+    layout: Layout,
+    rays: Rays,
+    recorded: int,
+    threads: int | None,
+    tiles: Tiles | None = None,
+    single: bool = False,
 ) -> TraceResult:
     """Exact surfaces, or the facets of `tiles`, by the compiled kernels."""
     from clacad.trace.compiled_surfaces import thread_count, trace_compiled
@@ -145,11 +163,11 @@ def _compiled(
     if line is not False:  # the kernels write every row themselves
         ledger = Ledger.blank(len(rays), recorded)
         indices = tuple(body.index_at(line) for body in layout.window.bodies)
-        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets)
+        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets, single)
         return ledger.closed()
     ledger = Ledger.opened(rays, recorded)
     for rows, indices in colours(layout, rays, ledger.launchable()):
-        trace_compiled(layout, rays, ledger, rows, indices, count, facets)
+        trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
     return ledger.closed()
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from clacad.rays import Rays
-from clacad.trace.kernel_block import trace_chunk
+from clacad.trace.kernel_block import trace_chunk, trace_chunk_single
 from clacad.trace.layout import Layout
 from clacad.trace.ledger import Ledger, Rows
 from clacad.trace.mesh_layout import NO_TILES, Tiles
@@ -27,21 +28,31 @@ def trace_compiled(
     indices: Sequence[float],
     threads: int,
     tiles: Tiles = NO_TILES,
+    single: bool = False,
 ) -> None:
     """Trace the rays `rows`, whatever they are, and write their rows; the results of `surfaces.trace_surfaces`.
 
     tiles : facets in place of the smooth faces
+    single : the straight path in single precision; rays that need the walk are walked in double
     """
     packed = pack(layout)
     position, direction = np.ascontiguousarray(rays.position), np.ascontiguousarray(rays.direction)
     each = np.asarray(indices, dtype=np.float64)
 
+    scene: tuple[Any, ...] = (tiles, packed.faces, packed.bodies, packed.lattice, packed.rows, each)
+    kernel = trace_chunk
+    if single:
+        kernel, rounded = (
+            trace_chunk_single,
+            (packed.faces, packed.bodies, packed.lattice, each, np.empty((0, 0, 3))),
+        )
+        scene += tuple(array.astype(np.float32) for array in rounded)
+
     def one(chosen: Rows) -> int:
-        return trace_chunk(
-            tiles, packed.faces, packed.bodies, packed.lattice, packed.rows, each, chosen, position, direction,
-            ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order,
-            ledger.surface, ledger.hits, ledger.directions,
-        )  # fmt: skip
+        return int(kernel(
+            *scene, chosen, position, direction, ledger.position, ledger.direction, ledger.fate,
+            ledger.optical_path, ledger.cell, ledger.order, ledger.surface, ledger.hits, ledger.directions,
+        ))  # fmt: skip
 
     chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]
     if threads == 1 or len(chunks) == 1:

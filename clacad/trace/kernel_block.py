@@ -14,7 +14,7 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 
 from __future__ import annotations
 
-from math import floor, inf, isfinite, sqrt
+from math import inf, isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,10 +56,14 @@ Ints = NDArray[np.int64]
 Rows = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
 Cells = NDArray[np.int32]
+Singles = NDArray[np.float32]
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
 BEHIND_START = -8 * 2.0**-52
+
+LAUNCHED = (X, Y, Z, DX, DY, DZ, PATH, GOOD, CI, CJ)
+ARRIVED = (*LAUNCHED, CI0, CJ0)
 
 
 @fused
@@ -67,6 +71,8 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: flo
     """First loop of a face: to the hit. Positions plus (ox, oy, oz) are relative to the vertex, and are after."""
     x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
+    real = s.dtype.type
+    one, n1, ox, oy, oz = real(1.0), real(n1), real(ox), real(oy), real(oz)
     for i in range(m):
         u, v, w = dx[i], dy[i], dz[i]
         down = z[i] + oz
@@ -76,7 +82,7 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: flo
         c = cx * px * px + cy * py * py
         r = sqrt(b * b - a * c)
         q = side * r - b
-        inverse = 1.0 / (w * q)
+        inverse = one / (w * q)
         x[i] = (px * q + c * u) * inverse
         y[i] = (py * q + c * v) * inverse
         z[i] = c * w * inverse
@@ -91,6 +97,8 @@ def _turn_in(face: Floats, s: Floats, m: int, ox: float, oy: float, oz: float) -
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
+    real = s.dtype.type
+    ox, oy, oz = real(ox), real(oy), real(oz)
     for i in range(m):
         u, v, w = x[i] + ox, y[i] + oy, z[i] + oz
         x[i], y[i], z[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
@@ -107,6 +115,7 @@ def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
+    climb = s.dtype.type(climb)
     for i in range(m):
         u, v, w = x[i], y[i], z[i]
         x[i], y[i], z[i] = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + k * w
@@ -127,10 +136,11 @@ def _refract_quadric(
     x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[GOOD]
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk, vx, vy = face[slot.SIDE] * face[slot.KX], face[slot.VX], face[slot.VY]
-    mu = n1 / n2
-    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    real = s.dtype.type
+    one, mu, weight = real(1.0), real(n1 / n2), real((n2 - n1) / n2 * ((n2 + n1) / n2))
+    climb, hx, hy = real(climb), real(hx), real(hy)
     for i in range(m):
-        gx, gy, gz = sx * x[i], sy * y[i], 1.0 - sk * z[i]
+        gx, gy, gz = sx * x[i], sy * y[i], one - sk * z[i]
         incident = mu * root[i]
         g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
         dx[i] = mu * dx[i] + g * gx
@@ -146,9 +156,9 @@ def _normals(face: Floats, s: Floats, m: int) -> None:
     """Normals of a quadric at the hits."""
     x, y, z, gx, gy, gz = s[X], s[Y], s[Z], s[GX], s[GY], s[GZ]
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
-    sk = face[slot.SIDE] * face[slot.KX]
+    sk, one = face[slot.SIDE] * face[slot.KX], s.dtype.type(1.0)
     for i in range(m):
-        gx[i], gy[i], gz[i] = sx * x[i], sy * y[i], 1.0 - sk * z[i]
+        gx[i], gy[i], gz[i] = sx * x[i], sy * y[i], one - sk * z[i]
 
 
 @exact
@@ -185,7 +195,8 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
 @fused
 def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
     """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
-    x, y, good = s[X], s[Y], s[GOOD]
+    x, y, good, real = s[X], s[Y], s[GOOD], s.dtype.type
+    margin, ox, oy, middle = real(margin), real(ox), real(oy), real(0.5)
     if lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
         for i in range(m):
@@ -194,7 +205,7 @@ def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float
     half, slant = lat[slot.HALF] - margin, lat[slot.NORMAL + 3]
     for i in range(m):
         u, v = x[i] + ox, y[i] + oy
-        one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
+        one, two, three = abs(u), abs(middle * u + slant * v), abs(middle * u - slant * v)
         good[i] = least(least(good[i], half - one), least(half - two, half - three))
 
 
@@ -202,6 +213,8 @@ def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
     """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
+    real = s.dtype.type
+    level, ox, oy, margin, middle = real(level), real(ox), real(oy), real(margin), real(0.5)
     half, half_y, slant = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin, lat[slot.NORMAL + 3]
     if lat[slot.HEXAGONAL] == 0.0:
         for i in range(m):
@@ -212,7 +225,7 @@ def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: flo
     for i in range(m):
         rise, edge = level - z[i], half * dz[i]
         u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
-        one, two, three = abs(u), abs(0.5 * u + slant * v), abs(0.5 * u - slant * v)
+        one, two, three = abs(u), abs(middle * u + slant * v), abs(middle * u - slant * v)
         good[i] = least(least(good[i], edge - one), least(edge - two, edge - three))
 
 
@@ -242,21 +255,30 @@ def _carry(
         The rays' origin, seen from the centre of their cell.
     """
     x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[PATH], s[CI], s[CJ]
-    rx, ry = ox - change * lat[slot.RESIDUAL], oy - change * lat[slot.RESIDUAL + 1]
-    wi, wj = change * lat[slot.WHOLE_STEPS], change * lat[slot.WHOLE_STEPS + 1]
+    real = s.dtype.type
+    rise, level, index, zero, middle, one = (
+        real(rise),
+        real(level),
+        real(index),
+        real(0.0),
+        real(0.5),
+        real(1.0),
+    )
+    rx, ry = real(ox - change * lat[slot.RESIDUAL]), real(oy - change * lat[slot.RESIDUAL + 1])
+    wi, wj = real(change * lat[slot.WHOLE_STEPS]), real(change * lat[slot.WHOLE_STEPS + 1])
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
-    per_pitch, per_row = 1.0 / pitch, 1.0 / row
+    per_pitch, per_row = one / pitch, one / row
     if lat[slot.HEXAGONAL] == 0.0:
         for i in range(m):
             t = (rise - z[i]) / dz[i]
             u, v = x[i] + rx + t * dx[i], y[i] + ry + t * dy[i]
-            a, b = floor(u * per_pitch + 0.5), floor(v * per_row + 0.5)
+            a, b = np.floor(u * per_pitch + middle), np.floor(v * per_row + middle)
             x[i], y[i], z[i] = u - a * pitch, v - b * row, level
             ci[i] += a - wi
             cj[i] += b - wj
             path[i] += index * t
         return
-    half, slant = 0.5 * pitch, row / pitch
+    half, slant = middle * pitch, row / pitch
     for i in range(m):
         t = (rise - z[i]) / dz[i]
         x[i] += rx + t * dx[i]
@@ -264,14 +286,14 @@ def _carry(
         z[i] = level
         path[i] += index * t
     for i in range(m):
-        b = floor(y[i] * per_row + 0.5)
-        a = floor(x[i] * per_pitch - 0.5 * b + 0.5)
-        u, v = x[i] - (a + 0.5 * b) * pitch, y[i] - b * row
-        two, three = 0.5 * u + slant * v, -0.5 * u + slant * v
-        second = (1.0 if two >= half else 0.0) - (1.0 if two < -half else 0.0)
-        third = ((1.0 if three >= half else 0.0) - (1.0 if three < -half else 0.0)) * (1.0 - abs(second))
+        b = np.floor(y[i] * per_row + middle)
+        a = np.floor(x[i] * per_pitch - middle * b + middle)
+        u, v = x[i] - (a + middle * b) * pitch, y[i] - b * row
+        two, three = middle * u + slant * v, -middle * u + slant * v
+        second = (one if two >= half else zero) - (one if two < -half else zero)
+        third = ((one if three >= half else zero) - (one if three < -half else zero)) * (one - abs(second))
         a, b = a - third, b + second + third
-        x[i] -= (a + 0.5 * b) * pitch
+        x[i] -= (a + middle * b) * pitch
         y[i] -= b * row
         ci[i] += a - wi
         cj[i] += b - wj
@@ -281,10 +303,11 @@ def _carry(
 def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
     """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
     x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
+    climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
     if lat[slot.PLAIN] != 0.0:
-        n1, n2, hx, hy = lat[slot.N1] - 0.5, lat[slot.N2] - 0.5, lat[slot.HALF], lat[slot.HALF + 1]
+        n1, n2, hx, hy = lat[slot.N1] - middle, lat[slot.N2] - middle, lat[slot.HALF], lat[slot.HALF + 1]
         for i in range(m):
-            inside = least(least(ci[i] + 0.5, n1 - ci[i]), least(cj[i] + 0.5, n2 - cj[i]))
+            inside = least(least(ci[i] + middle, n1 - ci[i]), least(cj[i] + middle, n2 - cj[i]))
             local = least(hx - abs(x[i]), hy - abs(y[i]))
             good[i] = least(least(good[i], dz[i] - climb), least(inside, local))
         return
@@ -298,23 +321,23 @@ def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
 
 
 @fused
-def centres(
-    lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float
-) -> None:
+def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float) -> None:
     """Sheet-frame x and y of points plus (ox, oy)."""
     x, y, ci, cj = s[X], s[Y], s[CI], s[CJ]
     sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    real = s.dtype.type
+    ox, oy, middle, one, two = real(ox), real(oy), real(0.5), real(1.0), real(2.0)
     if lat[slot.HEXAGONAL] != 0.0:
         x0, y0 = lat[slot.X0], lat[slot.Y0]
         for i in range(m):
-            px[i] = (x0 + (ci[i] + 0.5 * cj[i]) * pitch + sx) + (x[i] + ox)
+            px[i] = (x0 + (ci[i] + middle * cj[i]) * pitch + sx) + (x[i] + ox)
             py[i] = (y0 + cj[i] * row + sy) + (y[i] + oy)
         return
-    across, along = lat[slot.N1] - 1.0, lat[slot.N2] - 1.0
+    across, along = lat[slot.N1] - one, lat[slot.N2] - one
     for i in range(m):
-        px[i] = ((2.0 * ci[i] - across) * (0.5 * pitch) + sx) + (x[i] + ox)
-        py[i] = ((2.0 * cj[i] - along) * (0.5 * row) + sy) + (y[i] + oy)
+        px[i] = ((two * ci[i] - across) * (middle * pitch) + sx) + (x[i] + ox)
+        py[i] = ((two * cj[i] - along) * (middle * row) + sy) + (y[i] + oy)
 
 
 @fused
@@ -329,7 +352,7 @@ def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: floa
         body[slot.INNER_Y],
         body[slot.INNER_R],
     )
-    square = radius * radius if radius > 0.0 else 0.0
+    square = radius * max(radius, s.dtype.type(0.0))
     for i in range(m):
         u, v = px[i] - mx, py[i] - my
         inside = least(hx - abs(u), hy - abs(v))
@@ -413,7 +436,7 @@ def _cross(
 @fused
 def _climbing(s: Floats, m: int, climb: float) -> None:
     """Rays must climb faster than a face does."""
-    dz, good = s[DZ], s[GOOD]
+    dz, good, climb = s[DZ], s[GOOD], s.dtype.type(climb)
     for i in range(m):
         good[i] = least(good[i], dz[i] - climb)
 
@@ -421,9 +444,9 @@ def _climbing(s: Floats, m: int, climb: float) -> None:
 @fused
 def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
     """The first face must not lie behind the start."""
-    path, good = s[PATH], s[GOOD]
+    path, good, behind = s[PATH], s[GOOD], s.dtype.type(BEHIND_START)
     for i in range(m):
-        slack = BEHIND_START * (abs(carried[i]) + abs(path[i] - carried[i]))
+        slack = behind * (abs(carried[i]) + abs(path[i] - carried[i]))
         good[i] = least(good[i], path[i] - slack)
 
 
@@ -495,7 +518,8 @@ def straight(
                 if not columnar and lat[slot.MARGIN] > 0.0:  # a lenslet with a seam is an island with walls
                     _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
                 if met == 0:
-                    s[CI0, :m], s[CJ0, :m] = s[CI, :m], s[CJ, :m]
+                    _copy(s[CI], s[CI0], m)
+                    _copy(s[CJ], s[CJ0], m)
             climb = 0.0
             if structured:
                 climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
@@ -535,6 +559,13 @@ def straight(
 def _load(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
     """Copy a block of starts and directions into the scratch rows."""
     x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    if _together(chosen):
+        start, ray = position[chosen[0] : chosen[-1] + 1], direction[chosen[0] : chosen[-1] + 1]
+        for k in range(len(chosen)):
+            x[k], y[k], z[k] = start[k, 0], start[k, 1], start[k, 2]
+        for k in range(len(chosen)):
+            dx[k], dy[k], dz[k] = ray[k, 0], ray[k, 1], ray[k, 2]
+        return
     for k in range(len(chosen)):
         row = chosen[k]
         x[k], y[k], z[k] = position[row, 0], position[row, 1], position[row, 2]
@@ -542,33 +573,86 @@ def _load(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
 
 
 @exact
+def _together(chosen: Rows) -> bool:
+    """Whether rows follow one another, so that a block can be moved as one piece."""
+    apart = 0
+    for k in range(len(chosen)):
+        apart |= chosen[k] - chosen[0] - k
+    return apart == 0
+
+
+@exact
 def _store(
     lat: Floats, face: Floats, s: Floats, chosen: Rows, array: int, top: float, last: int, position: Floats, direction: Floats,
     fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
 ) -> None:  # fmt: skip
-    """Write the rows of rays whose straight trace holds."""
+    """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
     m = len(chosen)
-    px, py, z, dx, dy, dz, good, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
+    px, py, z, dz, good = s[GX], s[GY], s[Z], s[DZ], s[GOOD]
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
     centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
-        good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
+        held = (good[k] > 0.0) & (dz[k] > 0.0)
+        good[k] = 1.0 if held else 0.0
+        z[k] += top
+        ci[k] = ci[k] - ci0[k] if held else 0.0
+        cj[k] = cj[k] - cj0[k] if held else 0.0
+        ci0[k] = ci0[k] if held else 0.0
+        cj0[k] = cj0[k] if held else 0.0
+    if _together(chosen):
+        own = slice(chosen[0], chosen[-1] + 1)
+        _store_together(
+            s,
+            m,
+            last,
+            position[own],
+            direction[own],
+            fate[own],
+            path[own],
+            cell[own],
+            order[own],
+            surface[own],
+        )
+        return
     for k in range(m):
-        if good[k] != 0.0:
-            row = chosen[k]
-            position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k] + top
+        row = chosen[k]
+        position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k]
+        direction[row, 0], direction[row, 1], direction[row, 2] = s[DX, k], s[DY, k], dz[k]
+        path[row], surface[row] = s[PATH, k], last
+        cell[row, 0], cell[row, 1] = np.int32(ci0[k]), np.int32(cj0[k])
+        order[row, 0], order[row, 1] = np.int32(ci[k]), np.int32(cj[k])
+        fate[row] = ALIVE if ci[k] == 0.0 and cj[k] == 0.0 else GHOST
+
+
+@exact
+def _store_together(
+    s: Floats, m: int, last: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells,
+    order: Cells, surface: Cells,
+) -> None:  # fmt: skip
+    """Write rows that follow one another."""
+    px, py, z, dx, dy, dz, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[PATH]
+    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
     for k in range(m):
-        if good[k] != 0.0:
-            row = chosen[k]
-            direction[row, 0], direction[row, 1], direction[row, 2] = dx[k], dy[k], dz[k]
+        position[k, 0], position[k, 1], position[k, 2] = px[k], py[k], z[k]
     for k in range(m):
-        if good[k] != 0.0:
-            row = chosen[k]
-            path[row], surface[row] = length[k], last
-            i, j = np.int32(ci0[k]), np.int32(cj0[k])
-            di, dj = np.int32(ci[k]) - i, np.int32(cj[k]) - j
-            cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = i, j, di, dj
-            fate[row] = ALIVE if di == 0 and dj == 0 else GHOST
+        direction[k, 0], direction[k, 1], direction[k, 2] = dx[k], dy[k], dz[k]
+    for k in range(m):
+        path[k] = length[k]
+    for k in range(m):
+        cell[k, 0], cell[k, 1] = np.int32(ci0[k]), np.int32(cj0[k])
+    for k in range(m):
+        order[k, 0], order[k, 1] = np.int32(ci[k]), np.int32(cj[k])
+    for k in range(m):
+        surface[k] = last
+    for k in range(m):
+        fate[k] = ALIVE if (ci[k] == 0.0) & (cj[k] == 0.0) else GHOST
+
+
+@exact
+def _copy(one: Floats, other: Floats, m: int) -> None:
+    """Copy a row, of whatever precision, to another: a plain loop becomes vector moves, a slice does not."""
+    for k in range(m):
+        other[k] = one[k]
 
 
 @exact
@@ -599,33 +683,82 @@ def trace_chunk(
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
-    walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
-    walked, last = 0, len(faces) - 1
-    base = bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
+    walked = 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
         _load(block, start, ray, s)
         launch_block(lat, bodies[0], s, m)
-        carried[:m] = s[PATH, :m]
+        _copy(s[PATH], carried, m)
         array = straight(tiles, faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
-        _store(
-            lat, faces[last], s, block, array, base, last, position, direction, fate, path, cell, order, surface
+        walked += _finish(
+            tiles, faces, bodies, lat, rows, indices, s, block, array, start, ray, position, direction, fate, path,
+            cell, order, surface, hits, turns,
         )  # fmt: skip
-        for k in range(m):
-            if s[GOOD, k] != 0.0:
-                continue
-            row = block[k]
-            walked += 1
-            if not _blank(
-                row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns
-            ):
-                continue
-            reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
-            if reaches:
-                walk_ray(
-                    tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
-                    fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
-                )  # fmt: skip
+    return walked
+
+
+@owning
+def trace_chunk_single(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
+    single_faces: Singles, single_bodies: Singles, single_lat: Singles, single_indices: Singles, single_hits: Singles,
+    chosen: Rows, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
+    cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """`trace_chunk` with the straight path in single precision, from the plane of the launch on."""
+    wide, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK, dtype=np.float32)
+    s = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
+    walked = 0
+    for first in range(0, len(chosen), BLOCK):
+        block = chosen[first : first + BLOCK]
+        m = len(block)
+        _load(block, start, ray, wide)
+        launch_block(lat, bodies[0], wide, m)
+        for row in LAUNCHED:
+            _copy(wide[row], s[row], m)
+        _copy(s[PATH], carried, m)
+        array = straight(
+            tiles, single_faces, single_bodies, single_lat, rows, single_indices, s, block, single_hits, single_hits,
+            carried,
+        )  # fmt: skip
+        for row in ARRIVED:
+            _copy(s[row], wide[row], m)
+        walked += _finish(
+            tiles, faces, bodies, lat, rows, indices, wide, block, array, start, ray, position, direction, fate, path,
+            cell, order, surface, hits, turns,
+        )  # fmt: skip
+    return walked
+
+
+@owning
+def _finish(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, block: Rows,
+    array: int, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells,
+    order: Cells, surface: Cells, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """Write the rows of a block that was traced straight; walk its other rays. Return how many these were."""
+    last = len(faces) - 1
+    base = bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
+    _store(
+        lat, faces[last], s, block, array, base, last, position, direction, fate, path, cell, order, surface
+    )
+    walked = 0
+    for k in range(len(block)):
+        walked += s[GOOD, k] == 0.0
+    if walked == 0:
+        return 0
+    work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
+    walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
+    for k in range(len(block)):
+        if s[GOOD, k] != 0.0:
+            continue
+        row = block[k]
+        if not _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns):
+            continue
+        reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
+        if reaches:
+            walk_ray(
+                tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
+                fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
+            )  # fmt: skip
     return walked

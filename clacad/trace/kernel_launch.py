@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from math import floor, frexp, isfinite, ldexp, nan, sqrt
 
+import numpy as np
+
 from clacad.trace import packing as slot
 from clacad.trace.compiled import exact, least, multiply_add
 from clacad.trace.kernel_block_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z
@@ -157,7 +159,7 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
 def _cells_of_axis(x: Floats, xl: Floats, cell: Floats, pitch: float, count: float, m: int) -> None:
     per_pitch, middle, half, last = 1.0 / pitch, 0.5 * count, 0.5 * pitch, count - 1.0
     for k in range(m):
-        cell[k] = floor(x[k] * per_pitch + middle)
+        cell[k] = np.floor(x[k] * per_pitch + middle)
         x[k] = multiply_add(last - 2.0 * cell[k], half, x[k]) + xl[k]
 
 
@@ -168,8 +170,8 @@ def _hexagons(
     p, row, x0, y0 = lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0]
     per_p, per_row, half, slant = 1.0 / p, 1.0 / row, 0.5 * p, row / p
     for k in range(m):
-        j = floor((y[k] - y0) * per_row + 0.5)
-        i = floor((x[k] - x0) * per_p - 0.5 * j + 0.5)
+        j = np.floor((y[k] - y0) * per_row + 0.5)
+        i = np.floor((x[k] - x0) * per_p - 0.5 * j + 0.5)
         u, v = x[k] - x0 - (i + 0.5 * j) * p, y[k] - y0 - j * row
         two, three = 0.5 * u + slant * v, -0.5 * u + slant * v
         second = (1.0 if two >= half else 0.0) - (1.0 if two < -half else 0.0)
