@@ -144,7 +144,7 @@ def make_prototile(
         )
     whole = not (part == VOID).any()
     lifted = None
-    if make.bevel > 0.0:
+    if make.bevel > 0.0 and window.land.seam == 0.0:  # lenslets that stand apart have no saddles
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
