@@ -89,6 +89,17 @@ def test_running_out_of_memory_names_the_limit() -> None:
         worker.run("worker_tricks:eat")
 
 
+@pytest.mark.parametrize("trick", ["mesh_with_the_kernel", "sphere_of_the_mesh_kernel"])
+def test_real_kernels_that_want_more_than_1_5_gb_end_in_a_sentence(trick: str) -> None:
+    """They crash, abort or raise as they like: seen were segmentation faults and std::bad_alloc."""
+    with Worker(memory=1_500_000_000) as worker:
+        with pytest.raises(WorkerDied, match=r"limit 1\.5 GB|out of memory") as caught:
+            worker.run(f"worker_tricks:{trick}", timeout=120)
+        assert caught.value.exit_status == 70
+        assert "\n" not in str(caught.value)
+        assert worker.run("worker_tricks:add", 1, 1) == 2
+
+
 def test_running_out_of_processor_time_names_the_limit() -> None:
     with Worker(cpu=1) as worker, pytest.raises(WorkerDied, match=r"1 s of processor time"):
         worker.run("worker_tricks:spin")
@@ -99,6 +110,15 @@ def test_errors_of_our_own_keep_their_kind(worker: Worker) -> None:
         worker.run("worker_tricks:refuse")
     with pytest.raises(CannotWrite, match="no space left"):
         worker.run("worker_tricks:cannot")
+
+
+def test_a_kernel_that_hears_nothing_is_ended_at_once() -> None:
+    """The parent waits on a pipe, so its own end needs no answer from the kernel."""
+    with Worker() as worker:
+        with pytest.raises(WorkerDied, match=r"did not finish within 4 s.*meshing"):
+            worker.run("worker_tricks:stuck_in_the_kernel", timeout=4)
+        began = time.monotonic()
+    assert time.monotonic() - began < 0.5
 
 
 CALLER = textwrap.dedent(

@@ -84,3 +84,30 @@ def fail() -> None:
 
 def cannot() -> None:
     raise OSError(28, "No space left on device", "x.step")
+
+
+def mesh_with_the_kernel() -> None:
+    """Real work of the CAD kernel that wants gigabytes: a sphere meshed far too finely."""
+    from OCP.BRepMesh import BRepMesh_IncrementalMesh
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeSphere
+
+    report_stage("meshing")
+    BRepMesh_IncrementalMesh(BRepPrimAPI_MakeSphere(1.0).Shape(), 1e-7, False, 1e-3, False)
+
+
+def sphere_of_the_mesh_kernel() -> None:
+    """Real work of the mesh kernel that wants gigabytes."""
+    from manifold3d import Manifold
+
+    report_stage("sphere")
+    Manifold.sphere(1.0, 30_000).volume()
+
+
+def stuck_in_the_kernel() -> None:
+    """Real work of the CAD kernel that hears no signal for minutes."""
+    from OCP.BRepMesh import BRepMesh_IncrementalMesh
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeSphere
+
+    shape = BRepPrimAPI_MakeSphere(1.0).Shape()
+    report_stage("meshing")
+    BRepMesh_IncrementalMesh(shape, 1e-7, False, 1e-3, False)

@@ -219,7 +219,7 @@ def _cause(status: int, peak: int, limits: tuple[int | None, int | None], stage:
     memory, cpu = limits
     at = f" at about {peak / 1e9:.1f} GB" if peak else ""
     limit = "" if memory is None else f" (limit {memory / 1e9:.1f} GB)"
-    starved = memory is not None and (peak > 0.5 * memory or "bad_alloc" in words or "MemoryError" in words)
+    starved = memory is not None and (peak > 0.5 * memory or _wanted_memory(words))
     if status == -signal.SIGXCPU or (status == -signal.SIGKILL and cpu is not None and not starved):
         return f"the worker process used up its {cpu} s of processor time (stage: {stage})"
     if starved and status != 0:
@@ -231,6 +231,12 @@ def _cause(status: int, peak: int, limits: tuple[int | None, int | None], stage:
         name = plain.get(-status) or signal.Signals(-status).name
         return f"the worker process crashed with {name}{at}{limit} (stage: {stage})"
     return f"the worker process ended with status {status} without a result (stage: {stage})"
+
+
+def _wanted_memory(words: str) -> bool:
+    """Tell whether last words are those of a process that got no memory."""
+    signs = ("bad_alloc", "MemoryError", "cannot allocate memory", "failed to map segment")
+    return any(sign.lower() in words.lower() for sign in signs)
 
 
 def _scratch() -> IO[bytes]:
@@ -262,7 +268,7 @@ def _unwrapped(message: dict[str, Any]) -> Any:
     name, text = str(message.get("type")), str(message.get("text"))
     if name in _OWN_ERRORS:
         raise getattr(errors, name)(text)
-    if name == "MemoryError":
+    if name == "MemoryError" or _wanted_memory(text):
         raise WorkerDied(f"the worker process ran out of memory {text}".rstrip(), str(message.get("trace")))
     raise WorkerDied(f"the worker process failed: {name}: {text}", str(message.get("trace")))
 

@@ -163,13 +163,17 @@ def test_a_file_size_limit_is_4_whatever_file_meets_it(design: Path, tmp_path: P
 CRASH = """
 from clacad.export.worker import Worker
 run = Worker.run
-Worker.run = lambda self, function, *a, **k: run(self, "worker_tricks:{trick}")
+Worker.run = lambda self, function, *a, **k: run(self, "worker_tricks:{trick}", timeout=3)
 """
 
 
 @pytest.mark.parametrize(
-    ("trick", "words"), [("segfault", "segmentation fault"), ("leave", "without a result")]
-)
+    ("trick", "words"),
+    [
+        ("segfault", "segmentation fault"), ("abort", "an abort"), ("hang", "did not finish"), ("garbage", "nonsense"),
+        ("leave", "without a result"),
+    ],
+)  # fmt: skip
 def test_a_crash_of_the_kernel_is_70_in_one_sentence_and_the_other_files_are_written(
     design: Path, tmp_path: Path, trick: str, words: str
 ) -> None:
@@ -192,6 +196,34 @@ def test_a_crash_of_the_kernel_is_70_in_one_sentence_and_the_other_files_are_wri
     assert words in sentence
     assert sentence.startswith("clacad: step: ")
     assert {p.name for p in out.iterdir()} == {"tiny.stl", "manifest.json", "run.json"}
+
+
+def test_a_kernel_without_memory_is_70_in_one_sentence_and_the_other_files_are_written(
+    design: Path, tmp_path: Path
+) -> None:
+    """The real export of a solid, in a worker that may have less than the kernel needs to begin."""
+    out = tmp_path / "out"
+    starved = "from clacad.export import run; run._worker_memory = lambda: 600_000_000"
+    ended = clacad("export", design, "-o", out, "-q", "--format", "step,stl", "--quads", "2", before=starved)
+    assert (ended.status, ended.out) == (70, "")
+    (sentence,) = talk(ended)
+    assert "limit 0.6 GB" in sentence or "out of memory" in sentence
+    assert {p.name for p in out.iterdir()} == {"tiny.stl", "manifest.json", "run.json"}
+
+
+@pytest.mark.parametrize(("body", "form", "words"), [
+    ("frame", "slab", "one slab"), ("baffle", "plano", "no baffle"), ("pov", "slab", "POV-Ray"),
+])  # fmt: skip
+def test_a_format_that_the_design_cannot_have_is_said_and_the_others_are_written(
+    tmp_path: Path, body: str, form: str, words: str
+) -> None:
+    design, out = tmp_path / "tiny.toml", tmp_path / "out"
+    design.write_text(TINY.replace('"slab"', f'"{form}"').replace("delta = [0.01, -0.02]", ""))
+    ended = clacad("export", design, "-o", out, "-q", "--format", f"{body},table")
+    assert ended.status == (3 if body == "pov" else 2)
+    (sentence,) = talk(ended)
+    assert words in sentence
+    assert {"tiny.poses.csv", "manifest.json"} < {p.name for p in out.iterdir()}
 
 
 def test_a_mistake_of_our_own_is_70_and_v_tells_where(design: Path) -> None:
