@@ -317,3 +317,18 @@ def test_a_concave_lens_has_no_plate_for_a_seam_a_border_or_an_outline(section):
     landed = galilean | {key: galilean.get(key, {}) | value for key, value in section.items()}
     with pytest.raises(DesignError, match="lens 2 is concave: it has no plate for"):
         prescribe(Design.from_dict(landed))
+
+
+def test_the_extent_of_a_saddle_with_a_seam_reaches_the_middle_of_its_sides():
+    """Found by random designs: rounding put the samples on the border of the zone outside it."""
+    mixed = Design.from_dict({
+        "format": 1, "name": "saddle", "unit": "mm", "law": {"eta": [0.5294101043730219, -0.7044394706288131]},
+        "pair": {"form": "plano", "separation": 3.412887417937022, "index": 1.49},
+        "lattice": {"pitch": 0.09818933236787021, "count": [1, 3], "seam": 0.0077112178819428515},
+    })  # fmt: skip
+    window = prescribe(mixed)
+    half = 0.5 * (window.lattice.pitch[0] - window.land.seam)
+    side = np.linspace(-half, half, 1001)
+    middle = np.full_like(side, half)
+    highest = max(lens_height(window.bodies[1].back, *at).max() for at in ((middle, side), (side, middle)))
+    assert window.z_range[1] == pytest.approx(highest, rel=1e-12)

@@ -109,6 +109,8 @@ def _level_point(window: Window, face: Face) -> Floats:
 def window_range(window: Window) -> tuple[float, float]:
     """Lowest and highest point of any body (lengths), from exact heights at samples."""
     points = zone_points(window)
+    # where there is a seam, rounding may put a sample of the border outside the zone: a hair inside it stands for it
+    points = np.concatenate([points, points * (1.0 - 1e-12)])
     heights: list[float] = []
     for body in window.bodies:
         if body.columnar:
