@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -38,14 +38,11 @@ def trace_compiled(
     packed = pack(layout)
     position, direction = np.ascontiguousarray(rays.position), np.ascontiguousarray(rays.direction)
     each = np.asarray(indices, dtype=np.float64)
-
     scene: tuple[Any, ...] = (tiles, packed.faces, packed.bodies, packed.lattice, packed.rows, each)
-    kernel = trace_chunk
+    kernel: Callable[..., int] = trace_chunk
     if single:
-        kernel, rounded = (
-            trace_chunk_single,
-            (packed.faces, packed.bodies, packed.lattice, each, np.empty((0, 0, 3))),
-        )
+        kernel = trace_chunk_single
+        rounded = (packed.faces, packed.bodies, packed.lattice, each, np.empty((0, 0, 3)))
         scene += tuple(array.astype(np.float32) for array in rounded)
 
     def one(chosen: Rows) -> int:

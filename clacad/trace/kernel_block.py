@@ -15,6 +15,7 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 from __future__ import annotations
 
 from math import inf, isfinite, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,7 @@ Ints = NDArray[np.int64]
 Rows = NDArray[np.intp]
 Bytes = NDArray[np.uint8]
 Cells = NDArray[np.int32]
-Singles = NDArray[np.float32]
+Singles = NDArray[Any]  # float32: every pass takes either precision
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
@@ -706,8 +707,9 @@ def trace_chunk_single(
     cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """`trace_chunk` with the straight path in single precision, from the plane of the launch on."""
-    wide, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK, dtype=np.float32)
-    s = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
+    wide = np.zeros((SCRATCH, BLOCK))
+    carried: Singles = np.empty(BLOCK, dtype=np.float32)
+    s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
     walked = 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
