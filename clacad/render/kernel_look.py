@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clacad.render.kernel_light import background, painted
 from clacad.render.kernel_solids import distances, to_frame
 from clacad.render.kernel_tree import DEPTH, in_tree
-from clacad.render.tables import BLOCK, COLOUR, FLOOR, KIND, MESH, ORIGIN, PATTERN, PIECE, SIZE
+from clacad.render.tables import BLOCK, BOUND, COLOUR, FLOOR, KIND, MESH, ORIGIN, PATTERN, PIECE, SIZE
 from clacad.trace.compiled import exact, owning
 
 Floats = NDArray[np.float64]
@@ -190,7 +190,15 @@ def _object(
     """Hold the gathered rays against an object's primitives and paint those that meet one."""
     part, which, facet = pad.part, pad.some[1], pad.some[2]
     local, least, s = part[6:12], part[12], part[13]
+    x0, x1, y0, y1 = _window(cluster, c, count, part)
     for k in range(int(cluster[c, 0]), int(cluster[c, 1])):
+        if (
+            prim[k, BOUND] > x1
+            or prim[k, BOUND + 3] < x0
+            or prim[k, BOUND + 1] > y1
+            or prim[k, BOUND + 4] < y0
+        ):
+            continue
         to_frame(prim, k, count, part, local)
         if prim[k, KIND] == MESH:
             for q in range(count):
@@ -219,6 +227,25 @@ def _object(
             )  # fmt: skip
             pad.best[i], pad.which[i] = least[q], k
             pad.colour[0, i], pad.colour[1, i], pad.colour[2, i] = r, g, b
+
+
+@exact
+def _window(cluster: Floats, c: int, count: int, part: Floats) -> tuple[float, float, float, float]:
+    """Range of x and y that the gathered rays take while they are between an object's lowest and highest z."""
+    x, y, z, u, v, w = part[0], part[1], part[2], part[3], part[4], part[5]
+    level, half = cluster[c, 4], cluster[c, 7]
+    x0, x1, y0, y1, steep = np.inf, -np.inf, np.inf, -np.inf, np.inf
+    for q in range(count):
+        inverse = 1.0 / w[q]
+        s = (level - z[q]) * inverse
+        px, py = x[q] + s * u[q], y[q] + s * v[q]
+        lean, rise = abs(u[q] * inverse) * half, abs(v[q] * inverse) * half
+        x0, x1 = min(x0, px - lean), max(x1, px + lean)
+        y0, y1 = min(y0, py - rise), max(y1, py + rise)
+        steep = min(steep, abs(w[q]))
+    if not steep > 0.0 or half == np.inf:
+        return -np.inf, np.inf, -np.inf, np.inf
+    return x0, x1, y0, y1
 
 
 @exact

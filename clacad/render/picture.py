@@ -152,8 +152,9 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     fast = count > SMALL_PICTURE if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)
     shape = view.height, view.width
-    light, samples, error = np.zeros((*shape, 3)), np.ones(shape, dtype=np.int64), np.zeros(shape)
     single = still.camera.samples == 1 and not still.camera.noise > 0.0
+    light, error = np.zeros((*shape, 3)), np.zeros(shape)
+    samples = np.broadcast_to(np.int64(1), shape) if single else np.empty(shape, dtype=np.int64)
     height, width = _tile_shape(view, still.camera.samples, single)
     corners = [(y, x) for y in range(0, view.height, height) for x in range(0, view.width, width)]
 

@@ -15,9 +15,9 @@ FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 CHECKER, COORDINATES, STRIPES, IMAGE = 1, 2, 3, 4
 # columns of `Tables.prim`
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (
-    0, 1, 2, 3, 4, 5, 6, 7, 11, 15, 18, 27,
+    0, 1, 2, 3, 4, 5, 6, 7, 11, 17, 20, 29,
 )  # fmt: skip
-PRIM_WIDTH = 33
+PRIM_WIDTH = 35
 NODE, FACET = 8, 9
 """Numbers of a tree node (low, high, first, count) and of a triangle in `Tables.store`."""
 
@@ -34,8 +34,8 @@ class Tables(NamedTuple):
         Ambient, key, direction to the light (3), zenith (3), horizon (3), ground (3).
     cluster : (m, 8)
         First and end primitive, centre and half extents of a box round them (infinite round a floor).
-    prim : (n, 33)
-        A primitive a row, columns as named above.
+    prim : (n, 35)
+        A primitive a row, columns as named above; BOUND: low and high corner of a box round it, scene frame.
     store : (k,)
         Corners of prisms, pixels, nodes and triangles; places in it are absolute.
     """
@@ -61,25 +61,26 @@ def tables(stage: Stage) -> Tables:
         piece[rows] = start + width * stage.piece[rows]
     meshes = stage.kind == MESH
     piece[meshes] = (node0 + NODE * stage.root[meshes])[:, None]
+    boxes = np.array([_box(stage, k) for k in range(n)]).reshape(-1, 2, 3)
     prim = np.column_stack(
-        [stage.kind, stage.paint, stage.pattern, piece, stage.picture, stage.size, stage.bound, stage.origin,
+        [stage.kind, stage.paint, stage.pattern, piece, stage.picture, stage.size, boxes.reshape(-1, 6), stage.origin,
          stage.rotation.reshape(-1, 9), stage.colours.reshape(-1, 6)]
     )  # fmt: skip
     world = np.concatenate([[stage.ambient, stage.key], stage.towards_light, stage.sky.ravel(), stage.ground])
-    cluster = np.column_stack([stage.cluster, _boxes(stage)])
+    cluster = np.column_stack([stage.cluster, _round(stage, boxes)])
     return Tables(world, np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH), store)
 
 
-def _boxes(stage: Stage) -> Floats:
+def _round(stage: Stage, boxes: Floats) -> Floats:
     """Centre and half extents (m, 6) of a box along the scene's axes round each object."""
     found = np.empty((len(stage.cluster), 6))
     for row, (first, end) in enumerate(stage.cluster):
-        corners = np.array([_box(stage, k) for k in range(first, end)]).reshape(-1, 2, 3)
+        corners = boxes[first:end]
         low, high = corners[:, 0].min(axis=0, initial=np.inf), corners[:, 1].max(axis=0, initial=-np.inf)
         if np.isfinite(corners).all():
             found[row, :3], found[row, 3:] = (
                 0.5 * (low + high),
-                0.5 * (high - low) + 1e-9 * np.abs(high - low).max(),
+                0.5 * (high - low),
             )
         else:
             found[row, :3], found[row, 3:] = 0.0, np.inf
@@ -108,4 +109,5 @@ def _box(stage: Stage, k: int) -> Floats:
         half, middle = 0.5 * (high - low), 0.5 * (high + low)
     turn = stage.rotation[k]
     centre, reach = turn @ middle + stage.origin[k], np.abs(turn) @ half
+    reach = reach + 1e-9 * reach.max()
     return np.array([centre - reach, centre + reach])
