@@ -1,0 +1,138 @@
+"""kill -9 at any instant of an export or a report: no partial file at a final name, nothing left after the next run."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import textwrap
+import time
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trust.running import TINY, clacad, command, environment
+
+KILLED = textwrap.dedent(
+    """
+    # Everything is imported once; each victim is a fork that exports and reports until it is killed at its instant.
+    import json, os, signal, sys, time, tomllib
+    from pathlib import Path
+    from types import SimpleNamespace
+    import numpy as np
+
+    out, times, seed, what = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+    from clacad.design import Design
+    from clacad.export import export
+    import clacad.report.content, clacad.report.page
+    from clacad.report import write_report
+
+    design = Design.from_dict(tomllib.loads(os.environ["TINY"]))
+
+    class Made:
+        "A report's content: its numbers and its page are long, so that an instant may fall among their writing."
+        evidence = SimpleNamespace(ladder=SimpleNamespace(measured=list))
+        def __init__(self, turn):
+            self.turn = turn
+        def numbers(self):
+            return {"checks": [], "verdict": "", "sha256": "", "turn": self.turn, "rows": [self.turn] * 200_000}
+
+    def page(made, mark, *_):
+        return f"{mark}<html>{made.turn} " + 4_000_000 * "x" + f" {made.turn}</html>"
+
+    clacad.report.page.page = page
+
+    def work(turn):
+        clacad.report.content.content = lambda *_: Made(turn)
+        if what != "report":
+            export(design, out, formats=("stl", "table", "3mf"), quads=2 + turn % 3)
+        if what != "export":
+            write_report(None, out)
+
+    work(0)
+    began = time.perf_counter()
+    work(1)
+    span = time.perf_counter() - began
+    chance = np.random.default_rng(seed)
+    for turn, instant in enumerate(chance.uniform(0.0, 1.3 * span, times)):
+        victim = os.fork()
+        if victim == 0:
+            try:
+                while True:
+                    work(turn)
+            except BaseException as error:
+                print(json.dumps({"error": f"{type(error).__name__}: {error}"}), flush=True)
+            os._exit(1)
+        time.sleep(float(instant))
+        os.kill(victim, signal.SIGKILL)
+        os.waitpid(victim, 0)
+        print(json.dumps({"killed": turn, "stale": sum(p.name.startswith(".clacad-") for p in out.iterdir())}), flush=True)
+        sys.stdin.readline()
+    work(2)
+    """
+)
+
+
+def whole(out: Path) -> None:
+    """Nothing at a final name is partial: the manifest's files are those it lists, a page ends as it begins."""
+    names = {p.name for p in out.iterdir() if not p.name.startswith(".clacad-")}
+    if "manifest.json" in names:
+        for entry in json.loads((out / "manifest.json").read_text())["files"]:
+            assert sha256((out / entry["name"]).read_bytes()).hexdigest() == entry["sha256"]
+    if "report.html" in names:
+        page = (out / "report.html").read_text()
+        assert page.partition("<html>")[2].split()[0] + "</html>" == page.split()[-1]
+    for name in names & {"report.json", "run.json"}:
+        assert json.loads((out / name).read_text())
+
+
+@pytest.mark.parametrize(("what", "times"), [
+    ("both", 12), pytest.param("export", 100, marks=pytest.mark.long), pytest.param("report", 100, marks=pytest.mark.long),
+])  # fmt: skip
+def test_kill_9_at_any_instant_leaves_no_partial_file_and_the_next_run_no_trace(
+    tmp_path: Path, what: str, times: int
+) -> None:
+    out = tmp_path / "out"
+    running = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(out), str(times), "9", what], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        text=True, env=environment(TINY=TINY),
+    )  # fmt: skip
+    assert running.stdin is not None
+    assert running.stdout is not None
+    stale = 0
+    for line in running.stdout:
+        told = json.loads(line)
+        assert "killed" in told, told
+        stale += told["stale"]
+        whole(out)
+        running.stdin.write("\n")
+        running.stdin.flush()
+    running.stdin.close()
+    running.stdout.close()
+    assert running.wait(timeout=60) == 0
+    assert stale > times / 4, "most instants fell among the writing"
+    whole(out)
+    assert not [p.name for p in out.iterdir() if p.name.startswith(".clacad-")]
+
+
+@pytest.mark.parametrize("times", [3, pytest.param(60, marks=[pytest.mark.long, pytest.mark.timeout(900)])])
+def test_whole_commands_killed_at_any_instant(tmp_path: Path, times: int) -> None:
+    """Commands of different formats, the kernel's among them, from their start to their end, all into one folder."""
+    design, out = tmp_path / "tiny.toml", tmp_path / "out"
+    design.write_text(TINY)
+    chance = np.random.default_rng(times)
+    formats = ("step,stl", "3mf,table,xyz", "stl,ply,glb,mask")
+    for turn in range(times):
+        arguments = ["export", design, "-o", out, "--format", formats[turn % 3], "--quads", "8", "-q"]
+        running = subprocess.Popen(command(arguments), stderr=subprocess.DEVNULL, env=environment())
+        time.sleep(float(chance.uniform(0.2, 2.5)))
+        running.kill()
+        running.wait()
+        if out.exists():
+            whole(out)
+    assert clacad("export", design, "-o", out, "--format", "stl", "--quads", "4", "--overwrite").status == 0
+    assert not [p.name for p in out.iterdir() if p.name.startswith(".clacad-")]
+    listed = json.loads((out / "manifest.json").read_text())["files"]
+    assert {p.name for p in out.iterdir()} == {e["name"] for e in listed} | {"manifest.json", "run.json"}
+    whole(out)
