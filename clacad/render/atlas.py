@@ -103,7 +103,7 @@ def make_atlas(request: AtlasRequest, progress: Progress | None = None) -> Atlas
         for figure in chosen:
             for stem, label in figure.scenes:
                 tell(f"{figure.row}: {label}", None)
-                picture = view_through(_sized(stills[stem], request.size, request.samples))
+                picture = view_through(_sized(stills[stem], request.size, request.samples), compiled=True)
                 text = f"{figure.row}  {label}"
                 save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), facts(picture))
             if request.measured:
@@ -136,7 +136,8 @@ def _movie(
     notes: dict[str, str] = {}
     for k, still in enumerate(frames):
         tell(f"movie {title}", k / len(frames))
-        picture: Picture = view_through(_sized(still, request.movie_size, max(4, request.samples // 4)))
+        sized = _sized(still, request.movie_size, max(4, request.samples // 4))
+        picture: Picture = view_through(sized, compiled=True)
         pixels.append(labelled(pixels_of(picture), f"{title}   {k + 1}/{len(frames)}"))
         notes = facts(picture)
     animate(stage.path(f"{stem}.webp"), iter(pixels), 25.0, notes)

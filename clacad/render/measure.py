@@ -79,7 +79,9 @@ def coordinate_scene(scene: Scene, z: float, pixels: int = 400) -> Scene:
     )
 
 
-def measure(scene: Scene, z: float, pixels: int = 400, threads: int | None = None) -> ScreenMap:
+def measure(
+    scene: Scene, z: float, pixels: int = 400, threads: int | None = None, compiled: bool | None = None
+) -> ScreenMap:
     """Fit the map of a still scene's sheet to a screen in z, from the rendered picture.
 
     Parameters
@@ -89,6 +91,8 @@ def measure(scene: Scene, z: float, pixels: int = 400, threads: int | None = Non
         Behind the sheet.
     pixels : int
         Rays across the picture; best not a multiple of the lens pitch.
+    threads, compiled
+        As in `picture.render`.
 
     Raises
     ------
@@ -97,7 +101,9 @@ def measure(scene: Scene, z: float, pixels: int = 400, threads: int | None = Non
     """
     plain = coordinate_scene(scene, z, pixels)
     window = prescribe(plain.design())
-    picture = view_through(plain, passage=geometry_alone(plain, direct=True), threads=threads)
+    picture = view_through(
+        plain, passage=geometry_alone(plain, direct=True), threads=threads, compiled=compiled
+    )
     x0, inside = sheet_points(plain, window, picture.light.shape[:2])
     light = picture.light.reshape(-1, 3)
     met = inside & (light[:, 2] > 0.5)

@@ -104,13 +104,15 @@ def render_movie(scene: Scene | str | os.PathLike[str], *, threads: int | None =
     if made.animation is None:
         raise ValueError(f"the scene {made.name} has no animation")
     stills = checked_frames(made)
+    width, height = made.camera.pixels
+    fast = len(stills) * width * height * made.camera.samples > SMALL_PICTURE
     for k, still in enumerate(stills):
 
         def tell(stage: str, share: float | None, k: int = k) -> None:
             if progress is not None:
                 progress("rendering frames", (k + (share or 0.0)) / len(stills))
 
-        yield view_through(still, threads=threads, progress=tell)
+        yield view_through(still, threads=threads, progress=tell, compiled=fast)
 
 
 def checked_frames(scene: Scene) -> list[Scene]:

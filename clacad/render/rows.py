@@ -73,7 +73,7 @@ class Figure:
 
 
 def _map(scene: Scene, z: float) -> ScreenMap:
-    return measure(scene, z, RAYS)
+    return measure(scene, z, RAYS, compiled=True)
 
 
 def _turned(scene: Scene, k: int, degrees: float) -> Scene:

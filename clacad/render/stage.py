@@ -8,6 +8,7 @@ costs one test.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -264,6 +265,28 @@ def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Prim
 
 
 def _mesh(scene: Scene, thing: SceneObject) -> Tree:
+    """The tree of a mesh object; kept, since every frame of a movie asks for the same."""
+    assert thing.file is not None  # the scene's rules ask for it
+    path = scene.file(thing.file)
+    try:
+        facts = os.stat(path)
+    except OSError:  # told by the reader
+        return _grown(scene, thing)
+    key = (str(path), facts.st_mtime_ns, facts.st_size, thing.size, thing.up)
+    if key not in _TREES:
+        if len(_TREES) >= KEPT_TREES:
+            _TREES.pop(next(iter(_TREES)), None)
+        _TREES[key] = _grown(scene, thing)
+    return _TREES[key]
+
+
+def _grown(scene: Scene, thing: SceneObject) -> Tree:
     from clacad.export.standing import standing_corners
 
     return grow(standing_corners(scene, thing))
+
+
+KEPT_TREES = 4
+"""Trees kept at most."""
+
+_TREES: dict[tuple[str, int, int, tuple[float, ...], str], Tree] = {}
