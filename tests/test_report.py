@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import importlib
 import json
 import re
@@ -12,7 +14,7 @@ import pytest
 
 from clacad.design import Design
 from clacad.report import write_report
-from clacad.report.page import number
+from clacad.report.page import Section, number
 from clacad.verify import verify
 from clacad.verify.checks import Check
 
@@ -25,7 +27,7 @@ TEXT = {
 
 @pytest.fixture(scope="module")
 def report():
-    return verify(Design.from_dict(TEXT), rays=2048)
+    return verify(Design.from_dict(TEXT), rays=2048).with_evidence()
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def page(report, tmp_path_factory):
 class Outline(HTMLParser):
     """Collects tags with their attributes, and notices what would load or run something."""
 
-    VOID = {"meta", "link", "img", "br", "hr", "input", "path", "use"}
+    VOID = {"meta", "link", "img", "br", "hr", "input"}
 
     def __init__(self):
         super().__init__()
@@ -77,9 +79,8 @@ def test_the_page_is_well_formed_and_loads_nothing(page):
     found = outline(page)
     assert found.open == []
     assert found.bad == []
-    assert not [
-        tag for tag, _ in found.tags if tag in ("script", "iframe", "object", "embed", "link", "form")
-    ]
+    assert not [tag for tag, _ in found.tags if tag in ("iframe", "object", "embed", "form", "base")]
+    assert [a for t, a in found.tags if t == "link"] == [{"rel": "icon", "href": "data:,"}]
     policy = next(
         a["content"]
         for t, a in found.tags
@@ -87,6 +88,11 @@ def test_the_page_is_well_formed_and_loads_nothing(page):
     )
     assert "default-src 'none'" in policy
     assert "http" not in policy
+    assert "unsafe-eval" not in policy
+    scripts = re.findall(r"<script[^>]*>(.*?)</script>", page, flags=re.DOTALL)
+    assert len(scripts) == 1
+    digest = base64.b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in policy
     assert not re.search(r"url\((?!#)", page)
     assert len(page.encode()) < 5_000_000
 
@@ -105,6 +111,7 @@ def test_the_verdict_comes_first_and_is_that_of_the_report(report, page):
 def test_every_check_is_on_the_page_and_in_the_numbers(report, page):
     text = re.sub(r"\s+", " ", "".join(outline(page).text))
     numbers = json.loads(report.to_json())
+    assert not {"evidence"} & set(numbers)
     assert [c["id"] for c in numbers["checks"]] == [c.id for c in report.checks]
     for check in report.checks:
         assert re.sub(r"\s+", " ", check.sentence) in text
@@ -113,10 +120,13 @@ def test_every_check_is_on_the_page_and_in_the_numbers(report, page):
 
 def test_every_figure_has_something_drawn_and_a_caption(page):
     figures = re.findall(r"<figure>(.*?)</figure>", page, flags=re.DOTALL)
-    assert len(figures) >= 6
+    assert len(figures) >= 15
     for figure in figures:
-        assert figure.count("<path") + figure.count("<use") > 20
         assert "<figcaption>" in figure
+        if "<img" in figure:
+            assert re.search(r'alt="[^"]{15,}"', figure)
+            continue
+        assert sum(figure.count(f"<{shape}") for shape in ("path", "use", "polygon", "polyline")) > 8
         assert 'role="img"' in figure
         assert "aria-label=" in figure
 
@@ -153,19 +163,26 @@ def test_the_same_report_gives_the_same_bytes(report, tmp_path):
     assert written[0] == written[1]
 
 
-def test_a_report_replaces_a_report_but_nothing_else(report, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        importlib.import_module("clacad.report.page"), "page", lambda _report, mark: f"{mark}\n<p>page</p>"
-    )
+def test_a_report_replaces_a_report_but_nothing_else(report, tmp_path):
     from clacad.export.errors import CannotWrite
 
     write_report(report, tmp_path)
     write_report(report, tmp_path)
-    (tmp_path / "report.html").write_text("a page of somebody else")
-    with pytest.raises(CannotWrite):
-        write_report(report, tmp_path)
-    assert (tmp_path / "report.html").read_text() == "a page of somebody else"
+    assert json.loads((tmp_path / "run.json").read_text())["seconds"] > 0.0
+    for name, text in (("report.html", "a page of somebody else"), ("report.json", '{\n "checks": 1\n}')):
+        kept = (tmp_path / name).read_text()
+        (tmp_path / name).write_text(text)
+        with pytest.raises(CannotWrite):
+            write_report(report, tmp_path)
+        assert (tmp_path / name).read_text() == text
+        (tmp_path / name).write_text(kept)
     write_report(report, tmp_path, overwrite=True)
+
+
+def test_run_facts_of_an_export_are_left_alone(report, tmp_path):
+    (tmp_path / "run.json").write_text('{"seconds": 3}')
+    write_report(report, tmp_path)
+    assert (tmp_path / "run.json").read_text() == '{"seconds": 3}'
 
 
 def test_no_number_of_the_page_is_a_nan(page):
@@ -193,3 +210,60 @@ def test_names_inside_the_drawings_are_each_used_once(page):
     assert len(names) == len(set(names))
     wanted = set(re.findall(r'url\(#([^)]+)\)|href="#([^"]+)"', page))
     assert {a or b for a, b in wanted} <= set(names)
+
+
+def test_the_numbers_hold_what_the_page_shows(report, page, tmp_path):
+    _, path = write_report(report, tmp_path)
+    numbers = json.loads(path.read_text(encoding="utf-8"))
+    text = "".join(outline(page).text)
+    for key in ("attribution", "foci", "ghosts", "accuracy", "effects", "fabrication", "budget", "transfer", "field"):
+        assert numbers[key], key
+    for part in numbers["attribution"][0]["parts"]:
+        assert f"{1e3 * part['rms']:.3g}" in text
+    for row in numbers["fabrication"]["rows"]:
+        for value in row["value"] if isinstance(row["value"], list) else [row["value"]]:
+            assert (value if isinstance(value, str) else f"{value:.6g}") in text or abs(value) < 1e-12
+    for row in numbers["accuracy"]["rows"]:
+        assert f"{1e3 * row['model_rms']:.3g}" in text
+    for row in numbers["effects"]["effects"]:
+        assert row["why"] in text
+
+
+def test_seconds_of_the_run_are_in_the_report_only_when_asked_for(report, tmp_path):
+    _, quiet = write_report(report, tmp_path / "a")
+    assert "timings" not in json.loads(quiet.read_text())
+    html, told = write_report(report, tmp_path / "b", timings=True)
+    assert json.loads(told.read_text())["timings"][0]["seconds"] >= 0.0
+    assert "measured in this run" in html.read_text() or "--timings" in html.read_text()
+
+
+def test_further_sections_come_after_the_pages_own(report, tmp_path):
+    html, _ = write_report(report, tmp_path, more=[Section("extra", "Something more", "<p>its <b>body</b></p>")])
+    text = html.read_text(encoding="utf-8")
+    assert '<a href="#extra">Something more</a>' in text
+    assert "<p>its <b>body</b></p>" in text
+    assert text.index('id="effects"') < text.index('id="extra"') < text.index('id="again"')
+
+
+def test_where_a_limit_comes_from_is_said(report):
+    given = {**TEXT, "check": {"law_rms": "9 mrad", "eta": 0.02}}
+    found = {c.id: c for c in verify(Design.from_dict(given), rays=2048).checks}
+    assert found["law_rms"].source == "design file"
+    assert found["eta"].source == "design file"
+    assert found["spread"].source == "derived from law_rms (design file)"
+    assert found["law_bias"].source == "default"
+    assert {c.id: c for c in report.checks}["law_rms"].source == "default"
+    assert found["edge"].source.startswith("process profile none")
+
+
+def test_headings_and_controls_have_names_and_the_page_can_be_walked_by_keyboard(page):
+    found = outline(page)
+    assert [a.get("lang") for t, a in found.tags if t == "html"] == ["en"]
+    images = [a for t, a in found.tags if t == "img"]
+    assert len(images) >= 3
+    assert all(a.get("alt") for a in images)
+    canvas = next(a for t, a in found.tags if t == "canvas")
+    assert canvas["tabindex"] == "0"
+    assert "Arrow keys" in canvas["aria-label"]
+    anchors = {a["href"][1:] for t, a in found.tags if t == "a" and a.get("href", "").startswith("#")}
+    assert anchors <= {a["id"] for _, a in found.tags if "id" in a}

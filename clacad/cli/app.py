@@ -200,6 +200,9 @@ def verify(
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Write report.html, report.json here.")]
     = None,
     cells: Cells = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf, too (extra: clacad[pdf]).")] = False,
+    timings: Annotated[bool, typer.Option("--timings", help="Show seconds of this run in the report; its bytes then "
+                                          "change from run to run.")] = False,
     rays: Annotated[int, typer.Option("--rays", min=64, help="Rays of the main bundle.")] = 65536,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
     set: Set = None,
@@ -210,8 +213,20 @@ def verify(
     """Trace what was written, write the report, print the verdict."""
     from clacad.cli.verify_command import verify_design
 
+    if out is None and (pdf or timings):
+        raise typer.BadParameter("--pdf and --timings say what the report holds: give its folder with -o")
     return verify_design(
-        design, set or [], files, out, cells, rays, overwrite=overwrite, json=json, quiet=quiet
+        design,
+        set or [],
+        files,
+        out,
+        cells,
+        rays,
+        overwrite=overwrite,
+        json=json,
+        quiet=quiet,
+        pdf=pdf,
+        timings=timings,
     )
 
 

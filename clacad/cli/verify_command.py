@@ -11,7 +11,7 @@ from clacad.cli.export_command import parse_cells
 
 def verify_design(
     path: Path, overrides: list[str], files: Path | None, out: Path | None, cells: str | None, rays: int, *,
-    overwrite: bool, json: bool, quiet: bool,
+    overwrite: bool, json: bool, quiet: bool, pdf: bool = False, timings: bool = False,
 ) -> int:  # fmt: skip
     """Judge a design and its files; the exit status comes from the same object as the page."""
     from clacad.cli.tables import checks_text
@@ -24,8 +24,10 @@ def verify_design(
         if out is not None:
             from clacad.report import write_report
 
-            progress("writing the report", 0.0)
-            written = write_report(report, out, overwrite=overwrite)
+            report = report.with_evidence(progress)
+            written = write_report(
+                report, out, overwrite=overwrite, progress=progress, pdf=pdf, timings=timings
+            )
     finally:
         progress.done()
     if json:

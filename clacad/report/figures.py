@@ -282,7 +282,7 @@ def section(report: Report) -> str:
         for body in window.bodies:
             x, front, back = _profile(window, body, window.lattice.pitch[0])
             panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
-        for ray in _ray_fan(window):
+        for ray in ray_fan(window):
             panel.plot(ray[:, 2] * scale, ray[:, 0] * scale, color=SECOND, lw=0.7)
         panel.set_aspect("equal")
         panel.set_xlabel(f"z ({name})")
@@ -314,7 +314,7 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
     return x, heights[0], heights[1]
 
 
-def _ray_fan(window: Window) -> list[Any]:
+def ray_fan(window: Window) -> list[Any]:
     """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3) each."""
     from clacad.verify.bundle import middle_direction
 

@@ -1,123 +1,165 @@
-"""Fill the page: every text escaped, nothing loaded from anywhere."""
+"""Fill the page: every text escaped, nothing loaded from anywhere, one script that the policy names by its hash."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.feasibility import describe
-from clacad.report import figures
-from clacad.verify.asked import asked_and_built
+from clacad.report import drawing, figures, plots
+from clacad.report.content import Content, data_uri, number
 
 if TYPE_CHECKING:
-    from clacad.verify import Check, Report
+    from jinja2 import Environment
 
-WORDS = {"pass": "pass", "fail": "FAIL", "warn": "warning", "not run": "not run"}
+    from clacad.verify.gather import Progress
+
+__all__ = ["SECTIONS", "Section", "number", "page", "sections"]
+
+HERE = Path(__file__).parent
 
 
-def page(report: Report, mark: str) -> str:
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One section of the page.
+
+    anchor : str
+        Its address within the page.
+    title : str
+    body : str
+        HTML that needs no escaping; text of a design must have been escaped by whoever made it.
+    """
+
+    anchor: str
+    title: str
+    body: str
+
+
+Drawings = Callable[[Content], dict[str, str]]
+
+
+def _fabrication(content: Content) -> dict[str, str]:
+    report = content.report
+    return {
+        "plan": drawing.plan(report), "assembly": drawing.assembly(report), "pair": drawing.telescopelet(report),
+        "lens1": drawing.lens_detail(report, 0), "lens2": drawing.lens_detail(report, 1),
+    }  # fmt: skip
+
+
+def _parts(content: Content) -> dict[str, str]:
+    from markupsafe import escape
+
+    from clacad.report.parts import packed, picture
+
+    facts, triangles = packed(content.parts)
+    return {"facts": str(escape(facts)), "triangles": triangles, "picture": data_uri(picture(content.parts))}
+
+
+def _asked(content: Content) -> dict[str, str]:
+    return {"convergence": figures.convergence(content.report)}
+
+
+def _look(content: Content) -> dict[str, str]:
+    return {"without": data_uri(content.look.without), "through": data_uri(content.look.through)}
+
+
+def _light(content: Content) -> dict[str, str]:
+    report = content.report
+    return {
+        "transfer": figures.transfer(report), "transmission": figures.transmission(report),
+        "ghosts": plots.ghosts(report, content.evidence), "residual": figures.residual_map(report),
+        "spots": figures.spots(report), "foci": plots.foci(report, content.evidence),
+    }  # fmt: skip
+
+
+def _errors(content: Content) -> dict[str, str]:
+    report = content.report
+    found = {"budget": figures.budget(report)}
+    for k, one in enumerate(content.evidence.attributions):
+        found[f"parts{k}"] = plots.parts_of_error(one, report.design.check.law_rms)
+    return found
+
+
+def _accuracy(content: Content) -> dict[str, str]:
+    return {"accuracy": plots.accuracy(content.report, content.evidence, content.timings)}
+
+
+def _nothing(_content: Content) -> dict[str, str]:
+    return {}
+
+
+SECTIONS: tuple[tuple[str, str, Drawings], ...] = (
+    ("fabrication", "Fabrication", _fabrication),
+    ("parts", "The part in three dimensions", _parts),
+    ("checks", "Checks", _nothing),
+    ("asked", "Asked and built", _asked),
+    ("look", "The view through it", _look),
+    ("light", "What light does", _light),
+    ("errors", "Where errors come from", _errors),
+    ("accuracy", "Accuracy against time", _accuracy),
+    ("effects", "Effects", _nothing),
+)
+"""Anchor (and name of the template under sections/), title, and what draws the figures of each section, in order.
+
+Sections of other origin are handed to `page` as `more` and come after these.
+"""
+
+
+def sections(content: Content, progress: Progress | None = None) -> list[Section]:
+    """Make the sections of the page, in the order of `SECTIONS`."""
+    from markupsafe import Markup
+
+    environment = _environment()
+    found = []
+    for k, (anchor, title, draw) in enumerate(SECTIONS):
+        if progress is not None:
+            progress("drawing the report", k / len(SECTIONS))
+        drawn = {name: Markup(text) for name, text in draw(content).items()}  # our own drawings
+        template = environment.get_template(f"sections/{anchor}.html.j2")
+        found.append(Section(anchor, title, template.render(_common(content), figure=drawn)))
+    return found
+
+
+def page(content: Content, mark: str, more: Sequence[Section] = (), progress: Progress | None = None) -> str:
     """The whole report as one HTML text that needs no network.
 
     Parameters
     ----------
-    report : Report
+    content : Content
     mark : str
         Comment by which the page is known again.
+    more : sequence of Section
+        Appended after the page's own.
+    progress : callable or None
     """
-    from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    template = (Path(__file__).parent / "page.html.j2").read_text(encoding="utf-8")
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    drawn = {
-        name: Markup(draw(report))  # our own drawings: no text of a design is in them but escaped file names
-        for name, draw in (
-            ("section", figures.section), ("transfer", figures.transfer), ("transmission", figures.transmission),
-            ("residual", figures.residual_map), ("spots", figures.spots), ("convergence", figures.convergence),
-            ("budget", figures.budget),
-        )
-    }  # fmt: skip
-    return environment.from_string(template).render(
-        mark=Markup(mark),
-        report=report,
-        design=report.design,
-        verdict=report.verdict(),
-        counts=report.counts(),
-        groups=_groups(report),
-        failures=[
-            _row(c) for c in report.checks if c.state == "fail" or (c.state == "not run" and c.required)
-        ],
-        asked=asked_and_built(report),
-        derived=_grouped(report),
-        budget=[(name, f"{1e3 * value:.4g}", what) for name, value, what in figures.budget_rows(report)],
-        figure=drawn,
-        command=_command(report),
-    )
+    script = (HERE / "viewer.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    shown = [*sections(content, progress), *more]
+    return _environment().get_template("page.html.j2").render(
+        _common(content), mark=Markup(mark), script=Markup(script), digest=digest,
+        sections=[(s.anchor, s.title, Markup(s.body)) for s in shown],
+    )  # fmt: skip
 
 
-def _groups(report: Report) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Checks by what they are about: light, geometry, each file, refinement; what did not pass comes first."""
-    groups: dict[str, list[Check]] = {}
-    for check in report.checks:
-        if check.where == "file":
-            title = check.subject
-        elif check.where == "mesh":
-            title = "Refinement of facets"
-        else:
-            title = (
-                "Geometry and process"
-                if check.where.startswith(("geometry", "thin"))
-                else "Light, through the exact surfaces"
-            )
-        groups.setdefault(title, []).append(check)
-    order = {"fail": 0, "not run": 1, "warn": 2, "pass": 3}
-    return [
-        (
-            title,
-            [
-                _row(c)
-                for c in sorted(found, key=lambda c: order[c.state] if c.required else max(2, order[c.state]))
-            ],
-        )
-        for title, found in groups.items()
-    ]
-
-
-def _row(check: Check) -> dict[str, Any]:
+def _common(content: Content) -> dict[str, Any]:
+    report = content.report
     return {
-        "state": check.state, "word": WORDS[check.state], "css": check.state.replace(" ", "-"), "id": check.id,
-        "code": check.code, "subject": check.subject, "value": number(check.value, check.unit),
-        "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {number(check.limit, check.unit)}",
-        "unit": UNITS.get(check.unit, check.unit), "sentence": check.sentence, "where": check.where,
-        "bundle": check.bundle, "source": check.source,
+        "content": content, "report": report, "design": report.design, "verdict": report.verdict(), "counts": report.counts(),
     }  # fmt: skip
 
 
-SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}
-UNITS = {"rad": "mrad"}
-"""Angles are shown in mrad."""
+def _environment() -> Environment:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-
-def number(value: float | str | None, unit: str = "") -> str:
-    """A value as the page shows it."""
-    if value is None:
-        return "–"
-    if isinstance(value, str):
-        return value
-    if value in (float("inf"), float("-inf")):
-        return "none"
-    return f"{1e3 * value:.4g}" if unit == "rad" else f"{value:.5g}"
-
-
-def _grouped(report: Report) -> list[tuple[str, list[tuple[str, str, str]]]]:
-    groups: dict[str, list[tuple[str, str, str]]] = {}
-    for about, name, value, unit in describe(report.window, report.facts):
-        groups.setdefault(about, []).append((name, value, unit))
-    return list(groups.items())
-
-
-def _command(report: Report) -> str:
-    files = " --files FOLDER" if report.files else ""
-    return f"clacad verify DESIGN.toml{files} -o REPORT"
+    return Environment(
+        loader=FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )

@@ -14,7 +14,7 @@ from clacad.trace import trace
 from clacad.verify.bundle import Floats, central_cell, launched, middle_direction, over_cell
 from clacad.vignetting import half_field, share, thin_cells
 
-DIRECTIONS = 41
+DIRECTIONS = 31
 PLACES = 64
 REACH = 1.6
 """Half width of the map over the half field of view: first ghosts on all sides are inside."""

@@ -1,0 +1,233 @@
+"""What a fabricator needs on the first page: sizes, radii, features, mass, files, what to check with a caliper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite, pi
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.export.truth import body_extent, body_volume, whole_extent
+from clacad.lattice import Circle
+from clacad.sheet import Window, optical_tile
+
+if TYPE_CHECKING:
+    from clacad.feasibility import BodyFacts, LensFacts
+    from clacad.verify import Report
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of the table.
+
+    about, name : str
+    value : tuple of float, or a word
+        In `unit`; two values are along x and y.
+    unit : str
+    """
+
+    about: str
+    name: str
+    value: tuple[float, ...] | str
+    unit: str = "mm"
+
+    @property
+    def text(self) -> str:
+        """The value as it is printed."""
+        if isinstance(self.value, str):
+            return self.value
+        shown = [_digits(v) for v in self.value]
+        return shown[0] if len(set(shown)) == 1 and self.name.endswith("x, y") else ", ".join(shown)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready; a flat face's radius and the like become null."""
+        value = (
+            self.value if isinstance(self.value, str) else [v if isfinite(v) else None for v in self.value]
+        )
+        return {"about": self.about, "name": self.name, "value": value, "unit": self.unit}
+
+
+def _digits(value: float) -> str:
+    if not isfinite(value):
+        return "flat" if value != value or value > 0 else "none"
+    return f"{value:.6g}" if abs(value) > 1e-12 else "0"  # a conic constant of a sphere is rounding alone
+
+
+def fabrication(report: Report) -> tuple[Line, ...]:
+    """Lines of the fabrication table, lengths in millimetres."""
+    window, facts = report.window, report.facts
+    mm = 1e3 * window.unit
+    lines = [*_sheet(window, mm)]
+    for lens in facts.lenses:
+        lines += _lens(lens, mm)
+    for body in facts.bodies:
+        lines += _body(window, body, mm)
+    if isfinite(facts.clearance):
+        lines.append(Line("assembly", "gap between the bodies, least", (facts.clearance * mm,)))
+    lines += _smallest(report, mm)
+    lines += _calipers(window, mm)
+    return tuple(lines)
+
+
+def _sheet(window: Window, mm: float) -> list[Line]:
+    lattice = window.lattice
+    zone = _area(optical_tile(window)) / lattice.cell_area
+    x0, x1, y0, y1 = lattice.extent()
+    lines = [
+        Line("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
+             else "rectangular", ""),
+        Line("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
+        Line("array", "cells", f"{lattice.count[0]} × {lattice.count[1]} ({lattice.cell_count} kept)", ""),
+        Line("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
+        Line("array", "fill: optical zone over cell", (zone,), ""),
+    ]  # fmt: skip
+    if window.land.seam or window.land.border:
+        lines.append(Line("array", "seam, border", (window.land.seam * mm, window.land.border * mm)))
+    if isinstance(window.outline, Circle):
+        lines.append(Line("array", "round outline, diameter", (window.outline.diameter * mm,)))
+    shift = window.shifts[1]
+    if shift != (0.0, 0.0):
+        lines.append(Line("array", "array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm)))
+    return lines
+
+
+def _area(polygon: Any) -> float:
+    x, y = np.asarray(polygon).T
+    return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def _lens(lens: LensFacts, mm: float) -> list[Line]:
+    about = f"lens {lens.array + 1}"
+    conic = ", ".join("–" if k is None else _digits(k) for k in lens.conic)
+    return [
+        Line(about, "apex radius x, y", tuple(r * mm for r in lens.radius)),
+        Line(about, "conic constant x, y", conic, ""),
+        Line(about, "sag over the cell", (lens.sag * mm,)),
+        Line(about, "centre thickness", (lens.thickness * mm,)),
+        Line(about, "steepest slope", (float(np.degrees(np.arccos(min(1.0, lens.least_normal_z)))),), "deg"),
+        Line(about, "fill: lens over its zone", (lens.cover,), ""),
+    ]
+
+
+def _body(window: Window, body: BodyFacts, mm: float) -> list[Line]:
+    built = next(b for b in window.bodies if b.name == body.name)
+    material = built.material
+    named = f"{material.name}, n = {built.index:.6g}" if material is not None else f"n = {built.index:.6g}"
+    lines = [
+        Line(body.name, "material", named, ""),
+        Line(body.name, "edge thickness, least", (body.edge * mm,)),
+        Line(body.name, "steps between cells, greatest", (body.step * mm,)),
+        Line(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
+    ]
+    if isfinite(body.neck):
+        lines.insert(2, Line(body.name, "neck between cells, least", (body.neck * mm,)))
+    volume = body_volume(window, built)
+    if volume is not None:
+        cubic = volume.value * mm**3
+        lines.append(Line(body.name, "volume", (cubic,), "mm³"))
+        density = None if material is None else material.density_kg_m3
+        lines.append(
+            Line(body.name, "mass", "not known: the design gives no material with a density", "")
+            if density is None
+            else Line(body.name, "mass", (cubic * density * 1e-6,), "g")
+        )
+    return lines
+
+
+def _smallest(report: Report, mm: float) -> list[Line]:
+    """Least radius and least feature of the whole part: what a tool, a voxel or a pixel must reach."""
+    facts = report.facts
+    radii = [abs(r) for lens in facts.lenses for r in lens.radius if isfinite(r)]
+    features = {
+        "pitch": min(report.window.lattice.pitch),
+        **{f"edge of {b.name}": b.edge for b in facts.bodies},
+        **{f"neck of {b.name}": b.neck for b in facts.bodies if isfinite(b.neck)},
+        **({"seam": report.window.land.seam} if report.window.land.seam else {}),
+        **({"gap": facts.clearance} if isfinite(facts.clearance) else {}),
+    }
+    features = {k: v for k, v in features.items() if v > 0.0}  # what is not there is judged by a check
+    name = min(features, key=lambda k: features[k])
+    lines = [Line("smallest", f"feature: {name}", (features[name] * mm,))]
+    if radii:
+        lines.insert(0, Line("smallest", "apex radius", (min(radii) * mm,)))
+    return lines
+
+
+def _calipers(window: Window, mm: float) -> list[Line]:
+    """Outer sizes that a caliper can check, as built."""
+    from clacad.feasibility import body_range
+
+    lines = []
+    x0, x1, y0, y1 = whole_extent(window)
+    for body in window.bodies:
+        a0, a1, b0, b1 = body_extent(window, body)
+        low, high = body_range(window, body)
+        size = ((a1 - a0) * mm, (b1 - b0) * mm, (high - low) * mm)
+        lines.append(Line("caliper", f"{body.name}: width, height, thickness", size))
+    if len(window.bodies) > 1:
+        low, high = window.z_range
+        size = ((x1 - x0) * mm, (y1 - y0) * mm, (high - low) * mm)
+        lines.append(Line("caliper", "assembly: width, height, thickness", size))
+    return lines
+
+
+def orientation(window: Window) -> list[str]:
+    """How the part must be held: sentences, told from the geometry alone."""
+    first, last = window.bodies[0].name, window.bodies[-1].name
+    found = [
+        "The light of the checks travels towards +z and meets lens 1 first"
+        + (
+            f", on {first}; {last} carries lens 2."
+            if first != last
+            else "; lens 2 is the back of the same body."
+        ),
+        "The axes are right-handed: with the light at your back and +y up, +x points to the left. No file is mirrored.",
+    ]
+    faces = [f for f in window.faces if f.array is not None]
+    centred = all(f.untilted and f.vertex[:2] == (0.0, 0.0) for f in faces) and window.shifts[1] == (0.0, 0.0)
+    alike = all(f.surface.curvature_x == f.surface.curvature_y for f in faces)
+    square = not window.lattice.hexagonal and window.lattice.pitch[0] == window.lattice.pitch[1]
+    if centred and alike and square:
+        found.append("It may be turned by quarter turns about z: the optics stay the same.")
+    elif centred:
+        found.append("It may be turned by half a turn about z, not by a quarter: the optics stay the same.")
+    else:
+        found.append(
+            "It may not be turned about z: lens axes or offsets point one way. Mark the corner +x, +y."
+        )
+    found.append(
+        "It may be turned over, too: both sides are alike."
+        if centred and _both_sides_alike(faces)
+        else "It may not be turned over: the two sides differ. Mark the side of lens 1."
+    )
+    return found
+
+
+def _both_sides_alike(faces: Sequence[Any]) -> bool:
+    one = [f.surface for f in faces if f.array == 0]
+    two = [f.surface for f in faces if f.array == 1][::-1]
+    return len(one) == len(two) and all(
+        np.isclose(getattr(a, f"curvature_{k}"), getattr(b, f"curvature_{k}"), rtol=1e-9, atol=0.0)
+        for a, b in zip(one, two, strict=True)
+        for k in ("x", "y")
+    )
+
+
+def fabrication_dict(report: Report) -> dict[str, Any]:
+    """The table as JSON holds it."""
+    return {
+        "unit": "mm",
+        "rows": [line.to_dict() for line in fabrication(report)],
+        "orientation": orientation(report.window),
+        "footprint_mm2": _footprint(report.window),
+    }
+
+
+def _footprint(window: Window) -> float:
+    mm = 1e3 * window.unit
+    if isinstance(window.outline, Circle):
+        return pi * (0.5 * window.outline.diameter * mm) ** 2
+    x0, x1, y0, y1 = whole_extent(window)
+    return (x1 - x0) * (y1 - y0) * mm * mm

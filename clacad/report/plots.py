@@ -1,0 +1,197 @@
+"""Figures of what a report measures beside its checks: foci and caustics, ghosts, errors told apart, accuracy, effects."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, svg
+from clacad.verify.attribution import NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from clacad.verify import Report
+    from clacad.verify.attribution import Attribution
+    from clacad.verify.caustic import Fan, MeridianFocus
+    from clacad.verify.evidence import Evidence
+
+GREEN = "#2b7a4b"
+SHADES = (ACCENT, "#5b9bd5", FAINT, SECOND, "#8a6fb0")
+"""Colours of the five parts of the error, in the order of `NAMES`."""
+
+
+def foci(report: Report, evidence: Evidence) -> str:
+    """Parallel light of either side between the lenses, both meridians, and its caustics about the foci."""
+    found = evidence.foci
+    if found is None:
+        return ""
+    mm = 1e3 * report.window.unit
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(2, 2, width_ratios=(3, 2))
+        for row, (name, focus) in enumerate(zip("xy", found, strict=True)):
+            _overview(axes[row][0], focus, mm, name)
+            _close_up(axes[row][1], focus, mm)
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+
+    return svg(7.6, 4.8, "foci and caustics of both lenses in both meridians", draw)
+
+
+def _overview(panel: Any, focus: MeridianFocus, mm: float, name: str) -> None:
+    reach = focus.distance
+    low, high = 0.0, reach
+    for fan in (focus.lens1, focus.lens2):
+        if np.isfinite(fan.focus[0]):
+            low, high = min(low, fan.focus[0]), max(high, fan.focus[0])
+    low, high = max(low - 0.03 * reach, -2.0 * reach), min(high + 0.03 * reach, 3.0 * reach)
+    for fan, colour, ends, label in (
+        (focus.lens1, ACCENT, (0.0, high), "light through lens 1"),
+        (focus.lens2, SECOND, (low, reach), "light through lens 2, sent backwards"),
+    ):
+        _rays(panel, fan, ends, mm, colour, 6, label)
+    for place, words in ((0.0, "lens 1"), (reach, "lens 2")):
+        panel.axvline(place * mm, color=FAINT, lw=1.0, ls=":")
+        panel.annotate(words, (place * mm, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -9),
+                       textcoords="offset points", fontsize=7.5, color=INK)  # fmt: skip
+    gap = focus.gap / focus.distance
+    panel.set_title(f"lens {name}: foci {abs(gap):.2g} of the distance apart" if np.isfinite(gap)
+                    else f"lens {name}: no power in this meridian")  # fmt: skip
+    panel.set_xlabel("along the axis from lens 1 (mm)")
+    panel.set_ylabel(f"across, lens {name} (mm)")
+    panel.locator_params(nbins=6)
+
+
+def _rays(
+    panel: Any, fan: Fan, ends: tuple[float, float], mm: float, colour: str, step: int, label: str
+) -> None:
+    shown = np.flatnonzero(np.isfinite(fan.slope))[::step]
+    along = np.array(ends)
+    for k in shown:
+        panel.plot(along * mm, (fan.place[k] + fan.slope[k] * along) * mm, color=colour, lw=0.6, alpha=0.75,
+                   label=label if k == shown[0] else None)  # fmt: skip
+
+
+def _close_up(panel: Any, focus: MeridianFocus, mm: float) -> None:
+    known = [fan for fan in (focus.lens1, focus.lens2) if np.isfinite(fan.focus).all()]
+    if not known:
+        panel.set_axis_off()
+        panel.text(0.5, 0.5, "no focus", ha="center", va="center", transform=panel.transAxes)
+        return
+    points = np.concatenate([np.vstack([fan.focus, fan.caustic]) for fan in known])
+    middle = 0.5 * (points[:, 0].min() + points[:, 0].max())
+    half = max(0.75 * float(np.ptp(points[:, 0])), 1e-3 * focus.distance)
+    ends = (middle - half, middle + half)
+    aside = known[0].focus[1]
+    for fan, colour in ((focus.lens1, ACCENT), (focus.lens2, SECOND)):
+        if not np.isfinite(fan.focus).all():
+            continue
+        _rays(panel, fan, ends, mm, colour, 2, "")
+        panel.plot(fan.caustic[:, 0] * mm, fan.caustic[:, 1] * mm, color=colour, lw=1.8)
+        panel.plot([fan.focus[0] * mm], [fan.focus[1] * mm], "o", ms=4, mfc="white", mec=colour, mew=1.2)
+    tall = max(float(np.abs(points[:, 1] - aside).max()), 1e-9) * 1.5
+    panel.set_xlim(ends[0] * mm, ends[1] * mm)
+    panel.set_ylim((aside - tall) * mm, (aside + tall) * mm)
+    panel.set_title("the foci, enlarged")
+    panel.set_xlabel("along the axis (mm)")
+    panel.ticklabel_format(useOffset=False)
+    panel.locator_params(axis="x", nbins=4)
+    panel.locator_params(axis="y", nbins=4)
+
+
+def ghosts(report: Report, evidence: Evidence) -> str:
+    """Maps over both incident slopes: through the partner as traced and in closed form, and as ghosts."""
+    found = evidence.ghosts
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(1, 3, sharey=True)
+        (sx, sy) = found.slope
+        box = (sx[0], sx[-1], sy[0], sy[-1])
+        image: Any = None
+        for panel, values, title in zip(
+            axes, (found.alive, found.closed_form, found.ghost),
+            ("traced, through the partner", "closed form, thin lenses", "traced, ghosts"), strict=True,
+        ):  # fmt: skip
+            image = panel.imshow(
+                values, origin="lower", extent=box, aspect="auto", vmin=0.0, vmax=1.0, interpolation="nearest"
+            )
+            panel.set_title(title)
+            panel.set_xlabel("incident slope, lens x")
+            panel.grid(False)
+            panel.locator_params(nbins=5)
+        axes[0].set_ylabel("incident slope, lens y")
+        figure.colorbar(image, ax=axes, label="share of the light", shrink=0.9)
+
+    return svg(7.6, 2.9, "share of the light over two incident slopes, partner, closed form and ghosts", draw)
+
+
+def parts_of_error(found: Attribution, limit: float) -> str:
+    """Five bars of the error, each alone, and one bar of what they add up to."""
+
+    def draw(figure: Figure) -> None:
+        top, bottom = figure.subplots(2, 1, height_ratios=(3.2, 1))
+        alone = np.array([max(1e3 * p.rms, 1e-15) for p in found.parts])[::-1]
+        top.barh(NAMES[::-1], alone, color=SHADES[::-1], height=0.62)
+        top.set_xscale("log")
+        top.set_xlim(min(1e-3, max(alone.min() * 0.2, 1e-15)), max(alone.max(), 1e3 * limit) * 12)
+        top.axvline(1e3 * limit, color=BAD, lw=1.0, ls="--")
+        for k, value in enumerate(alone):
+            room = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+            top.text(value * 1.35, k, f"{value:.3g}", va="center", fontsize=8, bbox=room)
+        top.set_xlabel("rms alone, mrad, logarithmic (dashed: limit of law_rms)")
+        top.grid(axis="y", visible=False)
+        _stack(bottom, found)
+
+    return svg(7.6, 3.6, f"error told apart in five parts: {found.about[:40]}", draw)
+
+
+def _stack(panel: Any, found: Attribution) -> None:
+    right = left = 0.0
+    for part, colour in zip(found.parts, SHADES, strict=True):
+        share = 1e3 * part.share
+        panel.barh(
+            [0], [share], left=right if share >= 0 else left, color=colour, height=0.55, label=part.name
+        )
+        right, left = (right + share, left) if share >= 0 else (right, left + share)
+    panel.axvline(1e3 * found.rms, color=INK, lw=1.0)
+    panel.set_yticks([0], ["shares"])
+    panel.set_xlabel(f"shares, mrad: they add up to the whole, {1e3 * found.rms:.4g} (line)")
+    panel.grid(axis="y", visible=False)
+
+
+def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
+    """Error against time over the rungs, log–log."""
+    ladder = evidence.ladder
+    style = {"law": (FAINT, "D"), "thin": ("#b07aa1", "s"), "surfaces": (GREEN, "*"), "mesh": (SECOND, "o")}
+
+    def draw(figure: Figure) -> None:
+        panel = figure.subplots()
+        for row, us in zip(ladder.rows, ladder.forecast, strict=True):
+            if not (np.isfinite(row.model_rms) and row.model_rms > 0.0):
+                continue
+            time = 1e6 * row.seconds / row.rays if timings else us
+            colour, marker = style[row.rung]
+            hollow = row.normals == "vertex"
+            panel.loglog(
+                [time], [1e3 * row.model_rms], marker, color=colour, ms=9 if marker == "*" else 6, mfc="white" if hollow else colour
+            )  # fmt: skip
+            words = row.rung if row.quads is None else f"{row.quads}"
+            panel.annotate(
+                words, (time, 1e3 * row.model_rms), xytext=(6, 3), textcoords="offset points", fontsize=8
+            )
+        limit = 1e3 * report.design.check.law_rms
+        panel.axhline(limit, color=BAD, lw=0.9, ls="--")
+        panel.annotate("limit of law_rms", (0.99, limit), xycoords=("axes fraction", "data"), ha="right", xytext=(0, 3),
+                       textcoords="offset points", fontsize=8, color=BAD)  # fmt: skip
+        panel.set_xlabel("microseconds a ray, " + ("measured in this run" if timings else "forecast"))
+        panel.set_ylabel("rms direction error to the exact trace (mrad)")
+        panel.margins(0.14, 0.12)
+        from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        panel.xaxis.set_major_formatter(ScalarFormatter())
+        panel.xaxis.set_minor_formatter(NullFormatter())
+
+    return svg(7.6, 3.6, "accuracy against time over the rungs", draw)
