@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
+import tempfile
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
-from trust.running import TINY, clacad
+from trust import golden
+from trust.running import TINY, clacad, environment
 
 from clacad.design import Design
 from clacad.export import export
@@ -66,6 +70,42 @@ def test_the_bytes_do_not_depend_on_circumstances(design: Path, tmp_path: Path, 
         found.append(contents(out))
     assert found[0] == found[1]
     assert len(found[0]) > (1 if formats == "step" else 20)
+
+
+def test_the_bytes_are_those_recorded_for_these_versions() -> None:
+    """After a change that is meant to change bytes: python tests/trust/golden.py --renew."""
+    kept, now = golden.record(), golden.versions()
+    if kept["versions"] != now:
+        other = {name: now[name] for name in now if kept["versions"].get(name) != now[name]}
+        pytest.skip(f"recorded under other versions; here {other}")
+    assert golden.hashes() == kept["files"]
+
+
+ANOTHER_USER = """
+import os, sys
+from clacad.design import load
+from clacad.export import export
+source, ours, theirs = sys.argv[1:]
+formats = ("stl", "3mf", "glb", "table", "png")
+export(load(source), ours, formats=formats, quads=4)
+os.mkdir(theirs)
+os.chown(theirs, 65534, 65534)
+os.setgroups([]), os.setgid(65534), os.setuid(65534)
+export(load(source), theirs, formats=formats, quads=4)
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become somebody else")
+def test_the_bytes_do_not_depend_on_the_user(design: Path) -> None:
+    with tempfile.TemporaryDirectory() as folder:  # pytest's own folders are for nobody else
+        place = Path(folder)
+        place.chmod(0o755)
+        source = place / "tiny.toml"
+        source.write_bytes(design.read_bytes())
+        names = [str(place / name) for name in ("tiny.toml", "ours", "theirs")]
+        subprocess.run([sys.executable, "-c", ANOTHER_USER, *names], check=True, env=environment())
+        assert (place / "theirs" / "tiny.stl").stat().st_uid == 65534
+        assert contents(place / "ours") == contents(place / "theirs")
 
 
 # -- judged afterwards ------------------------------------------------------------------------------
