@@ -7,7 +7,7 @@ table has a reference, and the reference has an error of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from clacad.accuracy.table import Row, Table, TargetOutOfReach
 
@@ -43,7 +43,7 @@ def accuracy(
     DesignError
         The design cannot be built.
     """
-    from clacad.accuracy.floors import floors
+    from clacad.accuracy.floors import floors, probe
     from clacad.accuracy.measure import QUADS, Ladder, exact_rows, mesh_rows, reference
     from clacad.accuracy.step import step_row
     from clacad.prescription import prescribe
@@ -65,27 +65,19 @@ def accuracy(
     step, note = step_row(ladder)
     rows += [] if step is None else [step]
     report("floors of the file formats", 0.9)
-    found = floors(ladder, rows)
+    found = floors(probe(window, lit.rays, ladder.truth))
     report("done", 1.0)
-    return Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note, found), rays=rays)
+    return Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
 def _silent(_stage: str, _done: float) -> None:
     return
 
 
-def _notes(rows: Sequence[Row], step_note: str, floors: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+def _notes(rows: Sequence[Row], step_note: str) -> tuple[str, ...]:
     surfaces = next(row for row in rows if row.rung == "surfaces")
     notes = [
         "rung law's model error equals rung surfaces' error to the law by definition: "
         f"{1e3 * surfaces.law_rms:.3g} mrad rms; it also leaves out the ray offset and the ghosts",
     ]
-    for floor in floors:
-        if floor["best_quads"] is not None:
-            notes.append(
-                f"floor of {floor['formats']} ({floor['float']} vertices, facet normals): "
-                f"{1e3 * floor['floor']:.2g} mrad at {floor['best_quads']:.3g} quads a cell side, "
-                f"{floor['facets']:.2g} facets; at {floor['confirmed_quads']} quads forecast "
-                f"{1e3 * floor['forecast']:.3g} mrad, traced {1e3 * floor['traced']:.3g} mrad"
-            )
     return (*notes, *([step_note] if step_note else []))

@@ -50,10 +50,10 @@ class Ladder:
 
     @classmethod
     def raised(cls, window: Window, rays: Rays) -> Ladder:
-        """Trace the truth."""
+        """Trace the truth, by the compiled kernel: the one whose speed and error the table tells."""
         from clacad.trace import trace
 
-        return cls(window, rays, trace(window, rays), window.law.refract(rays.direction))
+        return cls(window, rays, trace(window, rays, path="numba"), window.law.refract(rays.direction))
 
 
 def timed(run: Callable[[], TraceResult]) -> tuple[TraceResult, float, float]:
@@ -130,13 +130,12 @@ def reference(ladder: Ladder, count: int = ORACLE_RAYS) -> dict[str, float]:
 
 
 def exact_rows(ladder: Ladder, checked: dict[str, float]) -> list[Row]:
-    """Rungs law, thin, surfaces in float64 and float32 (numpy, for pictures; not for a biconic)."""
-    from clacad.accuracy.single import trace_single
+    """Rungs law, thin, surfaces in float64 and float32, the last two compiled."""
     from clacad.trace import trace
 
     window, rays = ladder.window, ladder.rays
-    surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays))
-    single = row(ladder, "surfaces", "float32, lens faces only", lambda: trace_single(window, rays))
+    surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays, path="numba"))
+    single = row(ladder, "surfaces", "float32", lambda: trace(window, rays, precision="float32"))
     return [
         row(ladder, "law", "", lambda: trace(window, rays, rung="law")),
         row(ladder, "thin", "", lambda: trace(window, rays, rung="thin")),
@@ -155,7 +154,7 @@ def _surface_bytes(window: Window) -> int:
 
 def mesh_rows(ladder: Ladder, quads: int) -> list[Row]:
     """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
-    from clacad.accuracy.single import rounded
+    from clacad.accuracy.rounding import EXACT, Holding, outermost_cell, rounded
     from clacad.export.stl import stl_bytes
     from clacad.mesh import tessellate
     from clacad.trace import trace
@@ -164,11 +163,9 @@ def mesh_rows(ladder: Ladder, quads: int) -> list[Row]:
     began = time.process_time()
     mesh = tessellate(window, quads=quads)
     prepare = time.process_time() - began
-    alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)
-    lit = ladder.truth.cell[alive[0]] if len(alive) else np.zeros(2, dtype=np.int64)
-    rows = []
-    for kind in ("f64", "f32"):
-        facets = mesh if kind == "f64" else rounded(mesh, (int(lit[0]), int(lit[1])), window.unit * 1e3)
+    cell, rows = outermost_cell(window), []
+    for kind, holding in (("f64", EXACT), ("f32", Holding("sheet"))):
+        facets = rounded(mesh, cell, holding)
         for normals in ("facet", "vertex"):
             run = partial(trace, window, rays, rung="mesh", mesh=facets, normals=normals)
             setting = f"{quads} quads, {normals} normals" + (", float32 vertices" if kind == "f32" else "")

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clacad.accuracy.floors import Floor
 
 MOST_DISAGREEMENT = 0.01
 """Share of rays whose fate or order may differ from the truth for a setting to be chosen."""
@@ -80,9 +83,14 @@ class Row:
         """Rays per processor second."""
         return self.rays / self.seconds if self.seconds > 0 else 0.0
 
+    @property
+    def seconds_per_ray(self) -> Any:
+        """Processor seconds of one ray: rows of different numbers of rays compare by it."""
+        return self.seconds / max(1, self.rays)
+
     def predicted_seconds(self, rays: int) -> Any:
         """Processor seconds for another number of rays, preparation included."""
-        return self.prepare_s + self.seconds * rays / max(1, self.rays)
+        return self.prepare_s + self.seconds_per_ray * rays
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form; what was not measured is null."""
@@ -104,15 +112,15 @@ class Table:
     rows : tuple of Row
     reference : mapping
         The 50-digit check of the truth: rays, rms, max.
-    floors : tuple of mappings
-        Where accuracy stops paying: per file format the best facet grid and its error.
+    floors : tuple of Floor
+        Where accuracy stops paying: for each family of file formats the best facet grid and its error.
     notes : tuple of str
     """
 
     design: str
     rows: tuple[Row, ...]
     reference: Mapping[str, float]
-    floors: tuple[Mapping[str, Any], ...] = ()
+    floors: tuple[Floor, ...] = ()
     notes: tuple[str, ...] = ()
     target: float | None = None
     rays: int = field(default=0)
@@ -146,11 +154,7 @@ class Table:
 
     def pareto(self) -> tuple[Row, ...]:
         """Rows that no other row beats in both error and seconds, cheapest first."""
-        front: list[Row] = []
-        for row in sorted(self.rows, key=lambda r: (r.seconds, r.model_rms)):
-            if isfinite(row.model_rms) and (not front or row.model_rms < front[-1].model_rms):
-                front.append(row)
-        return tuple(front)
+        return pareto(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form."""
@@ -160,6 +164,15 @@ class Table:
             "reference": dict(self.reference),
             "rows": [row.to_dict() for row in self.rows],
             "pareto": [self.rows.index(row) for row in self.pareto()],
-            "floors": [dict(f) for f in self.floors],
+            "floors": [floor.to_dict() for floor in self.floors],
             "notes": list(self.notes),
         }
+
+
+def pareto(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """Rows that no other beats in both error and seconds a ray, cheapest first."""
+    front: list[Row] = []
+    for row in sorted(rows, key=lambda r: (r.seconds_per_ray, r.model_rms)):
+        if isfinite(row.model_rms) and (not front or row.model_rms < front[-1].model_rms):
+            front.append(row)
+    return tuple(front)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from clacad.cli.export_command import parse_angle
 
 if TYPE_CHECKING:
     from clacad.accuracy import Row, Table
+    from clacad.accuracy.floors import Floor
 
 
 def measure_accuracy(
@@ -75,7 +77,37 @@ def accuracy_text(measured: Table) -> str:
         "* no other setting is better in both error and seconds",
         *measured.notes,
     ]
-    return f"{measured.design}, {measured.rays:,} rays\n{table(lines)}\n" + "\n".join(notes)
+    blocks = [
+        f"{measured.design}, {measured.rays:,} rays",
+        table(lines),
+        *notes,
+        floors_text(measured.floors),
+    ]
+    return "\n".join(blocks)
+
+
+def floors_text(floors: Sequence[Floor]) -> str:
+    """Where accuracy stops paying, one line a family of formats, errors in mrad."""
+    lines = [["format", "read by its", "floor", "at quads", "facets", "forecast, traced", ""]]
+    for one in floors:
+        if one.floor is None:
+            lines.append([one.formats, "", "", "", "", "", one.note])
+            continue
+        best = "" if one.best_quads is None else f"{one.best_quads:.3g}"
+        facets = "" if one.facets is None else f"{one.facets:.2g}"
+        confirmed = ", ".join(f"{1e3 * f:.3g} {1e3 * t:.3g} at {q}" for q, f, t in one.confirmed)
+        lines.append(
+            [
+                one.formats,
+                f"{one.normals} normals",
+                f"{1e3 * one.floor:.2g}",
+                best,
+                facets,
+                confirmed,
+                one.note,
+            ]
+        )
+    return f"where accuracy stops paying: the least error of each file format, in mrad\n{table(lines)}"
 
 
 def _line(row: Row, on_front: bool) -> list[str]:

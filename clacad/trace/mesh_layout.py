@@ -216,16 +216,16 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
     hair = 1e-9 * width  # a facet on a bin's border is in both bins
     first = np.clip(((corners.min(axis=1) - hair - low) / width).astype(np.int64), 0, count - 1)
     last = np.clip(((corners.max(axis=1) + hair - low) / width).astype(np.int64), 0, count - 1)
-    bins, facets = [], []
-    for f, ((i0, j0), (i1, j1)) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                bins.append(j * count + i)
-                facets.append(f)
+    across = last - first + 1  # bins a facet lies in, along x and y
+    each = across[:, 0] * across[:, 1]
+    facets = np.repeat(np.arange(len(corners)), each)
+    place = np.arange(len(facets)) - np.repeat(np.cumsum(each) - each, each)
+    j, i = np.divmod(place, across[facets, 0])
+    bins = (first[facets, 1] + j) * count + first[facets, 0] + i
     order = np.argsort(bins, kind="stable")
-    start = np.searchsorted(np.array(bins)[order], np.arange(count * count + 1))
+    start = np.searchsorted(bins[order], np.arange(count * count + 1))
     table = [float(count), float(count), *low.tolist(), *(1.0 / width).tolist()]
-    return table, start.astype(np.int64), np.array(facets, dtype=np.int64)[order]
+    return table, start.astype(np.int64), facets[order].astype(np.int64)
 
 
 def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
