@@ -99,7 +99,7 @@ def test_a_good_file_passes(tmp_path, soup):
 @pytest.mark.parametrize(("change", "culprit"), [
     pytest.param({"law.eta": [-0.255, -1.0]}, "file_eta", id="eta_x off by 2 %"),
     pytest.param({"law.eta": [-0.25, -1.02]}, "file_eta", id="eta_y off by 2 %"),
-    pytest.param({"law.delta": [-0.01, 0.0]}, "shape", id="delta of the other sign"),
+    pytest.param({"law.delta": [-0.01, 0.0]}, "pose", id="delta of the other sign"),
     pytest.param({"pair.index": 1.52}, "file_eta", id="radii of another index"),
 ])  # fmt: skip
 def test_a_file_of_another_design_fails_by_name(tmp_path, change, culprit):

@@ -245,7 +245,8 @@ def register(
     def matching(units: Iterable[tuple[str, float]]) -> list[tuple[str, float, Window]]:
         tried = [(name, metres / design.unit_m) for name, metres in units]
         found = [
-            (name, f, _fitting(design, whole, window is not None, heights, extent * f)) for name, f in tried
+            (name, f, fitting_window(design, whole, window is not None, heights, extent * f))
+            for name, f in tried
         ]
         return [(name, factor, fitting) for name, factor, fitting in found if fitting is not None]
 
@@ -277,7 +278,7 @@ def register(
     )
 
 
-def _fitting(
+def fitting_window(
     design: Design,
     whole: Window,
     fixed: bool,

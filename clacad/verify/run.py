@@ -24,7 +24,6 @@ from clacad.verify.files import (
     find_files,
     integrity,
     present_bodies,
-    register,
     same_design,
     unit_of,
     written_window,
@@ -34,6 +33,8 @@ from clacad.verify.geometry import design_checks
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.optics import Optics, confocality_check, law_checks, measure, throughput_check
+from clacad.verify.registration import place
+from clacad.verify.returned import judge_placed
 from clacad.verify.solidfile import judge_solid
 
 if TYPE_CHECKING:
@@ -338,14 +339,23 @@ def _judge_triangles(
         note = ""
         metres = unit_of(subject, mesh) if subject.entry else None
         if window is not None and metres is not None:
-            factor = metres / design.unit_m
+            present = present_bodies(window, subject, 0.0)
+            found, evidence = judge_mesh(
+                design,
+                window,
+                mesh,
+                metres / design.unit_m,
+                subject.name,
+                subject.entry,
+                rays,
+                progress,
+                present,
+            )
         else:
-            window, factor, note = register(design, subject, mesh, window)
-        low, high = (float(v[2]) * factor for v in mesh.box()) if not subject.entry else (0.0, 0.0)
-        present = present_bodies(window, subject, high - low)
-        found, evidence = judge_mesh(
-            design, window, mesh, factor, subject.name, subject.entry, rays, progress, present
-        )
+            progress("finding where the part lies", 0.0)
+            placed = place(design, subject, mesh, window)
+            window, present, note = placed.window, placed.present, placed.note
+            found, evidence = judge_placed(design, placed, subject.name, rays, progress)
     except UnreadableFile as error:
         failed = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
         later = ("closed", "volume", "shape", "file_rms", "file_eta", "file_delta")

@@ -1,0 +1,206 @@
+"""Maps of how far a part is off: folded into one cell, which shows the process, and cell by cell, which shows damage.
+
+Corners of facets are what was measured or written; between them a mesh has no say. They are compared along the
+normals of the exact faces, averaged over bins, so that noise averages out and is stated apart.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from clacad.sheet import Window
+from clacad.verify.sides import STEEP, Floats, Ints, off_faces
+
+BINS = 16
+"""Bins a side of the folded cell."""
+
+FEWEST = 4
+"""Corners below which a bin says nothing."""
+
+MOST = 2_000_000
+"""Facets that are looked at; of larger files evenly spread ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceMap:
+    """One lens face.
+
+    name : str
+        Such as "array1 front".
+    folded, count : (bins, bins)
+        Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each other,
+        x first, NaN in empty bins; and how many equally weighted corners it is worth.
+    noise : float, length
+        Rms of single corners about their bin's mean.
+    cells : (n1, n2)
+        Rms deviation of each cell; NaN where it has no corners.
+    """
+
+    name: str
+    folded: Floats
+    count: Ints
+    noise: float
+    cells: Floats
+
+    @property
+    def systematic(self) -> float:
+        """Largest mean deviation of a well-filled bin, less what noise leaves of it (length)."""
+        filled = self.count >= FEWEST
+        if not filled.any():
+            return float("nan")
+        left = np.abs(self.folded[filled]) - 3.0 * self.noise / np.sqrt(self.count[filled])
+        return float(max(0.0, left.max()))
+
+    @property
+    def rms(self) -> float:
+        """Rms of the bins' means, weighted by their corners (length)."""
+        filled = self.count >= FEWEST
+        if not filled.any():
+            return float("nan")
+        return sqrt(float(np.average(self.folded[filled] ** 2, weights=self.count[filled])))
+
+
+@dataclass(frozen=True, eq=False)
+class DeviationMap:
+    """All lens faces of a part.
+
+    unit : str
+        Name of the design's unit.
+    low, high : (2,) lengths
+        Bounding box of a cell.
+    faces : tuple of FaceMap
+    """
+
+    unit: str
+    low: Floats
+    high: Floats
+    faces: tuple[FaceMap, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content: numbers with seven digits, null in empty bins."""
+        return {
+            "unit": self.unit, "low": self.low.tolist(), "high": self.high.tolist(),
+            "faces": [
+                {"name": f.name, "noise": f.noise, "rms": f.rms, "systematic": f.systematic,
+                 "folded": _grid(f.folded), "count": f.count.tolist(), "cells": _grid(f.cells)}
+                for f in self.faces
+            ],
+        }  # fmt: skip
+
+
+def _grid(values: Floats) -> list[list[float | None]]:
+    return [[float(f"{v:.7g}") if np.isfinite(v) else None for v in row] for row in values]
+
+
+class Mapper:
+    """Looks at chunks of a part and adds them up."""
+
+    def __init__(self, window: Window, unit: str, present: Sequence[str], facets: int) -> None:
+        self.window, self.unit, self.present = window, unit, present
+        self._stride = max(1, facets // MOST)
+        tile = window.lattice.tile()
+        self._low, self._high = tile.min(axis=0), tile.max(axis=0)
+        faces = 2 * len(window.bodies)
+        self._sums = np.zeros((4, faces, BINS * BINS))
+        cells = window.lattice.cells()
+        self._first = cells.min(axis=0)
+        self._shape = tuple(int(n) for n in np.ptp(cells, axis=0) + 1)
+        self._cells = np.zeros((2, faces, self._shape[0] * self._shape[1]))
+
+    def look(self, corners: Floats) -> None:
+        """Take a chunk (k, 3, 3), sheet frame, design units."""
+        corners = corners[:: self._stride]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        good = np.abs(normal[:, 2]) > STEEP * length
+        facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
+        # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
+        middle = corners[good].mean(axis=1, keepdims=True)
+        points = corners[good].reshape(-1, 3)
+        asked = (corners[good] + 1e-6 * (middle - corners[good])).reshape(-1, 3)
+        asked[:, 2] = points[:, 2]
+        off = off_faces(self.window, asked, facing, self.present)
+        rows = np.flatnonzero(off.known & self.window.lattice.contains(off.cell))
+        up = np.where(facing[rows, 2] > 0.0, 1.0, -1.0)  # positive: too much material
+        value = off.distance[rows] * up
+        part = (off.local[rows] - self._low) / (self._high - self._low)
+        place = np.clip((part * BINS).astype(np.int64), 0, BINS - 1)
+        at = off.face[rows] * (BINS * BINS) + place[:, 0] * BINS + place[:, 1]
+        # by area: slivers along walls have many corners and say little
+        area = np.repeat(0.5 * np.abs(normal[good, 2]), 3)[rows]
+        for k, weights in enumerate((area, area * value, area * value**2, area**2)):
+            self._sums[k] += np.bincount(at, weights, self._sums[k].size).reshape(self._sums[k].shape)
+        cell = off.cell[rows] - self._first
+        where = (off.face[rows] * self._shape[0] + cell[:, 0]) * self._shape[1] + cell[:, 1]
+        for k, weights in enumerate((area, area * value**2)):
+            self._cells[k] += np.bincount(where, weights, self._cells[k].size).reshape(self._cells[k].shape)
+
+    def result(self) -> DeviationMap:
+        """The maps of the lens faces that the part holds."""
+        found = []
+        for number, body in enumerate(self.window.bodies):
+            for side, face in enumerate((body.front, body.back)):
+                if face.array is not None and body.name in self.present:
+                    found.append(self._face(2 * number + side, f"{body.name} {('front', 'back')[side]}"))
+        return DeviationMap(self.unit, self._low, self._high, tuple(found))
+
+    def _face(self, number: int, name: str) -> FaceMap:
+        area, total, square, own = self._sums[:, number]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = total / area
+            spread = np.maximum(square / area - mean**2, 0.0)
+            count = np.nan_to_num(np.floor(area**2 / own))
+            cells = np.sqrt(self._cells[1, number] / self._cells[0, number])
+        filled = count >= FEWEST
+        noise = (
+            sqrt(float(np.average(spread[filled], weights=count[filled]))) if filled.any() else float("nan")
+        )
+        return FaceMap(
+            name, mean.reshape(BINS, BINS), count.astype(np.int64).reshape(BINS, BINS), noise,
+            cells.reshape(self._shape),
+        )  # fmt: skip
+
+
+def deviation_map(
+    window: Window, unit: str, chunks: Iterable[Floats], present: Sequence[str], facets: int
+) -> DeviationMap:
+    """Map a part given as chunks of corners (k, 3, 3) in the sheet frame, design units."""
+    mapper = Mapper(window, unit, present, facets)
+    for chunk in chunks:
+        mapper.look(chunk)
+    return mapper.result()
+
+
+def plot_deviation(found: DeviationMap, title: str) -> bytes:
+    """Both maps of every lens face as PNG, the same for the same numbers."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context({"font.size": 8.0}):
+        figure = Figure(figsize=(3.6 * len(found.faces), 6.4), layout="constrained", dpi=100)
+        FigureCanvasAgg(figure)
+        figure.suptitle(
+            f"{title}: deviation along the normal / {found.unit}; positive is too much material", fontsize=9
+        )
+        axes = figure.subplots(2, len(found.faces), squeeze=False)
+        for column, face in enumerate(found.faces):
+            most = float(np.nanmax(np.abs(face.folded))) if np.isfinite(face.folded).any() else 1.0
+            x0, y0, x1, y1 = *found.low, *found.high
+            image = axes[0, column].imshow(
+                face.folded.T, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most, extent=(x0, x1, y0, y1)
+            )
+            axes[0, column].set_title(f"{face.name}: mean over all cells, noise {face.noise:.2g}", fontsize=8)
+            figure.colorbar(image, ax=axes[0, column])
+            image = axes[1, column].imshow(face.cells.T, origin="lower", cmap="viridis", aspect="equal")
+            axes[1, column].set_title("rms of each cell", fontsize=8)
+            figure.colorbar(image, ax=axes[1, column])
+        out = io.BytesIO()
+        figure.savefig(out, format="png", metadata={"Software": "clacad"})
+    return out.getvalue()

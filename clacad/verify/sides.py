@@ -1,0 +1,107 @@
+"""How far points of a part lie from the faces of the design, whichever cell, body and side they are on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.feasibility import body_range
+from clacad.sheet import Face, Window, face_height, lens_height_and_normal
+from clacad.verify.gather import levels, owner
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STEEP = 0.3
+"""Facets whose |n_z| is below this belong to walls and edges, not to faces."""
+
+
+@lru_cache(maxsize=16)
+def ranges(window: Window) -> tuple[tuple[float, float], ...]:
+    """Height range of each body, worked out once for a window."""
+    return tuple(body_range(window, body) for body in window.bodies)
+
+
+@lru_cache(maxsize=16)
+def _levels(window: Window) -> Floats:
+    return levels(window)
+
+
+@dataclass(frozen=True, eq=False)
+class Off:
+    """Points against the faces of a design.
+
+    distance : (n,) lengths
+        Along the face's normal, positive above the face (towards +z); NaN where the point is on no face.
+    normal : (n, 3)
+        Unit normal of the face, towards +z; NaN likewise.
+    face : (n,) ints
+        Number of the face in the order of the light, −1 for none.
+    cell : (n, 2) ints, local : (n, 2) lengths
+        Cell of the face's array and place in it.
+    """
+
+    distance: Floats
+    normal: Floats
+    face: Ints
+    cell: Ints
+    local: Floats
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which points were compared."""
+        return np.isfinite(self.distance)
+
+
+def off_faces(window: Window, points: Floats, facing: Floats, present: Sequence[str] | None = None) -> Off:
+    """Compare points (n, 3), sheet frame, with the faces they belong to.
+
+    Parameters
+    ----------
+    window : Window
+    points : (n, 3) lengths
+    facing : (n, 3)
+        Outward unit normals of the part at the points: they tell the side; steep ones belong to no face.
+    present : names of the bodies of the part, or None for all
+    """
+    n = len(points)
+    found = Off(
+        np.full(n, np.nan), np.full((n, 3), np.nan), np.full(n, -1), np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2))
+    )  # fmt: skip
+    held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
+    body_of = np.full(n, held[0]) if len(held) == 1 else np.searchsorted(_levels(window), points[:, 2])
+    steep = np.abs(facing[:, 2]) < STEEP
+    for number in held:
+        body = window.bodies[number]
+        for side, face in enumerate((body.front, body.back)):
+            mine = ~steep & (body_of == number) & ((facing[:, 2] > 0.0) == bool(side))
+            rows = np.flatnonzero(mine)
+            if len(rows):
+                _compare(window, face, owner(body, face), points[rows], rows, 2 * number + side, found)
+    return found
+
+
+def _compare(
+    window: Window, face: Face, array: int, points: Floats, rows: Ints, number: int, found: Off
+) -> None:
+    shift = window.shifts[array]
+    cell, x, y = window.lattice.locate(points[:, 0] - shift[0], points[:, 1] - shift[1])
+    found.face[rows], found.cell[rows], found.local[rows] = number, cell, np.column_stack([x, y])
+    if face.array is None:
+        found.distance[rows], found.normal[rows] = points[:, 2] - face.vertex[2], [0.0, 0.0, 1.0]
+        return
+    height = face_height(window, face, x, y)
+    lens, normal = lens_height_and_normal(face, x, y)
+    flat = ~(np.abs(height - lens) <= 1e-12 * window.lattice.circumradius)
+    outside = ~window.lattice.contains(cell)
+    if outside.any():  # plain border, or nothing
+        height = np.where(outside, np.nan if face.land is None else face.land, height)
+        flat |= outside
+    normal = np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
+    normal[np.isnan(height)] = np.nan
+    found.normal[rows] = normal
+    found.distance[rows] = (points[:, 2] - height) * normal[:, 2]
