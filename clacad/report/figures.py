@@ -27,7 +27,7 @@ STYLE = {
     "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False, "axes.titlesize": 9.5,
     "axes.titleweight": "bold", "image.cmap": "viridis",
 }  # fmt: skip
-SPOT_RAYS = 600
+SPOT_RAYS = 300
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.export.atomic import write_file
 
 if TYPE_CHECKING:
+    from clacad.report.content import Content
     from clacad.report.page import Section
     from clacad.verify import Report
     from clacad.verify.gather import Progress
@@ -25,7 +26,7 @@ PDF_MARK = b"%PDF"
 
 
 def write_report(
-    report: Report,
+    report: Report | Content,
     folder: str | os.PathLike[str],
     overwrite: bool = False,
     *,
@@ -38,7 +39,8 @@ def write_report(
 
     Parameters
     ----------
-    report : Report
+    report : Report, or Content made from one
+        What is measured and pictured for the page alone is done here unless it was done before.
     folder : path
         Made if missing.
     overwrite : bool
@@ -50,7 +52,7 @@ def write_report(
     pdf : bool
         Write report.pdf as well.
     timings : bool
-        Show seconds of this run in page and numbers; they go to run.json anyway.
+        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own say.
 
     Returns
     -------
@@ -62,7 +64,7 @@ def write_report(
     PdfMissing
         The extra package that sets the PDF is not installed.
     """
-    from clacad.report.content import content
+    from clacad.report import content as contents
     from clacad.report.page import page
 
     tell = progress if progress is not None else _silent
@@ -71,7 +73,7 @@ def write_report(
 
         typesetter()  # said before the work is done, not after it
     began = time.monotonic()
-    made = content(report, tell, timings)
+    made = report if isinstance(report, contents.Content) else contents.content(report, tell, timings)
     place = Path(folder)
     html, numbers = place / "report.html", place / "report.json"
     written: list[Path] = [html, numbers]

@@ -68,7 +68,7 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     from clacad.verify.bundle import bundle
 
     lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
-    ladder = measure.Ladder.raised(window, lit.rays)
+    ladder = measure.Ladder(window, lit.rays, trace(window, lit.rays), window.law.refract(lit.rays.direction))
     known = measure.reference(ladder, ORACLE_RAYS)["rms"]
     rows, forecast = [], []
     exact: tuple[Literal["law", "thin", "surfaces"], ...] = ("law", "thin", "surfaces")
