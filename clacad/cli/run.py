@@ -34,6 +34,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _answered(given: list[str]) -> int:
+    from clacad.cli.ending import ended_in_time
+
+    with ended_in_time(INTERRUPTED) as ending:
+        status = _status(given)
+        if status == INTERNAL and ending.asked.is_set():  # what a library made of the interruption
+            return INTERRUPTED
+        return status
+
+
+def _status(given: list[str]) -> int:
     from clacad.export.worker import ended_by_signals
 
     try:

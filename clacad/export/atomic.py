@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from clacad.export.errors import CannotWrite, ExportRefused
-from clacad.export.exchange import OLD, Unfinished, exchange, flush, undisturbed
+from clacad.export.exchange import BUSY, OLD, Unfinished, exchange, flush, undisturbed
 
 MANIFEST = "manifest.json"
 RUN_FACTS = "run.json"
@@ -65,6 +65,19 @@ def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any] | None:
     return found
 
 
+_OPEN: set[Path] = set()
+"""Private folders of this process."""
+
+
+def abandon_all() -> None:
+    """Remove the private folders of this process, which is about to end; a publication under way comes first."""
+    with suppress(RuntimeError):
+        if BUSY.acquire(timeout=10.0):
+            for private in tuple(_OPEN):
+                if not (private / _SEALED).exists():
+                    shutil.rmtree(private, ignore_errors=True)
+
+
 class Stage:
     """A private folder whose files become visible all at once, or not at all.
 
@@ -99,6 +112,7 @@ class Stage:
             sweep(self.folder)
             name = f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
             self._private = self.folder / name
+            _OPEN.add(self._private)
             try:
                 self._private.mkdir(mode=0o700)
                 self._lock = _locked(self._private)
@@ -108,8 +122,10 @@ class Stage:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._private is not None and not self._torn:
-            shutil.rmtree(self._private, ignore_errors=True)
+        if self._private is not None:
+            if not self._torn:
+                shutil.rmtree(self._private, ignore_errors=True)
+            _OPEN.discard(self._private)
         if self._lock is not None:
             os.close(self._lock)
         self._private = self._lock = None

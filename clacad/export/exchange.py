@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 OLD = "old"
 """Subfolder of the private folder for what was at the final names before."""
@@ -88,17 +89,31 @@ def _undone(undo: list[tuple[Path, Path | None, Path]]) -> None:
             old.unlink(missing_ok=True)  # two names of one file: the line above left both
 
 
+BUSY = threading.Lock()
+"""Held while files change places: who wants to end the process waits for it."""
+
+
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Let signals wait for the few milliseconds in which files change places."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    """Let signals wait for the few milliseconds in which files change places.
+
+    The handlers are put aside, not the signals: those may come to any thread, and are handled in the main one.
+    """
+    heard: list[int] = []
+    aside: dict[int, Any] = {}
+    with BUSY:
+        if threading.current_thread() is threading.main_thread():
+            for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+                number = getattr(signal, name, None)
+                if number is not None and callable(signal.getsignal(number)):
+                    aside[number] = signal.signal(number, lambda which, _: heard.append(which))
+        try:
+            yield
+        finally:
+            for number, handler in aside.items():
+                signal.signal(number, handler)
+    for number in heard[:1]:
+        signal.raise_signal(number)
 
 
 def flush(path: Path) -> None:

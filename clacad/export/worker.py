@@ -34,6 +34,17 @@ _BOOT = (
 )
 
 
+_LIVE: set[int] = set()
+"""Process groups of the workers of this process."""
+
+
+def end_all() -> None:
+    """Kill every worker of this process and all they started: it is about to end itself."""
+    for group in tuple(_LIVE):
+        with suppress(OSError):
+            os.killpg(group, signal.SIGKILL)
+
+
 class Worker:
     """One child process that runs functions named "module:function" and answers in JSON.
 
@@ -94,6 +105,7 @@ class Worker:
             raise WorkerDied(f"the worker process could not be started: {error.strerror}") from error
         finally:
             os.close(write_end)
+        _LIVE.add(self._process.pid)
         self._answers, self._pending, self._stage = read_end, b"", "start"
 
     def run(self, function: str, *arguments: Any, timeout: float | None = None, progress: Progress | None = None,
@@ -152,6 +164,7 @@ class Worker:
             return
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
+        _LIVE.discard(process.pid)
         if process.stdin is not None:
             with suppress(OSError):
                 process.stdin.close()
