@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_design
 from clacad.cli.export_command import parse_cells
+
+if TYPE_CHECKING:
+    from clacad.verify import Report
 
 
 def verify_design(
@@ -28,6 +32,7 @@ def verify_design(
             written = write_report(
                 report, out, overwrite=overwrite, progress=progress, pdf=pdf, timings=timings
             )
+            written = (*written, *_deviations(report, out, overwrite))
     finally:
         progress.done()
     if json:
@@ -38,3 +43,15 @@ def verify_design(
     if out is not None and not quiet:
         say("report: " + ", ".join(str(p) for p in written))
     return report.exit_status
+
+
+def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
+    """Maps of how far each returned part is off, beside the report."""
+    from clacad.verify.deviationmap import write_deviation
+
+    found: list[Path] = []
+    for file in report.files:
+        mapped = None if file.mesh is None else file.mesh.facts.get("deviation")
+        if mapped is not None:
+            found += write_deviation(mapped, file.subject.name, out, overwrite=overwrite)
+    return found

@@ -7,14 +7,18 @@ normals of the exact faces, averaged over bins, so that noise averages out and i
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from clacad.export.atomic import Stage, canonical_json, safe_name
 from clacad.sheet import Window
+from clacad.verify.checks import plain
 from clacad.verify.sides import STEEP, Floats, Ints, off_faces
 
 BINS = 16
@@ -204,3 +208,35 @@ def plot_deviation(found: DeviationMap, title: str) -> bytes:
         out = io.BytesIO()
         figure.savefig(out, format="png", metadata={"Software": "clacad"})
     return out.getvalue()
+
+
+def write_deviation(
+    found: DeviationMap, name: str, folder: str | os.PathLike[str], *, overwrite: bool = False
+) -> list[Path]:
+    """Write deviation-NAME.json and .png of a file called `name`.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+    stem = f"deviation-{safe_name(Path(name).stem)}"
+    contents = {
+        f"{stem}.json": canonical_json(
+            {"kind": "deviation", "file": name, **plain(found.to_dict())}
+        ).encode(),
+        f"{stem}.png": plot_deviation(found, name),
+    }
+    with Stage(folder, overwrite=overwrite or _ours(Path(folder) / f"{stem}.json")) as stage:
+        for target, content in contents.items():
+            stage.path(target).write_bytes(content)
+        stage.publish()
+    return [Path(folder) / target for target in contents]
+
+
+def _ours(path: Path) -> bool:
+    """Whether a file was written by an earlier run of this."""
+    try:
+        with path.open(encoding="utf-8") as stream:
+            return '"kind": "deviation"' in stream.read()
+    except (OSError, UnicodeDecodeError):
+        return False

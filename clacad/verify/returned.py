@@ -247,15 +247,19 @@ def rounding_step(placed: Placed) -> float:
     part = placed.mesh.parts[0]
     upright = int(np.argmax(np.abs(placed.pose.axes[2])))  # the file's axis across the sheet
     corners = part.corners(0, part.facet_count)[:: max(1, part.facet_count // 4096), :, upright].ravel()
-    corners = corners[corners != 0.0]
-    if not len(corners):
-        return 0.0
-    for exponent in range(1, -7, -1):
+    corners = corners[
+        np.abs(corners) > 0.5 * np.abs(corners).max()
+    ]  # significant digits: the largest are coarsest
+    found = 0.0
+    for exponent in range(-7, 2):
         count = corners / 10.0**exponent
         room = 0.01 + np.abs(count) * 2.0**-23
-        if (room < 0.2).all() and np.mean(np.abs(count - np.round(count)) <= room) > 0.99:
-            return float(10.0**exponent)
-    return 0.0
+        if (room > 0.2).any():
+            continue  # finer than float32 tells
+        if np.mean(np.abs(count - np.round(count)) <= room) < 0.99:
+            break
+        found = float(10.0**exponent)
+    return found
 
 
 def _damaged(mapped: DeviationMap, limit: float) -> list[tuple[int, int]]:
