@@ -279,6 +279,48 @@ def test_an_interrupt_is_130_within_a_second_and_leaves_nothing(
     assert not out.exists() or not list(out.iterdir())
 
 
+@pytest.mark.parametrize(("number", "what"), [
+    (signal.SIGINT, "verify"), (signal.SIGTERM, "trace"), (signal.SIGINT, "accuracy"), (signal.SIGTERM, "accuracy"),
+], ids=["verify", "trace", "accuracy", "accuracy, ended"])  # fmt: skip
+def test_every_long_command_is_interrupted_within_a_second_and_leaves_nothing(
+    design: Path, tmp_path: Path, number: int, what: str
+) -> None:
+    """Also while kernels are compiled, which takes seconds and hears nothing: there is no cache here."""
+    import numpy as np
+
+    rays, out, cache = tmp_path / "rays.npz", tmp_path / "out", tmp_path / "cache"
+    if what == "trace":
+        grid = np.random.default_rng(0).uniform(-0.4, 0.4, (2_000_000, 3)) * [1, 1, 0] - [0, 0, 1]
+        np.savez(rays, position=grid, direction=np.tile([0.0, 0.0, 1.0], (len(grid), 1)))
+    arguments: dict[str, list[object]] = {
+        "verify": ["verify", design, "-o", out], "trace": ["trace", design, rays, "-o", out / "traced.npz"],
+        "accuracy": ["accuracy", design, "-o", out / "plot.svg", "--rays", "20000"],
+    }  # fmt: skip
+    line = command([*arguments[what], "-v"])
+    running = subprocess.Popen(
+        line,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(NUMBA_CACHE_DIR=str(cache)),
+    )
+    assert running.stderr is not None
+    for line in running.stderr:
+        if '"stage"' in line or (what == "trace" and '"start"' in line):
+            break
+    time.sleep(1.5)
+    assert running.poll() is None, "it ended by itself: make the work longer"
+    began = time.monotonic()
+    running.send_signal(number)
+    rest = running.stderr.read()
+    assert running.wait(timeout=10) == 130, rest
+    assert time.monotonic() - began < 1.0
+    running.stderr.close()
+    assert "clacad: interrupted" in rest
+    assert "Traceback" not in rest
+    assert not out.exists() or not list(out.iterdir())
+
+
 # -- what is printed -------------------------------------------------------------------------------
 
 
