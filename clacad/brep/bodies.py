@@ -15,6 +15,7 @@ from clacad.brep.pattern import SNAP, Floats, Kind
 from clacad.brep.segments import Column
 from clacad.brep.shell import MERGE, Shells, Writer
 from clacad.cell_complex.build import cell_complex
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.lattice import Lattice, Outline
 from clacad.sheet import Body, Face, Window
 
@@ -94,7 +95,10 @@ def _outside(window: Window, cell: Cell) -> Column | None:
     for face in cell.faces:
         kind: Kind = "open" if face.open else "plane" if face.plane else "land"
         if kind == "land" and face.level is None:
-            raise ValueError("a border round the cells needs land (its height is not known)")
+            raise CannotBuild(
+                "CL134",
+                "a border round the cells needs land, whose height is not known here: give pair.web (biconvex)",
+            )
         if kind == "land":
             face = CellFace(face.side, level=face.level)
         faces.append(face)
@@ -125,7 +129,10 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
     """
     parts = layers(window, body)
     if len(parts) == 2 and window.outline is None:
-        raise ValueError("a slab whose arrays are displaced needs an outline")
+        raise CannotBuild(
+            "CL134",
+            "a slab whose arrays are displaced needs a border round both: give body.border a width, or lattice.outline",
+        )
     parts = tuple(
         replace(part, breaks=breaks) for part, breaks in zip(parts, _breaks(window, body, merge), strict=True)
     )

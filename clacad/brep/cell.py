@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from clacad.brep.conics import Arc, PosedQuadric, line, section_arc
 from clacad.brep.lenses import (
-    FittedLens,
     Lens,
     QuadricLens,
     fitted_lens,
@@ -19,6 +18,7 @@ from clacad.brep.lenses import (
     scaled_face,
 )
 from clacad.brep.pattern import Floats, Kind, Pattern, divided_pattern, plain_pattern
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.sheet import Face, Window, optical_tile
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -167,12 +167,13 @@ def _meeting(window: Window, zone: Floats, faces: list[Face | None]) -> _Meeting
     x, y = _samples(zone)
     first, second = posed_quadric(front), posed_quadric(back)
     if first is None or second is None:
-        plain = FittedLens if first is None else QuadricLens
         heights = [_lens_heights(face, x, y) for face in (front, back)]
         if not (heights[0] < heights[1]).all():
-            raise ValueError(
-                f"the lens does not cover its cell and its rim is no plane curve ({plain.__name__}); "
-                "give the lens more thickness"
+            raise CannotBuild(
+                "CL132",
+                "the biconic lens does not cover its cell, and the rim where its faces meet is no plane curve; "
+                f"this lens lacks {float((heights[0] - heights[1]).max()):.4g} design units of thickness "
+                '(pair.thickness = "auto" finds it; or pair.surface = "ellipsoid", whose rims are exact)',
             )
         return None
     with np.errstate(invalid="ignore"):
@@ -180,8 +181,9 @@ def _meeting(window: Window, zone: Floats, faces: list[Face | None]) -> _Meeting
     if thick.all():
         return None
     if not np.allclose(first.matrix, second.matrix, rtol=0.0, atol=1e-12 * float(np.abs(first.matrix).max())):
-        raise ValueError(
-            "front and back of the lens do not meet in a plane; give the lens more thickness or a web"
+        raise CannotBuild(
+            "CL132",
+            "front and back of the lens do not meet in a plane; give the lens more thickness or a web",
         )
     # F_front − F_back is linear when both are poses of one quadric: their common points lie in a plane.
     gradient = 2.0 * (
@@ -219,9 +221,10 @@ def _check_web(faces: list[Face | None], meeting: _Meeting) -> None:
         for arc in _rim_arcs(quadric, chain.points, chain.first is None, plane, normal):
             reach = max(reach, float(np.abs(arc.at(np.linspace(0.0, 1.0, 17))[:, 2] - middle).max()))
     if 2.0 * reach > (back.land - front.land) * (1.0 + 1e-9):
-        raise ValueError(
+        raise CannotBuild(
+            "CL131",
             f"the rim of the tilted lens sticks out of its web; a web of at least {2.0 * reach:.6g} mm holds it "
-            "(or give the lens more thickness, so that its rim leaves the cell)"
+            "(or give the lens more thickness, so that its rim leaves the cell)",
         )
 
 
@@ -278,8 +281,11 @@ def _fitted_face(face: Face, zone: Floats, pitch: float) -> CellFace:
     if face.land is not None:
         x, y = _samples(zone)
         if (face.side * (lens.height(x, y) - face.land) >= 0.0).any():
-            raise ValueError(
-                "a biconic lens that sinks into its land has no exact rim; move the land or thicken it"
+            deepest = float((face.side * (lens.height(x, y) - face.land)).max())
+            raise CannotBuild(
+                "CL132",
+                f"the biconic lens sinks {deepest:.4g} mm into its land, where no exact rim exists; a lens that much "
+                'thicker stands clear of it (pair.thickness, or a thinner pair.web; or pair.surface = "ellipsoid")',
             )
     return CellFace(face.side, face.land, plain_pattern(zone, "lens"), lens)
 
@@ -303,9 +309,11 @@ def _graph_or_raise(quadric: PosedQuadric, pattern: Pattern, zone: Floats) -> No
     if len(pattern.regions) == 1 and pattern.regions[0].kind == "lens" and not pattern.chains:
         x, y = _samples(zone)
         if not np.isfinite(quadric.height(x, y)).all():
-            raise ValueError(
+            raise CannotBuild(
+                "CL130",
                 "the lens surface ends inside its cell (its radius is below the cell's half diagonal, or the "
-                "tilt passes its equator) and there is no land to fall back on"
+                "tilt passes its equator) and there is no land to fall back on; a longer "
+                "radius (pair.separation), a smaller lattice.pitch or less tilt",
             )
 
 
@@ -316,7 +324,9 @@ def _rim_arcs(
     lifted = np.column_stack([points, z])
     away = np.abs(quadric.height(points[:, 0], points[:, 1]) - z)
     if not (away <= UNDERCUT).all():
-        raise ValueError("the lens is undercut at its rim (the tilt passes its equator); tilt it less")
+        raise CannotBuild(
+            "CL133", "the lens is undercut at its rim (the tilt passes its equator); tilt it less"
+        )
     following = np.roll(lifted, -1, axis=0) if closed else lifted[1:]
     return tuple(section_arc(quadric, a, b, normal) for a, b in zip(lifted, following))
 

@@ -24,6 +24,7 @@ from clacad.brep.conics import (
     quadric_patch,
     section_arc,
 )
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.sheet import Face, lens_height
 from clacad.surface import Quadric
 
@@ -178,9 +179,10 @@ def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
     low, high = low - spare, high + spare
     lens = QuadricLens(quadric, (float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
     if float(lens.patch.weights.min()) < STEEPEST:
-        raise ValueError(
+        raise CannotBuild(
+            "CL133",
             "the lens is too steep for one rational patch: over its cell it comes near its equator; "
-            "give it a longer radius, a smaller cell or a thicker web"
+            "give it a longer radius, a smaller cell or a thicker web",
         )
     return lens
 
@@ -214,9 +216,10 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
         error = float(np.max(np.abs(check - _heights(face, low, high, fine))))
         if error <= tolerance:
             return FittedLens(poles, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])), error)
-    raise ValueError(
+    raise CannotBuild(
+        "CL133",
         f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {error:.2g} mm "
-        f"(allowed {tolerance:.2g} mm); reduce its curvature or conic constant"
+        f"(allowed {tolerance:.2g} mm); reduce its curvature or conic constant",
     )
 
 
@@ -224,5 +227,8 @@ def _heights(face: Face, low: Floats, high: Floats, t: Floats) -> Floats:
     x, y = np.meshgrid(low[0] + t * (high[0] - low[0]), low[1] + t * (high[1] - low[1]), indexing="ij")
     z = lens_height(face, x, y)
     if not np.isfinite(z).all():
-        raise ValueError("the lens surface ends inside the rectangle round its optical zone")
+        raise CannotBuild(
+            "CL130",
+            "the lens surface ends inside the rectangle round its optical zone; a longer radius or a smaller cell",
+        )
     return z

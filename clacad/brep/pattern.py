@@ -14,6 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.cell_complex.refusal import CannotBuild
+
 Floats = NDArray[np.float64]
 Kind = Literal["lens", "land", "none", "plane", "open"]
 Proud = Callable[[Floats, Floats], NDArray[np.bool_]]
@@ -297,7 +299,10 @@ def _walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[
         here, loop = start, []
         while True:
             if here not in leaving:
-                raise ValueError("the lens ends inside its optical zone other than at a plane rim")
+                raise CannotBuild(
+                    "CL130",
+                    "the lens ends inside its optical zone other than at a plane rim; a longer radius or less tilt",
+                )
             item, here = leaving.pop(here)
             loop.append(item)
             if here == start:

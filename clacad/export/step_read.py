@@ -43,7 +43,8 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     dict
         Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges, entities.
         With a window: patch_error, patches (every lens patch, from the text). By the kernel: kernel = True, valid,
-        kernel_solids, kernel_faces, volume, area, box (low, high), and with a window lens_error, lens_points.
+        kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance at which it took a vertex or
+        edge for lying on its face, mm), and with a window lens_error, lens_points.
 
     Raises
     ------
@@ -126,6 +127,7 @@ def lens_distance(window: Window, place: Floats, normal: Floats, front: Bools, o
 
 def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int
                   ) -> dict[str, Any]:  # fmt: skip
+    from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
     from OCP.TopAbs import TopAbs_FACE, TopAbs_SOLID
 
     from clacad.brep.kernel import is_valid, surface_area, volume
@@ -147,6 +149,7 @@ def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_face
         "volume": sum(volume(solid) * many for solid, many in unique.values()),
         "area": sum(surface_area(solid) * many for solid, many in unique.values()),
         "box": _box(shape),
+        "tolerance": ShapeAnalysis_ShapeTolerance().Tolerance(shape, 1),
     }
     if window is not None:
         facts |= _sampled(faces, window, lens_faces, points)

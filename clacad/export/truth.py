@@ -223,6 +223,31 @@ def whole_extent(window: Window) -> tuple[float, float, float, float]:
     )
 
 
+def least_extent(window: Window) -> tuple[float, float, float, float]:
+    """A box that all bodies surely reach, seen along z, design units: less than `whole_extent` where lenses without
+    land end inside their cells.
+    """
+    whole = whole_extent(window)
+    if window.outline is not None:
+        return whole
+    tile = window.lattice.tile()
+    low, high = tile.min(axis=0), tile.max(axis=0)
+    x, y = (g.ravel() for g in np.meshgrid(*(np.linspace(low[k], high[k], 129) for k in (0, 1))))
+    ends = np.array([np.inf, -np.inf, np.inf, -np.inf])
+    for body in window.bodies:
+        if not body.columnar:
+            return whole
+        front, back = column(window, body, x, y)
+        solid = np.isfinite(front) & (front <= back)
+        if not solid.any():
+            continue
+        cut = np.array([x[solid].min() - low[0], x[solid].max() - high[0],
+                        y[solid].min() - low[1], y[solid].max() - high[1]])  # fmt: skip
+        box = np.array(body_extent(window, body)) + cut
+        ends = np.where([True, False, True, False], np.minimum(ends, box), np.maximum(ends, box))
+    return float(ends[0]), float(ends[1]), float(ends[2]), float(ends[3])
+
+
 def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats) -> Floats:
     """Vertical distance of points to the surfaces a face consists of: its lens and its land.
 

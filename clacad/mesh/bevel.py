@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.mesh import planar as pl
 from clacad.mesh.edges import settle_inside
 from clacad.mesh.levels import NONE, VOID
@@ -48,14 +49,15 @@ def check_width(make: Maker, width: float) -> None:
 
     Raises
     ------
-    ValueError
+    CannotBuild
         With the least and the largest width, in design units.
     """
     least, most = 4.0 * shortest(make), WIDEST * min(make.window.lattice.pitch)
     if not least <= width <= most:
-        raise ValueError(
+        raise CannotBuild(
+            "CL135",
             f"a saddle bevel of {width:.6g} wide: this sheet takes {least:.3g} (float32 resolution at its rim) to "
-            f"{most:.6g} (a quarter of the pitch)"
+            f"{most:.6g} (a quarter of the pitch)",
         )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.cell_complex.roots import bisect
 from clacad.mesh import planar as pl
 from clacad.mesh.levels import cluster
@@ -116,9 +117,10 @@ def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
     pairs = {tuple(sorted(p)) for side in plan.sides for p in zip(side[:-1].tolist(), side[1:].tolist())}
     missed = [edge for edge in crossed.tolist() if tuple(edge) in pairs]
     if missed:
-        raise ValueError(
+        raise CannotBuild(
+            "CL130",
             f"a rim crosses a cell border between x, y = {plan.xy[missed[0][0]]} and {plan.xy[missed[0][1]]} "
-            "at no isolated root: the lenslet's surface ends on the border (radius too short for the cell?)"
+            "at no isolated root: the lenslet's surface ends on the border (radius too short for the cell?)",
         )
 
 
@@ -137,9 +139,10 @@ def _roots(make: Maker, xy: Floats, lens: Ints, inside: Ints, outside: Ints, cur
     t = bisect(lambda t: np.where(value(t) > 0.0, 1.0, -1.0), np.zeros(len(a)), np.ones(len(a)))
     jump = np.abs(value(t - 1e-9))
     if (jump[true] > 1e-4 * make.window.lattice.circumradius).any():
-        raise ValueError(
+        raise CannotBuild(
+            "CL130",
             f"a lenslet of body {make.body.name!r} ends inside its cell at its own equator, before it meets the "
-            "other face or land; a longer radius, a smaller pitch, or a web would close the body"
+            "other face or land; a longer radius, a smaller pitch, or a web would close the body",
         )
     here, there = curve.value(lens)[inside], curve.value(lens)[outside]
     t = np.where(true, t, here / (here - there))

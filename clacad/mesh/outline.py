@@ -8,6 +8,7 @@ from math import ceil, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.lattice import Circle, Lattice, Rectangle
 from clacad.mesh.template import CELL, NOTHING, PLAIN, Offset, TemplateMaker
 from clacad.sheet import Window
@@ -182,9 +183,10 @@ def _refuse_outside(window: Window, points: Floats, polygon: Floats, scale: floa
         relative = points[start : start + 4096, None] - a[None]
         across = along[:, 0] * relative[..., 1] - along[:, 1] * relative[..., 0]
         if (across < -_TOUCH * scale).any():
-            raise ValueError(
+            raise CannotBuild(
+                "CL136",
                 f"a cell of {window.name!r} reaches {-float(across.min()):.3g} beyond the outline {window.outline}; "
-                "a larger outline or fewer cells would hold it"
+                "a larger outline or fewer cells would hold it",
             )
 
 

@@ -7,6 +7,7 @@ from math import ceil
 
 from clacad.cell_complex import CellComplex, cell_complex
 from clacad.cell_complex.count import saddle_count
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.mesh.body import BodyMesh, Tiled, no_plain
 from clacad.mesh.error import facet_errors
 from clacad.mesh.land import make_plain
@@ -16,6 +17,7 @@ from clacad.mesh.prototile import Prototile, make_prototile
 from clacad.mesh.template import TemplateMaker
 from clacad.sheet import Body, Window
 
+COARSEST = 1e-2  # largest step of heights, in body thicknesses
 MOST_QUADS = 2048  # a prototile of 17 M triangles
 
 
@@ -74,7 +76,10 @@ def mesh_body(
     )
     ringed = window.outline is not None and all(abs(level) != NONE for tile in tiles for level in tile.land)
     if len(tiled) > 1 and not ringed:
-        raise ValueError(f"body {body.name!r} needs land on both faces out to its outline")
+        raise CannotBuild(
+            "CL134",
+            f"body {body.name!r} needs land on both faces out to its outline: give body.border a width",
+        )
     errors = [facet_errors(tile, body) for tile in tiles]
     plain = make_plain(window, tiled, parts.step) if ringed else no_plain()
     return BodyMesh(
@@ -112,6 +117,13 @@ class _Parts:
 
 def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
     step = z_step(window)
+    thick = abs(body.back.vertex[2] - body.front.vertex[2])
+    if step > COARSEST * thick > 0.0:
+        raise CannotBuild(
+            "CL137",
+            f"heights near z = {max(map(abs, window.z_range)):.3g} are multiples of {step:.3g} in a float32 file, and "
+            f"body {body.name!r} is {thick:.3g} thick: no mesh holds it; STEP does, or a shorter pair.separation",
+        )
     gap = merge_steps(merge, step)
     cells = cell_complex(window, body, merge=gap * step, spacing=0.0, rims=False)
     return _Parts(window, body, cells, step, gap, bevel)

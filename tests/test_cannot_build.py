@@ -1,0 +1,120 @@
+"""What cannot be a solid is refused with a code and a way out; what merely looks hopeless is built as asked."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+
+import clacad
+from clacad.cell_complex.refusal import CODES, CannotBuild
+from clacad.design import DesignError
+from clacad.export import ExportIncomplete, export
+from clacad.export.step import forecast_step, read_step, write_step
+from clacad.mesh import tessellate
+
+BASE = {
+    "format": 1,
+    "name": "hopeless",
+    "unit": "mm",
+    "law": {"eta": [-0.5, -1.0], "euler": [0.0, 0.0, 0.0]},
+    "pair": {"form": "biconvex", "separation": 10.0, "index": 1.5, "thickness": "auto"},
+    "lattice": {"pitch": 0.5, "count": [2, 2]},
+}
+
+
+def design(**changes):
+    made = deepcopy(BASE)
+    for key, value in changes.items():
+        section, name = key.split("__")
+        made[section][name] = value
+    return clacad.Design.from_dict(made)
+
+
+BICONIC = {"pair__surface": "biconic", "pair__conic": [-1.0, -1.0]}
+REFUSED = {
+    "biconic without cover": ({**BICONIC, "pair__thickness": 0.004}, "CL132", r"lacks 0\.0\d+ design units of thickness .pair.thickness = .auto. finds it"),
+    "biconic through its web": ({**BICONIC, "pair__thickness": 0.012, "pair__web": 0.008}, "CL132", "ellipsoid"),
+    "rim out of its web": (
+        {"law__euler": [0.0, 5.0, 0.0], "pair__thickness": 0.008, "pair__web": 0.001},
+        "CL131",
+        r"a web of at least 0\.0348\d* mm",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_rim_that_has_no_edge_is_refused_with_code_and_way_out(name):
+    changes, code, words = REFUSED[name]
+    with pytest.raises(CannotBuild, match=words) as caught:
+        forecast_step(clacad.prescribe(design(**changes)))
+    assert caught.value.code == code
+    assert str(caught.value).startswith(f"{code}: ")
+    assert code in CODES
+
+
+def test_the_way_out_that_the_message_names_is_one(tmp_path: Path):
+    changes = {"law__euler": [0.0, 5.0, 0.0], "pair__thickness": 0.008}
+    with pytest.raises(CannotBuild) as caught:
+        forecast_step(clacad.prescribe(design(**changes, pair__web=0.001)))
+    web = float(re.search(r"at least ([0-9.]+) mm", str(caught.value)).group(1))
+    window = clacad.prescribe(design(**changes, pair__web=1.001 * web))
+    write_step(window, tmp_path / "x.step")
+    assert read_step(tmp_path / "x.step")["valid"]
+    forecast_step(clacad.prescribe(design(**BICONIC)))  # thickness = "auto", the other way out
+
+
+def test_a_refusal_crosses_processes_and_is_bad_input_of_the_command_line():
+    error = CannotBuild("CL131", "no rim")
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.code, again.exit_status) == ("CL131: no rim", "CL131", 2)
+    assert isinstance(error, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"law__euler": [0.0, 60.0, 0.0]}, "CL120"),
+        ({"pair__separation": 0.5}, "CL120"),
+        ({"pair__separation": 0.8, "pair__thickness": 0.3}, "CL120"),
+        ({"lattice__pitch": 5e-5, "pair__separation": 1e-3}, "CL115"),
+    ],
+    ids=["undercut", "ends inside its cell", "ends inside its cell, thick", "pitch below 0.1 um"],
+)
+def test_designs_without_a_solid_are_design_errors_before_any_geometry(changes, code):
+    with pytest.raises(DesignError) as caught:
+        clacad.prescribe(design(**changes))
+    assert code in str(caught.value)
+
+
+def test_lenslets_that_disconnect_the_body_are_written_as_the_pieces_they_are(tmp_path: Path):
+    manifest = export(design(pair__thickness=0.004), tmp_path / "x", ("step", "stl"), quads=8)
+    by_format = {entry["format"]: entry for entry in manifest.files}
+    assert by_format["step"]["solids"] == 8
+    assert manifest.document["window"]["pieces"] == [4, 4]
+    # each is two caps of an ellipsoid: their volume is checked against the integral when the file is read back
+    assert "volume" in by_format["step"]["checks"]
+    assert by_format["stl-binary"]["checks"] == ["closed", "volume", "shape"]
+
+
+def test_a_sag_below_the_kernels_tolerance_is_an_exact_solid_and_no_mesh_where_float32_ends(tmp_path: Path):
+    far = design(pair__separation=1e7)  # sag 3e-9 mm; lens 2 stands 10 km off, where doubles are 2 nm apart
+    manifest = export(far, tmp_path / "x", ("step",))
+    entry = manifest.files[0]
+    assert entry["solids"] == 2
+    assert "volume" in entry["checks"]
+    assert entry["volume"] == pytest.approx(entry["volume_exact"], rel=1e-6)
+    with pytest.raises(CannotBuild, match="CL137: heights near z"):
+        tessellate(clacad.prescribe(far), quads=4)
+    flat = design(pair__separation=1e4, pair__form="slab")
+    tessellate(clacad.prescribe(flat), quads=4)
+
+
+def test_a_failure_of_one_format_leaves_the_others(tmp_path: Path):
+    with pytest.raises(ExportIncomplete) as caught:
+        export(design(), tmp_path / "x", ("table", "marked"))
+    assert "no border to engrave" in str(caught.value)
+    assert [entry["format"] for entry in caught.value.manifest.files] == ["pose-table", "surface-table"]
