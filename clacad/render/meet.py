@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.render.embree import first_triangle
 from clacad.render.stage import (
     BOX,
     CHECKER,
@@ -22,7 +23,6 @@ from clacad.render.stage import (
     STRIPES,
     Stage,
 )
-from clacad.render.tree import nearest_triangle
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -81,7 +81,8 @@ def _nearest(
             turn = stage.rotation[k]
             local, ray = (origin[rows] - stage.origin[k]) @ turn, direction[rows] @ turn
             if stage.kind[k] == MESH:
-                t, facet = nearest_triangle(stage.forest, int(stage.root[k]), local, ray, distance[rows])
+                own = int(stage.piece[k, 0]), int(stage.piece[k, 1]), int(stage.root[k])
+                t, facet = first_triangle(stage.forest, *own, local, ray, distance[rows])
                 triangle[rows[facet >= 0]] = facet[facet >= 0]
                 closer = facet >= 0
             else:

@@ -143,6 +143,19 @@ def meet_triangle(corner: Floats, origin: Floats, direction: Floats) -> Floats:
     return np.where(inside, t, np.nan)
 
 
+def meet_each(corner: Floats, origin: Floats, direction: Floats) -> Floats:
+    """Distance (n,) along each ray to the plane of its own triangle (n, 3, 3) where it hits it, else NaN."""
+    edge1, edge2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    p = np.cross(direction, edge2)
+    s = origin - corner[:, 0]
+    q = np.cross(s, edge1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        det = np.einsum("ij,ij->i", p, edge1)
+        u, v = np.einsum("ij,ij->i", s, p) / det, np.einsum("ij,ij->i", direction, q) / det
+        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+        return np.where(inside, np.einsum("ij,ij->i", q, edge2) / det, np.nan)
+
+
 def behind_one_another(trees: tuple[Tree, ...]) -> tuple[Tree, tuple[int, ...], tuple[int, ...]]:
     """All trees in one, with the root of each and its first triangle."""
     node, facet, parts, roots, facets = 0, 0, [], [], []
