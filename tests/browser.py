@@ -42,7 +42,8 @@ class Browser:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         port, path = self._port()
-        self.socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=1 << 28)
+        self.open_things = contextlib.ExitStack()
+        self.socket = self.open_things.enter_context(connect(f"ws://127.0.0.1:{port}{path}", max_size=1 << 28))
         self.number, self.events, self.session = 0, [], None
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -153,7 +154,7 @@ class Browser:
         with contextlib.suppress(Exception):
             self.session = None
             self.ask("Browser.close")
-        self.socket.close()
+        self.open_things.close()
         self.process.terminate()
         self.process.wait(20)
         shutil.rmtree(self.folder, ignore_errors=True)
