@@ -16,6 +16,7 @@ from clacad.render.files import Bytes, animate, facts, labelled, pixels_of, save
 from clacad.render.picture import Picture, Progress, checked_frames, view_through
 from clacad.render.rows import FIGURES, MOVIES, Figure, Finding
 from clacad.scene import Scene, load_scene
+from clacad.scene.moves import values_at
 
 NOTE = (
     "Drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows the view "
@@ -94,10 +95,11 @@ def make_atlas(request: AtlasRequest, progress: Progress | None = None) -> Atlas
     chosen = [f for f in FIGURES if not request.rows or f.row in request.rows]
     stills = {stem: load(stem) for figure in chosen for stem, _ in figure.scenes}
     movies = [
-        (stem, title, checked_frames(load(stem)))
+        (stem, title, load(stem))
         for stem, title in MOVIES
         if request.movies and any(title.startswith(f.title.split(":")[0]) for f in chosen)
     ]
+    frames = {stem: checked_frames(scene) for stem, _, scene in movies}
     findings: dict[str, tuple[Finding, ...]] = {}
     with Stage(request.out, overwrite=request.overwrite) as stage:
         for figure in chosen:
@@ -109,8 +111,8 @@ def make_atlas(request: AtlasRequest, progress: Progress | None = None) -> Atlas
             if request.measured:
                 tell(f"{figure.row}: measuring", None)
                 findings[figure.row] = tuple(figure.check(load))
-        for stem, title, frames in movies:
-            _movie(stage, stem, title, frames, request, tell)
+        for stem, title, scene in movies:
+            _movie(stage, stem, title, _moments(scene), frames[stem], request, tell)
         if not request.rows or "F1" in request.rows:
             tell("F1", None)
             _first_figure(stage, request, load)
@@ -128,19 +130,35 @@ def _sized(scene: Scene, size: int, samples: int) -> Scene:
     return replace(scene, camera=replace(scene.camera, pixels=pixels, samples=samples))
 
 
+def _moments(scene: Scene) -> list[str]:
+    """What the first moved key is in each frame: "z = 3.5"."""
+    animation = scene.animation
+    assert animation is not None  # it is a movie
+    key = animation.moves[0].key
+    name = NAMES.get(key, key)
+    return [f"{name} = {values_at(animation, k)[key]:.4g}" for k in range(animation.frames)]
+
+
 def _movie(
-    stage: Stage, stem: str, title: str, frames: Sequence[Scene], request: AtlasRequest,
+    stage: Stage, stem: str, title: str, moments: Sequence[str], frames: Sequence[Scene], request: AtlasRequest,
     tell: Callable[[str, float | None], None],
 ) -> None:  # fmt: skip
     pixels: list[Bytes] = []
     notes: dict[str, str] = {}
     for k, still in enumerate(frames):
         tell(f"movie {title}", k / len(frames))
-        sized = _sized(still, request.movie_size, max(4, request.samples // 4))
+        sized = _sized(still, request.movie_size, request.samples)
         picture: Picture = view_through(sized, compiled=True)
-        pixels.append(labelled(pixels_of(picture), f"{title}   {k + 1}/{len(frames)}"))
+        pixels.append(labelled(pixels_of(picture), f"{title.split(':')[0]}   {moments[k]}"))
         notes = facts(picture)
     animate(stage.path(f"{stem}.webp"), iter(pixels), 25.0, notes)
+
+
+NAMES = {
+    "object.knight.at.2": "z", "sheet.set.law.euler.0": "phi", "sheet.set.law.euler.1": "theta",
+    "sheet.set.law.euler.2": "psi",
+}  # fmt: skip
+"""What the text calls a key."""
 
 
 def _first_figure(stage: Stage, request: AtlasRequest, load: Callable[[str], Scene]) -> None:
