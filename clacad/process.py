@@ -7,7 +7,7 @@ and are limits to check a design by, not promises of any machine.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, pi, radians
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,22 @@ class Profile:
         Least lenslet pitch.
     clearance : float
         Least air gap between two bodies.
+    tool : float
+        Nose radius of the tool: no inner corner is sharper. 0: there is no tool.
+    wall : float
+        Highest vertical step between neighbours.
+    draft : float, radians
+        Least angle of walls and faces to the direction in which mould, tool or light comes.
+    slope : float, radians
+        Steepest slope of a face against the sheet.
+    voxel : float
+        Lateral size of a voxel, pixel or spot. 0: continuous.
+    layer : float
+        Thickness of a layer, or height of a level. 0: continuous.
+    aspect : float
+        Greatest height over width of a wall or groove.
+    undercut : bool
+        Whether faces may overhang.
     source : str
         Where the numbers come from.
     """
@@ -38,31 +54,43 @@ class Profile:
     sag: float
     pitch: float
     clearance: float
+    tool: float
+    wall: float
+    draft: float
+    slope: float
+    voxel: float
+    layer: float
+    aspect: float
+    undercut: bool
     source: str
 
 
 _PROFILES = (
-    Profile("none", 0.0, 0.0, 0.0, inf, 0.0, 0.0, "geometry only"),
+    Profile("none", 0.0, 0.0, 0.0, inf, 0.0, 0.0, 0.0, inf, 0.0, 0.5 * pi, 0.0, 0.0, inf, True, "geometry only"),
     Profile(
-        "diamond-turning", 0.5e-3, 50e-6, 50e-6, 2e-3, 100e-6, 50e-6,
-        "single-crystal tool nose radii of 25 to 50 micrometres and servo strokes of a few millimetres "
-        "(slow tool servo: Micromachines 13, 1564 (2022))",
+        "diamond-turning", 0.5e-3, 50e-6, 50e-6, 2e-3, 100e-6, 50e-6, 25e-6, 1e-6, radians(5.0), radians(45.0), 0.0,
+        0.0, 1.0, False,
+        "single-crystal tool nose radii of 25 to 50 micrometres, clearance angles of 5 to 15 degrees and servo strokes "
+        "of a few millimetres; no vertical walls (slow tool servo: Micromachines 13, 1564 (2022))",
     ),
     Profile(
-        "two-photon", 2e-6, 1e-6, 2e-6, 0.5e-3, 5e-6, 5e-6,
+        "two-photon", 2e-6, 1e-6, 2e-6, 0.5e-3, 5e-6, 5e-6, 0.0, inf, 0.0, 0.5 * pi, 0.5e-6, 1e-6, 10.0, True,
         "voxels of 0.2 to 0.5 micrometres laterally and about 1 micrometre along the axis; objective working "
         "distances of a few hundred micrometres",
     ),
     Profile(
-        "greyscale", 100e-6, 1e-6, 5e-6, 100e-6, 5e-6, 10e-6,
-        "laser spots of about 1 micrometre and resist films of up to about 100 micrometres",
+        "greyscale", 100e-6, 1e-6, 5e-6, 100e-6, 5e-6, 10e-6, 0.0, 5e-6, radians(15.0), radians(60.0), 1e-6, 0.1e-6,
+        1.0, False,
+        "laser spots of about 1 micrometre, grey levels of about 0.1 micrometre, walls that come out at 75 degrees at "
+        "best and resist films of up to about 100 micrometres",
     ),
     Profile(
-        "moulding", 0.8e-3, 0.1e-3, 20e-6, 5e-3, 50e-6, 0.1e-3,
-        "least wall of about 0.8 mm for filling acrylic; the insert is diamond machined",
+        "moulding", 0.8e-3, 0.1e-3, 20e-6, 5e-3, 50e-6, 0.1e-3, 20e-6, 10e-6, radians(1.0), radians(60.0), 0.0, 0.0,
+        2.0, False,
+        "least wall of about 0.8 mm for filling acrylic; draft of 1 degree for release; the insert is diamond machined",
     ),
     Profile(
-        "sla", 0.5e-3, 0.2e-3, 0.1e-3, 50e-3, 0.3e-3, 0.1e-3,
+        "sla", 0.5e-3, 0.2e-3, 0.1e-3, 50e-3, 0.3e-3, 0.1e-3, 0.0, inf, 0.0, 0.5 * pi, 50e-6, 25e-6, 10.0, True,
         "pixels and layers of 25 to 50 micrometres; the thinnest self-supporting wall of about 0.2 mm",
     ),
 )  # fmt: skip

@@ -23,9 +23,11 @@ CODES: Mapping[str, str] = {
     "confocality": "CL306", "spread": "CL307", "throughput": "CL308", "field": "CL309", "residual": "CL310",
     "fresnel_number": "CL311", "accounting": "CL312", "one_piece": "CL321", "cover": "CL322", "clearance": "CL323",
     "graph": "CL324", "edge": "CL331", "neck": "CL332", "radius": "CL333", "sag": "CL334", "pitch": "CL335",
+    "tool": "CL336", "wall": "CL337", "draft": "CL338", "allowance": "CL360", "slope": "CL361", "voxel": "CL362",
+    "layer": "CL363", "aspect": "CL364", "undercut": "CL365",
     "integrity": "CL341", "closed": "CL342", "pieces": "CL343", "volume": "CL344", "shape": "CL345",
     "file_rms": "CL346", "file_eta": "CL347", "file_delta": "CL348", "file_law_rms": "CL349", "scale": "CL350",
-    "pose": "CL351", "handedness": "CL352", "convergence": "CL353", "solids": "CL354", "design": "CL340", "readable": "CL339",
+    "pose": "CL351", "handedness": "CL352", "convergence": "CL353", "solids": "CL354", "file_target": "CL355", "design": "CL340", "readable": "CL339",
 }  # fmt: skip
 """Stable code of each check; a design may accept a warning by its code."""
 
@@ -125,47 +127,35 @@ def not_run(id: str, why: str, **rest: Any) -> Check:
 
 
 def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Mark the warnings that the design accepts, with the reason it gives; say where each limit comes from."""
+    """Mark the warnings that the design accepts, with the reason it gives; say which of its allowances do nothing.
+
+    An allowance is idle if its code is nobody's, or if the checks of that code ran and none of them warned. Checks
+    that were marked before stay as they are.
+    """
+    found = [check for check in checks if check.id != "allowance"]
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
-    return tuple(
-        replace(c, sentence=f"{c.sentence} Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
+    marked = [
+        replace(c, sentence=f"{c.sentence}. Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
         if c.state == "warn" and c.code in reasons and "accepted" not in c.detail
         else c
-        for c in sourced(checks, design)
-    )  # fmt: skip
+        for c in found
+    ]  # fmt: skip
+    return (*marked, *(notice for code in reasons if (notice := _idle(code, found)) is not None))
 
 
-def sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Say of each limit whether the design file gives it, it is a default, or it follows from another one.
-
-    A check knows whether its limit is a key of [check] ("default"), or made from one ("law_rms", "2 × eta");
-    whether the design gives that key is known here.
-    """
-    return tuple(
-        replace(c, source=_source(c, design)) if c.limit is not None or c.state == "not run" else c
-        for c in checks
-    )
-
-
-KEYS = ("law_rms", "law_bias", "eta", "delta", "confocality", "volume", "shape", "file_rms")
-"""Keys of [check] that limits of other checks are made from."""
-
-
-def _source(check: Check, design: Design) -> str:
-    name, given = check.source, design.given.get("check", {})
-    if name.startswith(f"{design.check.process}: "):
-        return f"process profile {name}"
-    if check.id == "field":  # its limit is a fact; the key of that name is the cone of the test rays
-        return "derived from pitch, separation and law"
-    if name == "default":
-        # a Fresnel number below 1 voids the ray picture, whatever the design allows
-        own = check.id in given and not (check.id == "fresnel_number" and check.limit == 1.0)
-        return "design file" if own else "default"
-    if name in KEYS:
-        return f"derived from {name} ({'design file' if name in given else 'default'})"
-    if any(word in name for word in ("forecast", "stated", "as their size")) and "derived" not in name:
-        return f"derived: {name}"
-    return f"default: {name}" if name.startswith("1e-") else name
+def _idle(code: str, checks: Iterable[Check]) -> Check | None:
+    """Notice that an allowance does nothing; None if it does something, or its check has not been looked at."""
+    if code not in CODES.values():
+        why = f"the design allows {code}, which is the code of no check"
+    else:
+        states = [check.state for check in checks if check.code == code]
+        if not states or "warn" in states:
+            return None
+        if "fail" in states:
+            why = f"the design allows {code}, but a check of that code failed: only warnings can be allowed"
+        else:
+            why = f"the design allows {code}, but no check of that code warns: the allowance can go"
+    return Check("allowance", "warn", why, code, None, required=False, source="check.allow of the design")
 
 
 def passed(checks: Iterable[Check]) -> bool:

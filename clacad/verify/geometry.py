@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.feasibility import BodyFacts, Feasibility, LensFacts, least_thickness
-from clacad.process import Profile, profile
+from clacad.process import profile
 from clacad.sheet import Window
 from clacad.verify.checks import NEAR, Check, State, accepted, judge, not_run
+from clacad.verify.making import making_checks, process_limit
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -37,6 +38,7 @@ def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[C
     found += [_cover(design, window, lens) for lens in facts.lenses]
     found += [_graph(design, lens) for lens in facts.lenses]
     found += _process_checks(design, facts)
+    found += making_checks(design, window, facts)
     found += [_field(design, facts), _fresnel_number(design, facts), _residual(design, window)]
     return accepted(found, design)
 
@@ -197,7 +199,7 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
     unit = design.unit
     found: list[Check] = []
     if isfinite(facts.clearance):
-        limit, source = _limit(design, rules, "clearance")
+        limit, source = process_limit(design, rules, "clearance")
         found.append(
             _at_least(
                 "clearance",
@@ -209,36 +211,27 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
             )
         )
     for body in facts.bodies:
-        limit, source = _limit(design, rules, "edge")
+        limit, source = process_limit(design, rules, "edge")
         found.append(
             _at_least("edge", body.edge, limit, source, unit, f"least thickness along the outer side of {body.name}", body.name)
         )  # fmt: skip
-        limit, source = _limit(design, rules, "neck")
+        limit, source = process_limit(design, rules, "neck")
         if isfinite(body.neck):
             text = f"least thickness that joins neighbours in {body.name} after the step between them"
             found.append(_at_least("neck", body.neck, limit, source, unit, text, body.name))
     for lens in facts.lenses:
         name = f"lens {lens.array + 1}"
-        limit, source = _limit(design, rules, "radius")
+        limit, source = process_limit(design, rules, "radius")
         smallest = min(abs(r) for r in lens.radius)
         found.append(
             _at_least("radius", smallest, limit, source, unit, f"smallest apex radius of {name}", name)
         )
-        limit, source = _limit(design, rules, "sag")
+        limit, source = process_limit(design, rules, "sag")
         text = f"height of {name} over its cell is {lens.sag:.4g} {unit}"
         found.append(judge("sag", lens.sag, limit, text, near=NEAR, unit=unit, subject=name, source=source))
-    limit, source = _limit(design, rules, "pitch")
+    limit, source = process_limit(design, rules, "pitch")
     found.append(_at_least("pitch", min(design.lattice.pitch), limit, source, unit, "pitch of the lattice"))
     return found
-
-
-def _limit(design: Design, rules: Profile, name: str) -> tuple[float, str]:
-    """Limit in design units and where it comes from: the design's own key, else the process profile."""
-    own = getattr(design.check, name)
-    if own is not None:
-        return float(own), "design file"
-    metres = getattr(rules, name)
-    return metres / design.unit_m, f"{rules.name}: {rules.source}"
 
 
 def _at_least(

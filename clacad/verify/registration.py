@@ -385,7 +385,7 @@ def _fitted(trial: _Trial, lean: Floats) -> _Fit:
         best = (residual, turn, scale, move)
     residual, turn, scale, move = best
     straight = np.array_equal(lean, np.eye(3))
-    if straight and trial.residual <= 1.2 * residual:  # the fit adds nothing: the file's own frame
+    if straight and not trial.move.any() and trial.residual <= 1.2 * residual:  # the fit adds nothing
         residual, turn, scale, move = trial.residual, np.eye(3), 1.0, trial.move
     left = np.abs(trial.off(points @ turn.T / scale + move, looks @ turn.T))
     middle = float(np.nanmedian(left)) if np.isfinite(left).any() else np.inf
