@@ -12,6 +12,7 @@ from clacad.export.closed import Measure, crowded_edges, measure
 from clacad.export.errors import FileDisagrees
 from clacad.export.filemesh import CHUNK, FileMesh
 from clacad.export.truth import Integral, distance_to_face, least_extent, whole_extent
+from clacad.mesh.bevel import in_corners
 from clacad.sheet import Window
 
 Floats = NDArray[np.float64]
@@ -191,7 +192,7 @@ def _compare_shape(
     optical = np.abs(n_z) >= WALL
     middle = facets.mean(axis=1)
     if promise.bevel > 0.0:
-        optical &= ~_in_corners(window, middle, 1.001 * promise.bevel)
+        optical &= ~in_corners(window, middle, promise.bevel)
     points = np.concatenate([facets, middle[:, None]], axis=1)
     off = np.full((len(facets), 4), np.inf)
     for body in window.bodies:
@@ -217,17 +218,6 @@ def _compare_shape(
     share = 0.75 * off[:, 3] * area
     everything = len(facets) or 1
     return float(share.sum() / everything), float(share.std() / np.sqrt(everything))
-
-
-def _in_corners(window: Window, points: Floats, width: float) -> NDArray[np.bool_]:
-    """Whether points lie in a corner of a rectangular cell, over a triangle with legs of this width, (n,)."""
-    half = 0.5 * np.array(window.lattice.pitch)
-    inside = np.zeros(len(points), dtype=bool)
-    for shift in set(window.shifts):
-        place = points[:, :2] - np.array(shift)
-        index, _, _ = window.lattice.locate(place[:, 0], place[:, 1])
-        inside |= (half - np.abs(place - window.lattice.centres(index))).sum(axis=1) < width
-    return inside
 
 
 def _pitch(window: Window) -> float:

@@ -120,13 +120,13 @@ def _mesh_facts(
         "triangles": facets, "quads": job.tessellation.quads, "slope_error_rms": float(mesh.slope_error),
         "sag_error_max": float(mesh.sag_error) * scale, "volume": volume * cube,
         "volume_exact": None if exact is None else exact * cube,
-        **_saddle_facts(job, sum(part.saddles for part in parts)),
+        **_saddle_facts(job, sum(part.saddles for part in parts), scale),
     }  # fmt: skip
 
 
-def _saddle_facts(job: Job, saddles: int) -> dict[str, Any]:
-    """How many saddles a mesh has, and what was done about them."""
-    bevel = job.request.saddle_bevel * job.scale
+def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
+    """How many saddles a mesh has, and what was done about them; `scale`: file units per design unit."""
+    bevel = job.request.saddle_bevel * scale
     if not saddles:
         return {"saddles": 0}
     if bevel:
@@ -176,7 +176,8 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies, unit)
     if repeated:  # cells side by side that share no vertex: nothing touches within one
         facts = {key: value for key, value in facts.items() if not key.startswith("saddle")} | {"saddles": 0}
-        facts |= {"saddle_policy": "bevel"} if promise.bevel else {}
+        bevel = job.request.saddle_bevel * job.scale * (1e-3 if unit == "m" else 1.0)
+        facts |= {"saddle_policy": "bevel", "saddle_bevel": bevel} if promise.bevel else {}
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
     return job.record(path, kind, unit=unit, facts=facts, checks=verdict.checks)
 

@@ -18,6 +18,7 @@ from clacad.mesh import planar as pl
 from clacad.mesh.edges import settle_inside
 from clacad.mesh.levels import NONE, VOID
 from clacad.mesh.maker import Maker, shortest
+from clacad.sheet import Window
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -59,6 +60,20 @@ def check_width(make: Maker, width: float) -> None:
             f"a saddle bevel of {width:.6g} wide: this sheet takes {least:.3g} (float32 resolution at its rim) to "
             f"{most:.6g} (a quarter of the pitch)",
         )
+
+
+def in_corners(window: Window, points: Floats, width: float) -> NDArray[np.bool_]:
+    """Whether points (n, 2 or 3) of the sheet lie where bevels of this width may stand, (n,)."""
+    if window.lattice.hexagonal:
+        return np.zeros(len(points), dtype=bool)
+    half = 0.5 * np.array(window.lattice.pitch)
+    inside = np.zeros(len(points), dtype=bool)
+    for shift in set(window.shifts):
+        place = points[:, :2] - np.array(shift)
+        index, _, _ = window.lattice.locate(place[:, 0], place[:, 1])
+        apart = half - np.abs(place - window.lattice.centres(index))
+        inside |= apart.sum(axis=1) < 1.001 * width
+    return inside
 
 
 def bevelled(

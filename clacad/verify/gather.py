@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clacad.export.truth import distance_to_face
 from clacad.feasibility import body_range
+from clacad.mesh.bevel import in_corners
 from clacad.sheet import Body, Face, Window, lens_height
 from clacad.verify.bundle import central_cell
 from clacad.verify.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face
@@ -77,11 +78,11 @@ class Gatherer:
 
     A facet belongs to the body whose height range holds its centroid, to the front if its outward normal
     points to −z and to the back if to +z, and to the cell its centroid lies over, in the grid of that face's
-    own array.
+    own array. Where a file states bevels at saddles, facets there belong to none.
     """
 
-    def __init__(self, window: Window, cells: Iterable[Cell]) -> None:
-        self.window = window
+    def __init__(self, window: Window, cells: Iterable[Cell], bevel: float = 0.0) -> None:
+        self.window, self._bevel = window, bevel
         self.result = Gathered(tuple(cells))
         self._levels = levels(window)
         index = np.array(self.result.cells, dtype=np.int64)
@@ -100,6 +101,8 @@ class Gatherer:
         self.result.walls += int((~optical).sum())
         upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
         middle = corners.mean(axis=1)
+        if self._bevel > 0.0:  # bevels at saddles are no optical faces
+            optical &= ~in_corners(self.window, middle, self._bevel)
         body = np.searchsorted(self._levels, middle[:, 2])
         back = normal[:, 2] > 0.0
         for number, piece in enumerate(self.window.bodies):

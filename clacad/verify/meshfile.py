@@ -49,7 +49,10 @@ def judge_mesh(
         Light meets the others as the design has them.
     """
     held = held_part(window, present)
-    gatherer = Gatherer(window, chosen_cells(window))
+    bevel = (
+        float(stated.get("saddle_bevel", 0.0)) * (1.0 if stated.get("unit") == "m" else 1e-3) / window.unit
+    )
+    gatherer = Gatherer(window, chosen_cells(window), bevel)
     found = measure(_looked_at(mesh, factor, gatherer, progress), origin=np.zeros(3))
     gathered = gatherer.result
     checks = [closed_check(found, gathered, mesh, name), scale_check(design, held, found, name)]
