@@ -112,14 +112,14 @@ def _levels(tile: Prototile, body: Body, side: int, scale: float, holding: Holdi
     """Levels (n,) of one face as held."""
     levels, face = tile.lens[:, side].copy(), (body.front, body.back)[side]
     known = np.abs(levels) < KNOWN
-    height = levels[known] * tile.step
+    height: Floats = np.asarray(levels[known] * tile.step, dtype=np.float64)
     if (
         holding.kind == "exact" or holding.origin == "face"
     ):  # a map is drawn from the surface, not from a mesh
         height = _exact(height, FINER * tile.step, body, side, tile.plan.xy[known])
     if holding.kind in ("f32", "levels"):
         zero = face.vertex[2] if holding.origin == "face" else 0.0
-        height = _rounded((height - zero) * scale, holding) / scale + zero
+        height = np.asarray(_rounded((height - zero) * scale, holding) / scale + zero)
     levels[known] = np.rint(height / tile.step).astype(np.int64)
     return levels
 

@@ -176,6 +176,10 @@ def export(
     gpu_instancing: Annotated[bool, typer.Option("--gpu-instancing", help="GLB: one node for all cells of a body.")] = False,
     grey_levels: Annotated[int, typer.Option("--grey-levels", metavar="N", min=2, max=256, help="GDSII: layers from "
                                              "lowest to highest.")] = 64,
+    target: Annotated[str | None, typer.Option("--target", metavar="E", help="Coarsest facets whose light is within this "
+                                               "rms direction error of the exact surfaces, e.g. '0.5 mrad'.")] = None,
+    normals: Annotated[str, typer.Option("--normals", help="With --target, what the file is read by: facet or vertex.")]
+    = "facet",
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -187,7 +191,7 @@ def export(
     request = ExportRequest(
         out, tuple(f.strip() for f in format.split(",") if f.strip()), slope_error, quads, step, cells,
         overwrite=overwrite, force=force, dry_run=dry_run, step_schema=step_schema, pcurves=pcurves,
-        saddle_bevel=saddle_bevel, gpu_instancing=gpu_instancing, grey_levels=grey_levels,
+        saddle_bevel=saddle_bevel, gpu_instancing=gpu_instancing, grey_levels=grey_levels, target=target, normals=normals,
     )  # fmt: skip
     return export_design(design, set or [], request, json=json, quiet=quiet)
 
@@ -204,6 +208,8 @@ def verify(
     timings: Annotated[bool, typer.Option("--timings", help="Show seconds of this run in the report; its bytes then "
                                           "change from run to run.")] = False,
     rays: Annotated[int, typer.Option("--rays", min=64, help="Rays of the main bundle.")] = 65536,
+    target: Annotated[str | None, typer.Option("--target", metavar="E", help="Fewest rays that tell errors of this size, "
+                                               "and files must be within it, e.g. '0.5 mrad'.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
     set: Set = None,
     json: Json = False,
@@ -227,6 +233,7 @@ def verify(
         quiet=quiet,
         pdf=pdf,
         timings=timings,
+        target=target,
     )
 
 
@@ -395,6 +402,8 @@ def render(
     noise: Annotated[float | None, typer.Option("--noise", help="Sample until a pixel's standard error is below this.")]
     = None,
     rung: Annotated[str | None, typer.Option("--rung", help="auto, law, thin, surfaces or mesh.")] = None,
+    target: Annotated[str | None, typer.Option("--target", metavar="E", help="Cheapest rung (of rung mesh: coarsest "
+                                               "facets) within this rms direction error, e.g. '0.5 mrad'.")] = None,
     frame: Annotated[int | None, typer.Option("--frame", min=0, help="One frame of an animation, as a still.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
     set: Set = None,
@@ -405,7 +414,7 @@ def render(
     """View through the sheet: picture or movie."""
     from clacad.cli.render_command import RenderRequest, render_eye, render_scene
 
-    request = RenderRequest(out, pixels, samples, noise, rung, frame, overwrite)
+    request = RenderRequest(out, pixels, samples, noise, rung, frame, overwrite, target)
     if preset is None:
         if photo is not None or eye is not None or distance is not None:
             raise typer.BadParameter("PHOTO, --eye and --distance belong to --preset eye")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -37,6 +37,8 @@ class ExportRequest:
     saddle_bevel: str | None = None
     gpu_instancing: bool = False
     grey_levels: int = 64
+    target: str | None = None
+    normals: str = "facet"
 
 
 def export_design(
@@ -51,6 +53,8 @@ def export_design(
     design = load_design(path, overrides)
     cells = parse_cells(request.cells)
     schema, bevel = parse_schema(request.step_schema), parse_length(request.saddle_bevel, design)
+    if request.target is not None:
+        request = _within_target(design, request, cells, quiet=quiet)
     if request.dry_run:
         return _forecast(design, request, cells, bevel, json=json, quiet=quiet)
     progress = Progress(quiet=quiet)
@@ -73,6 +77,40 @@ def export_design(
     if not quiet:
         say(f"next: clacad verify {path} --files {request.out}")
     return 0
+
+
+def _within_target(
+    design: Design, request: ExportRequest, cells: tuple[int, int] | None, *, quiet: bool
+) -> ExportRequest:
+    """The request with the coarsest facets that meet its target.
+
+    Raises
+    ------
+    TargetOutOfReach, LimitRefused, BadOption
+    """
+    from clacad.accuracy.choose import facets_for
+    from clacad.export.forecast import refuse_early
+    from clacad.export.formats import known_formats
+    from clacad.prescription import prescribe
+
+    assert request.target is not None
+    target = parse_angle("--target", request.target)
+    if request.quads is not None or request.slope_error is not None:
+        raise BadOption("--target chooses the facets: leave out --quads and --slope-error")
+    if request.normals not in ("facet", "vertex"):
+        raise BadOption(f"--normals {request.normals}: it is facet or vertex")
+    made = design if cells is None else design.with_cells(cells)
+    formats = known_formats(request.formats)
+    if not request.force:
+        refuse_early(made, formats, None)
+    chosen = facets_for(
+        made, prescribe(made), target, formats, "facet" if request.normals == "facet" else "vertex"
+    )
+    if chosen is None:
+        say(f"target {1e3 * target:g} mrad: none of {', '.join(formats)} has facets to choose", quiet=quiet)
+        return request
+    say(f"target {1e3 * target:g} mrad: {chosen}", quiet=quiet)
+    return replace(request, quads=chosen.quads)
 
 
 def _forecast(

@@ -32,6 +32,7 @@ class RenderRequest:
     rung: str | None = None
     frame: int | None = None
     overwrite: bool = False
+    target: str | None = None
 
 
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
@@ -65,7 +66,21 @@ def _adjusted(scene: Scene, request: RenderRequest) -> Scene:
             changes[f"camera.{key}"] = value
     if request.rung is not None:
         changes["sheet.rung"] = request.rung
-    return scene.replace(changes) if changes else scene
+    made = scene.replace(changes) if changes else scene
+    return made if request.target is None else _within_target(made, request.target)
+
+
+def _within_target(scene: Scene, text: str) -> Scene:
+    """The scene with a rung, or facets, within an asked error.
+
+    Raises
+    ------
+    TargetOutOfReach
+    """
+    from clacad.cli.export_command import parse_angle
+    from clacad.render.target import within_target
+
+    return within_target(scene, parse_angle("--target", text))
 
 
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:

@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.cli.console import Progress, say, show_json, show_text
-from clacad.cli.design_commands import load_design
-from clacad.cli.export_command import parse_cells
+from clacad.cli.design_commands import load_counted
+from clacad.cli.export_command import parse_angle, parse_cells
+
+if TYPE_CHECKING:
+    from clacad.design import Design
 
 if TYPE_CHECKING:
     from clacad.verify import Report
@@ -15,16 +18,26 @@ if TYPE_CHECKING:
 
 def verify_design(
     path: Path, overrides: list[str], files: Path | None, out: Path | None, cells: str | None, rays: int, *,
-    overwrite: bool, json: bool, quiet: bool, pdf: bool = False, timings: bool = False,
+    overwrite: bool, json: bool, quiet: bool, pdf: bool = False, timings: bool = False, target: str | None = None,
 ) -> int:  # fmt: skip
-    """Judge a design and its files; the exit status comes from the same object as the page."""
+    """Judge a design and its files; the exit status comes from the same object as the page.
+
+    With a target its error chooses the number of rays, and every file is judged by it.
+    """
     from clacad.cli.tables import checks_text
     from clacad.verify import verify
 
-    design = load_design(path, overrides)
+    design = load_counted(path, overrides)
+    limit = None if target is None else parse_angle("--target", target)
+    if limit is not None:
+        rays = _rays(design, files, limit, parse_cells(cells))
     progress = Progress(quiet=quiet)
     try:
         report = verify(design, files=files, cells=parse_cells(cells), rays=rays, progress=progress)
+        if limit is not None:
+            from clacad.verify.target import judged_by
+
+            report = judged_by(report, limit)
         if out is not None:
             from clacad.report import write_report
 
@@ -55,3 +68,25 @@ def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
         if mapped is not None:
             found += write_deviation(mapped, file.subject.name, out, overwrite=overwrite)
     return found
+
+
+def _rays(design: Design, files: Path | None, target: float, cells: tuple[int, int] | None) -> int:
+    """Rays for a target; refused at once where a file's format cannot hold it.
+
+    Raises
+    ------
+    TargetOutOfReach
+    """
+    from clacad.accuracy.choose import FACETED, floor_of, out_of_reach
+    from clacad.prescription import prescribe
+    from clacad.verify.target import rays_for
+
+    window = prescribe(design if cells is None else design.with_cells(cells))
+    suffixes = {"stl": "stl", "3mf": "3mf", "ply": "ply", "glb": "glb", "obj": "ply"}
+    if files is not None and files.is_file():
+        format = suffixes.get(files.suffix.lower().lstrip("."), "")
+        if format in FACETED:
+            floor = floor_of(design, window, format)
+            if not floor.floor < target:
+                raise out_of_reach(design, window, target, format, floor)
+    return rays_for(target, design.check.law_rms)
