@@ -236,8 +236,7 @@ def lens_detail(report: Report, array: int) -> str:
     x, y = across_cell(window, array)
     front, back = heights(window, body, x, y)
     pitch = window.lattice.pitch[0] * mm
-    canvas = Canvas(380.0, 270.0, f"lens {array + 1} over its cell with dimensions, to scale")
-    left, base = 84.0, 190.0
+    left = 84.0
     curved = _curved_side(body, array)
     deep = front if curved is None else (front if curved == 0 else back)
     depth = (_depth(front, back) if curved is None else _depth(deep, deep)) * mm
@@ -249,6 +248,10 @@ def lens_detail(report: Report, array: int) -> str:
     drawn_top = np.where(np.isfinite(back), np.minimum(back, bottom + 130.0 / scale / mm), np.nan)
     if curved == 0:
         drawn_top = np.minimum(drawn_top, bottom + max(60.0 / scale / mm, 1.5 * depth / mm))
+    tall = (float(np.nanmax(drawn_top)) - bottom) * mm * scale if np.isfinite(drawn_top).any() else 40.0
+    base = 54.0 + max(tall, 30.0)
+    label = f"lens {array + 1} over its cell with dimensions, to scale"
+    canvas = Canvas(380.0, base + 80.0, label)
 
     def at(x_: Floats | float, z: Floats | float) -> Floats:
         return np.stack(
@@ -260,13 +263,13 @@ def lens_detail(report: Report, array: int) -> str:
 
     for piece in outlines(x, np.maximum(front, bottom), drawn_top):
         canvas.polygon(at(piece[:, 0], piece[:, 1]), "body" if curved is None else "cut")
-    _detail_dimensions(canvas, x, front, back, at, mm, curved)
+    _detail_dimensions(canvas, x, front, back, at, mm, curved, base)
     canvas.text((6, 14), f"lens {array + 1}, on {body.name}", "start", "title")
     canvas.text((374, 14), f"{scale_text(scale)}, mm", "end", "note")
     radius = ", ".join(mm_text(r * mm) if isfinite(r) else "flat" for r in lens.radius)
     conic = ", ".join("–" if k is None else f"{k if abs(k) > 1e-12 else 0.0:.4g}" for k in lens.conic)
-    canvas.text((6, 246), f"apex radius x, y: {radius}", "start")
-    canvas.text((6, 262), f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}", "start")
+    canvas.text((6, base + 56.0), f"apex radius x, y: {radius}", "start")
+    canvas.text((6, base + 72.0), f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}", "start")
     return canvas.svg()
 
 
@@ -290,10 +293,13 @@ def _detail_dimensions(
     at: Callable[..., Floats],
     mm: float,
     curved: int | None,
+    base: float,
 ) -> None:
     pitch = (x[-1] - x[0]) * mm
     (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
-    canvas.across(float(xa), float(xb), 222.0, mm_text(pitch), (min(float(ya), 200.0), min(float(ya), 200.0)))
+    canvas.across(
+        float(xa), float(xb), base + 30.0, mm_text(pitch), (min(float(ya), base), min(float(ya), base))
+    )
     solid = np.flatnonzero(np.isfinite(front) & np.isfinite(back) & (back >= front))
     if not len(solid):
         canvas.text((190, 110), "no material along this line")

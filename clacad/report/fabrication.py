@@ -129,7 +129,7 @@ def _body(window: Window, body: BodyFacts, mm: float) -> list[Line]:
         lines.append(Line(body.name, "volume", (cubic,), "mm³"))
         density = None if material is None else material.density_kg_m3
         lines.append(
-            Line(body.name, "mass", "not known: the design gives no material with a density", "")
+            Line(body.name, "mass, no density given", "not known", "")
             if density is None
             else Line(body.name, "mass", (cubic * density * 1e-6,), "g")
         )
