@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from clacad.brep.conics import parameter_curve, posed, quadric_patch, ruled_wall, section_arc
 from clacad.brep.lenses import fitted_lens, posed_quadric
+from clacad.brep.levels import linked_levels
 from clacad.brep.pattern import divided_pattern
-from clacad.brep.segments import linked_levels
 from clacad.sheet import Face, lens_height
 from clacad.surface import Biconic, Quadric
 

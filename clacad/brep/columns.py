@@ -9,15 +9,14 @@ import numpy as np
 from clacad.brep.cell import Cell, CellFace
 from clacad.brep.conics import Arc
 from clacad.brep.edges import Plane, Post, SegmentClass, segment_class
+from clacad.brep.levels import Levels, linked_levels
 from clacad.brep.nodes import Index, Nodes, State, Touch
 from clacad.brep.path import Path
 from clacad.brep.pattern import Floats, Region
 from clacad.brep.segments import (
     TOLERANCE,
     Column,
-    Levels,
     column_of_side,
-    linked_levels,
     segment_shape,
     zone_columns,
 )

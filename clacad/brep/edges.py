@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.brep.conics import Arc, Patch, line, ruled_wall
+from clacad.brep.levels import Levels, linked_levels
 from clacad.brep.pattern import Floats, Kind
-from clacad.brep.segments import TOLERANCE, Column, Levels, SegmentShape, WallShape, linked_levels
+from clacad.brep.segments import TOLERANCE, Column, SegmentShape, WallShape
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,9 +14,10 @@ from typing import Literal
 import numpy as np
 
 from clacad.brep.cell import Cell
+from clacad.brep.levels import Levels, linked_levels
 from clacad.brep.path import Path
 from clacad.brep.pattern import Floats
-from clacad.brep.segments import Column, Levels, column_of_side, linked_levels
+from clacad.brep.segments import Column, column_of_side
 from clacad.brep.shell import Node, Shells
 from clacad.lattice import Lattice
 

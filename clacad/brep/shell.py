@@ -16,8 +16,9 @@ import numpy as np
 
 from clacad.brep.conics import Arc, Patch, line
 from clacad.brep.edges import SegmentClass, Surface, WallEnd
+from clacad.brep.levels import Levels
 from clacad.brep.pattern import Floats
-from clacad.brep.segments import TOLERANCE, Levels
+from clacad.brep.segments import TOLERANCE
 
 Role = Literal["lens", "land", "wall", "plane", "side"]
 

@@ -81,12 +81,7 @@ def _words(*values: int) -> bytes:
 
 
 def _add_mesh(document: dict[str, Any], binary: bytearray, piece: Piece, scale: float) -> None:
-    if piece.normals is None:
-        raise FileDisagrees(f"{piece.name}: a GLB file needs vertex normals")
-    position = np.asarray(piece.vertices * scale, dtype="<f4") + np.float32(0.0)
-    normal = np.asarray(piece.normals, dtype="<f4") + np.float32(0.0)
-    if not (np.isfinite(position).all() and np.isfinite(normal).all()):
-        raise FileDisagrees(f"{piece.name}: a vertex or normal is not a finite number")
+    position, normal = (values.astype("<f4") + np.float32(0.0) for values in piece.sound(scale))
     material = {
         "name": f"{piece.name} material",
         "pbrMetallicRoughness": {

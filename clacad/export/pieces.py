@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.export.errors import FileDisagrees
 from clacad.export.filemesh import Floats, Ints
 from clacad.lattice import Lattice
 
@@ -41,6 +42,22 @@ class Piece:
     def count(self) -> int:
         """How many times the piece stands."""
         return 1 if self.places is None else self.places.count
+
+    def sound(self, scale: float, centre: Floats | None = None) -> tuple[Floats, Floats]:
+        """Positions (v, 3), scaled, about `centre` (design units) if given, and normals: finite, without −0.
+
+        Raises
+        ------
+        FileDisagrees
+            There are no normals, or a number is not finite.
+        """
+        if self.normals is None:
+            raise FileDisagrees(f"{self.name}: this format needs vertex normals")
+        position = (self.vertices if centre is None else self.vertices + centre) * scale + 0.0
+        normal = self.normals + 0.0
+        if not (np.isfinite(position).all() and np.isfinite(normal).all()):
+            raise FileDisagrees(f"{self.name}: a vertex or normal is not a finite number")
+        return position, normal
 
 
 @dataclass(frozen=True, eq=False)

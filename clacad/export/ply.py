@@ -11,7 +11,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.export.errors import FileDisagrees, UnreadableFile
+from clacad.export.errors import UnreadableFile
 from clacad.export.filemesh import CHUNK, FileMesh, Floats, Ints, Part
 from clacad.export.pieces import Piece
 
@@ -76,11 +76,7 @@ def _centres(piece: Piece) -> Floats:
 
 
 def _write_vertices(stream: IO[bytes], piece: Piece, centre: Floats, scale: float) -> None:
-    if piece.normals is None:
-        raise FileDisagrees(f"{piece.name}: a PLY file needs vertex normals")
-    block = np.concatenate([(piece.vertices + centre) * scale, piece.normals], axis=1) + 0.0
-    if not np.isfinite(block).all():
-        raise FileDisagrees(f"{piece.name}: a vertex or normal is not a finite number")
+    block = np.concatenate(piece.sound(scale, centre), axis=1)
     stream.write(np.ascontiguousarray(block, dtype="<f8").tobytes())
 
 
