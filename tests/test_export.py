@@ -245,21 +245,37 @@ def test_auto_is_the_finest_grid_under_the_limits(tmp_path: Path) -> None:
     assert manifest.files[0]["quads"] == 64
 
 
-def test_forecasts_hold(tmp_path: Path) -> None:
+MAPS = ("table", "mask", "xyz", "png", "tiff", "sag")
+FORECAST = [
+    ("tilted-seam.toml", (10, 9), ("step", *MESHES, *MAPS)), ("paper-a-covered.toml", (9, 11), (*MESHES, *MAPS, "pov")),
+    ("plano.toml", (7, 6), (*MESHES, *MAPS)), ("slab.toml", (10, 5), (*MESHES, *MAPS)),
+    ("hexagonal.toml", (8, 8), (*MESHES, *MAPS)), ("tilted-biconvex.toml", (6, 9), MESHES),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "cells", "formats"), FORECAST, ids=[row[0] for row in FORECAST])
+def test_forecasts_hold(tmp_path: Path, name: str, cells: tuple[int, int], formats: tuple[str, ...]) -> None:
     """Facets and STL bytes exactly, the rest within 20 %."""
-    formats = ("step", "stl", "3mf", "ply", "glb", "table", "mask", "xyz", "png", "tiff", "sag")
-    manifest = export(design("tilted-seam.toml"), tmp_path, formats=formats, quads=8, cells=(12, 9))
+    manifest = export(design(name), tmp_path, formats=formats, quads=8, cells=cells)
     sizes: dict[str, int] = {}
+    facets: dict[str, int] = {}
     word = {"stl-binary": "stl", "tiff32": "tiff", "tiff16": "tiff", "png16": "png", "xyz-normals": "xyz", "grid-sag": "sag",
             "surface-table": "table", "pose-table": "table", "mask-svg": "mask", "mask-dxf": "mask"}  # fmt: skip
     for entry in manifest.files:
-        name = word.get(entry["format"], entry["format"])
-        sizes[name] = sizes.get(name, 0) + entry["bytes"]
-    for row in manifest.run["forecast"]:
-        if row["format"] == "stl":
-            assert row["bytes"] == sizes["stl"] == 84 + 50 * row["facets"]
-        elif row["format"] in sizes:
-            assert row["bytes"] == pytest.approx(sizes[row["format"]], rel=0.2), row["format"]
+        kind = word.get(entry["format"], entry["format"])
+        sizes[kind] = sizes.get(kind, 0) + entry["bytes"]
+        facets[kind] = facets.get(kind, 0) + entry.get("triangles", 0)
+    rows = {row["format"]: row for row in manifest.run["forecast"]}
+    assert set(rows) == set(formats)
+    for kind, row in rows.items():
+        if row["facets"] is not None:
+            assert row["facets"] == facets[kind], kind
+        if row["exact"]:
+            assert row["bytes"] == sizes[kind], kind
+        else:
+            assert row["bytes"] == pytest.approx(sizes[kind], rel=0.2), kind
+    assert rows["stl"]["exact"]
+    assert rows["stl"]["bytes"] == 84 + 50 * facets["stl"]
 
 
 @pytest.mark.parametrize("formats", [("stp",), (), ("stl", "exe")])

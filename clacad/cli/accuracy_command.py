@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.cli.console import Progress, show_json, show_text, size, table
-from clacad.cli.design_commands import load_design
+from clacad.cli.design_commands import load_counted
 from clacad.cli.export_command import parse_angle
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def measure_accuracy(
     """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
     from clacad.accuracy import accuracy
 
-    design = load_design(path, overrides)
+    design = load_counted(path, overrides)
     limit = None if target is None else parse_angle("--target", target)
     progress = Progress(quiet=quiet)
     try:

@@ -47,8 +47,23 @@ def load_design(path: Path, overrides: list[str]) -> Design:
     return load(path, tuple(overrides))
 
 
+def load_counted(path: Path, overrides: list[str]) -> Design:
+    """Read a design, and refuse one of more lenslets than can be gone through.
+
+    Raises
+    ------
+    DesignError, LimitRefused
+    """
+    from clacad.export.forecast import refuse_uncountable
+
+    design = load_design(path, overrides)
+    refuse_uncountable(design)
+    return design
+
+
 def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
-    """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails."""
+    """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails, 3 when nothing could be written."""
+    from clacad.export.errors import LimitRefused
     from clacad.feasibility import describe, feasibility
     from clacad.prescription import prescribe
     from clacad.verify import design_checks
@@ -75,6 +90,8 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
         from clacad.cli.tables import check_text
 
         show_text(check_text(design.name, describe(window, facts), checks, forecast), quiet=quiet)
+    if not failed and all(row["refused"] for row in forecast):
+        raise LimitRefused(str(forecast[0]["refused"]))
     return 1 if failed else 0
 
 

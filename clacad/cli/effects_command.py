@@ -33,8 +33,11 @@ def show_effects(
 ) -> int:
     """Print the plan, or the plan as JSON."""
     from clacad.effects import plan_effects
+    from clacad.export.forecast import refuse_uncountable
+    from clacad.scene import Scene
 
     target = load_target(path, overrides)
+    refuse_uncountable(target.design() if isinstance(target, Scene) else target)
     try:
         plan = plan_effects(target, exact=exact, force=force, without=without)
     except ValueError as error:

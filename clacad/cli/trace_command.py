@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from clacad.cli.console import Progress, show_json, show_text, table
-from clacad.cli.design_commands import load_design
+from clacad.cli.design_commands import load_counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -122,7 +122,7 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
     from clacad.export.atomic import write_file
     from clacad.prescription import prescribe
 
-    window = prescribe(load_design(path, overrides))
+    window = prescribe(load_counted(path, overrides))
     rays = RayFile(request.rays)
     options = _options(window, request)
     counts: dict[str, int] = {}

@@ -83,8 +83,8 @@ class Forecast:
 # -- before anything is prescribed -------------------------------------------------------------
 
 
-def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> None:
-    """Refuse a design whose mere count of lenslets is beyond every limit; integer arithmetic only.
+def refuse_uncountable(design: Design) -> None:
+    """Refuse a design of more lenslets than anything here goes through one by one; integer arithmetic only.
 
     Raises
     ------
@@ -92,6 +92,17 @@ def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> N
     """
     n1, n2 = (int(n) for n in design.lattice.count)
     _refuse_cells(n1, n2)
+
+
+def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> None:
+    """Refuse a design whose mere count of lenslets is beyond every limit; integer arithmetic only.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    refuse_uncountable(design)
+    n1, n2 = design.lattice.count
     cells = n1 * n2
     grid = quads if quads is not None else QUADS[-1]
     if any(f in MESH_FORMATS for f in formats) and design.lattice.outline is None:
@@ -298,8 +309,10 @@ def _forecast_map(window: Window, name: str, levels: int = 64) -> Forecast:
         size = gds_bytes(window, levels, sizes.mm(window))
     elif name == "pov":
         size = sizes.pov_bytes(window)
-    else:  # six bytes a pixel of two TIFFs, a line of 85 a point, one cell of 65 x 65 lines of 70
-        size = {"tiff": 6 * pixels, "xyz": 85 * pixels, "sag": faces * 70 * 65 * 65}[name]
+    elif name == "xyz":
+        size = sizes.xyz_bytes(window, per_cell)
+    else:  # six bytes a pixel of two TIFFs, one cell of 65 x 65 lines of 70
+        size = {"tiff": 6 * pixels, "sag": faces * 70 * 65 * 65}[name]
     drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
         name, 100 * cells * faces
     )

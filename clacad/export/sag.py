@@ -252,18 +252,26 @@ def write_points(window: Window, body: Body, face: Face, per_cell: int, path: Pa
     covers the lens the normal is that of the land. Returns the number of points.
     """
     assert face.array is not None
-    local, z, normal = _cell_points(window, face, per_cell)
-    shift = np.asarray(window.shifts[face.array])
     total = 0
     with path.open("w", encoding="ascii", newline="\n") as stream:
         stream.write(f"# clacad points of {body.name}, unit mm, columns x y z nx ny nz (outward)\n")
         for j in range(window.lattice.count[1]):
-            row = window.lattice.row(j)
-            for centre in (window.lattice.centres(row) + shift) * scale if len(row) else ():
-                table = np.column_stack([local * scale + centre, z * scale, normal])
-                stream.write("\n".join(map(_LINE.__mod__, map(tuple, table.tolist()))) + "\n")
-                total += len(table)
+            for line in point_lines(window, face, per_cell, window.lattice.row(j), scale):
+                stream.write(line + "\n")
+                total += 1
     return total
+
+
+def point_lines(
+    window: Window, face: Face, per_cell: int, cells: NDArray[np.int64], scale: float
+) -> Iterator[str]:
+    """Lines of some cells (k, 2) of a face."""
+    assert face.array is not None
+    local, z, normal = _cell_points(window, face, per_cell)
+    shift = np.asarray(window.shifts[face.array])
+    for centre in (window.lattice.centres(cells) + shift) * scale if len(cells) else ():
+        table = np.column_stack([local * scale + centre, z * scale, normal])
+        yield from map(_LINE.__mod__, map(tuple, table.tolist()))
 
 
 _LINE = "%.9f %.9f %.9f %.12f %.12f %.12f"

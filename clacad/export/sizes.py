@@ -38,13 +38,16 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
     repeated = instanceable(meshes.window)
     mesh = meshes.at(quads).cell if repeated else meshes.at(quads).mesh
     total = 950.0
+    packed = zlib.compressobj(6)
     for body, part in zip(meshes.window.bodies, mesh.bodies, strict=True):
         corners = _first_facets(part.rows())
         if not len(corners):
             continue
         piece = replace(weld(body, corners, np.zeros_like(corners)), normals=None)
-        text = threemf.mesh_lines(piece, 1, mm(meshes.window))
-        total += _deflated(text) * part.facet_count / len(corners)
+        text = "".join(threemf.mesh_lines(piece, 1, mm(meshes.window))).encode()
+        # one stream for all bodies, as in the file: a second body that is like the first takes little room
+        size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
+        total += size * part.facet_count / len(corners)
         if repeated:
             array = next(f.array for f in (body.front, body.back) if f.array is not None)
             total += _places_bytes(
@@ -98,7 +101,7 @@ def png_bytes(window: Window, per_cell: int) -> int:
     total = 0.0
     for body, face, label in structured_faces(window):
         map_ = height_map(window, body, face, label, per_cell)
-        rows = min(map_.height, 2 * per_cell)
+        rows = min(map_.height, 8 * per_cell)  # rows of cells repeat: what deflate learns in a few, it knows
         strip = replace(map_, height=rows)
         packer = zlib.compressobj(6)
         size = sum(
@@ -144,12 +147,26 @@ def mask_bytes(window: Window) -> int:
 
 def pov_bytes(window: Window) -> int:
     """Size of the POV-Ray scene, drawn up as it is: its loops do not grow; 0 for a sheet it cannot hold."""
-    from clacad.export.pov import NotForPov, pov_lines
+    from clacad.export.errors import ExportError
+    from clacad.export.pov import pov_lines
 
     try:
         return sum(len(line.encode()) + 1 for line in pov_lines(window, None))
-    except NotForPov:  # said when it is written, so that the other formats still come out
+    except ExportError:  # said when it is written, so that the other formats still come out
         return 0
+
+
+def xyz_bytes(window: Window, per_cell: int) -> int:
+    """Size of the point files: the points of one cell of each face as they are, times the cells."""
+    from clacad.export.sag import point_lines, structured_faces
+
+    row = window.lattice.row(window.lattice.count[1] // 2)
+    middle = row[len(row) // 2 : len(row) // 2 + 1]
+    total = 0.0
+    for _, face, _ in structured_faces(window):
+        lines = point_lines(window, face, per_cell, middle, mm(window))
+        total += sum(len(line) + 1 for line in lines) * window.lattice.cell_count + 80
+    return int(total)
 
 
 # -- STEP ------------------------------------------------------------------------------------------
