@@ -162,7 +162,7 @@ def telescopelet(report: Report) -> str:
     for name, (a, b) in spans.items():
         za, zb = float(at(0.0, a)[0]), float(at(0.0, b)[0])
         canvas.across(za, zb, bottom + 26, f"{name} {mm_text((b - a) * mm)}", (bottom, bottom))
-    centres = [window.thin.offset[2] * 0.0, _second(window)]
+    centres = [0.0, _second(window)]
     za, zb = (float(at(0.0, c)[0]) for c in centres)
     words = f"lens to lens {mm_text((centres[1] - centres[0]) * mm)}"
     canvas.across(za, zb, bottom + 56, words, (bottom, bottom))
@@ -183,7 +183,7 @@ def _pair(values: tuple[float, float], mm: float) -> str:
 
 def _second(window: Window) -> float:
     """Height of the middle of lens 2."""
-    if window.form == "slab":
+    if window.form != "biconvex":
         return float(next(f for f in window.faces if f.array == 1).vertex[2])
     return float(window.thin.offset[2])
 

@@ -82,7 +82,7 @@ def foci(window: Window) -> tuple[MeridianFocus, MeridianFocus]:
     """Trace both fans in both meridians of the lenses, surfaces as built."""
     turn = window.thin.rotation
     middle = np.array([[0.0, 0.0, 0.0], np.asarray(window.thin.offset)])
-    if window.form == "slab":  # the air-equivalent offset stands for one that is longer by the index
+    if window.form != "biconvex":  # the offset in air stands for a longer one: glass lies between the vertices
         middle[1] = _apex(window, 1)
     distance = float((middle[1] - middle[0]) @ turn[:, 2])
     found = []
