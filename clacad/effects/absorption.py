@@ -15,7 +15,7 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.passes import Block, Crossing, Effect, Stage, inside_of, unit_rows
+from clacad.effects.passes import Block, Crossing, Effect, Losses, Stage, inside_of, unit_rows
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Fate
@@ -42,7 +42,10 @@ def effect(window: Window, setting: Setting) -> Effect:
         np.exp(-depth, out=depth)
         block.result.flux[:] *= depth
 
-    return Effect(NAME, Stage.EXIT, needs=("hits",), apply=apply)
+    def losses(wavelength: float | None) -> Losses:
+        return False, attenuations(window, setting, wavelength)
+
+    return Effect(NAME, Stage.EXIT, needs=("hits",), apply=apply, losses=losses)
 
 
 def attenuations(window: Window, setting: Setting, wavelength: float | None) -> tuple[float, ...]:

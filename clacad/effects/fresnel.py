@@ -50,6 +50,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         needs=("hits",),
         apply=apply,
         compiled=_compiled if setting.coating == "none" else None,
+        losses=(lambda _: (True, ())) if setting.coating == "none" else None,
     )
 
 

@@ -11,7 +11,7 @@ from math import exp, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.trace.compiled import fused
+from clacad.trace.compiled import exact, fused
 
 Floats = NDArray[np.float64]
 Fates = NDArray[np.uint8]
@@ -35,6 +35,36 @@ def crosses(fate: int, last: int, k: int, hits: Floats, start: Floats, row: int)
 
 
 @fused
+def let_through(x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float) -> float:
+    """Share of unpolarised light that passes a bare face which turns (x, y, z) into (u, v, w)."""
+    step = (n2 - n1) * (n2 + n1)
+    if step == 0.0:
+        return 1.0
+    square = (n2 - n1) * (n2 - n1)
+    turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
+    cos, s = 1.0 - turn, square + 2.0 * n1 * n2 * turn
+    p = (square - (n1 * n1 + n2 * n2) * turn) / cos
+    return 1.0 - 0.5 * (s * s + p * p) / (step * step)
+
+
+@fused
+def fresnel_share(
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, row: int
+) -> float:
+    """Share of unpolarised light that the bare faces which one ray crossed let through; see `fresnel_pass`."""
+    x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
+    length = 1.0 / sqrt(x * x + y * y + z * z)
+    x, y, z = x * length, y * length, z * length
+    share = 1.0
+    for k in range(len(index) - 1):
+        u, v, w = turns[k, row, 0], turns[k, row, 1], turns[k, row, 2]
+        if fate[row] <= GHOST or crosses(fate[row], last[row], k, hits, start, row):
+            share *= let_through(x, y, z, u, v, w, index[k], index[k + 1])
+        x, y, z = u, v, w
+    return share
+
+
+@fused
 def fresnel_pass(
     start: Floats,
     ray: Floats,
@@ -55,41 +85,42 @@ def fresnel_pass(
     index : (f + 1,)
         Refractive index before the first face and behind each.
     """
-    faces = len(turns)
-    scale, base, slope_s, slope_p = np.empty(faces), np.empty(faces), np.empty(faces), np.empty(faces)
-    for k in range(faces):
-        n1, n2 = index[k], index[k + 1]
-        step = (n2 - n1) * (n2 + n1)
-        scale[k] = 0.0 if step == 0.0 else 1.0 / step
-        base[k], slope_s[k], slope_p[k] = (n2 - n1) * (n2 - n1), 2.0 * n1 * n2, n1 * n1 + n2 * n2
     for row in range(len(flux)):
-        x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
-        length = 1.0 / sqrt(x * x + y * y + z * z)
-        x, y, z = x * length, y * length, z * length
-        share, plain = 1.0, fate[row] <= GHOST
-        for k in range(faces):
-            u, v, w = turns[k, row, 0], turns[k, row, 1], turns[k, row, 2]
-            if plain or crosses(fate[row], last[row], k, hits, start, row):
-                turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
-                s = (base[k] + slope_s[k] * turn) * scale[k]
-                p = (base[k] - slope_p[k] * turn) * scale[k] / (1.0 - turn)
-                share *= 1.0 - 0.5 * (s * s + p * p)
-            x, y, z = u, v, w
-        flux[row] *= share
+        flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
+
+
+@fused
+def absorbed(hits: Floats, rates: Floats, row: int) -> float:
+    """Share of one ray that bodies of these attenuations (b,) let through between its hits (2 b, n, 3)."""
+    depth = 0.0
+    for b in range(len(rates)):
+        square = 0.0
+        for c in range(3):
+            step = hits[2 * b + 1, row, c] - hits[2 * b, row, c]
+            square += step * step
+        depth += rates[b] * sqrt(square)
+    return exp(-depth)
 
 
 @fused
 def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
     """Multiply each ray's flux by exp(−Σ rate · length) over the bodies (b,) that its hits (2 b, n, 3) bound."""
     for row in range(len(flux)):
-        depth = 0.0
-        for b in range(len(rates)):
-            square = 0.0
-            for c in range(3):
-                step = hits[2 * b + 1, row, c] - hits[2 * b, row, c]
-                square += step * step
-            depth += rates[b] * sqrt(square)
-        flux[row] *= exp(-depth)
+        flux[row] *= absorbed(hits, rates, row)
+
+
+@exact
+def losses_pass(
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, rates: Floats,
+    reflects: bool, flux: Floats,
+) -> None:  # fmt: skip
+    """Give a flux to the rays that have none (NaN), from their hits: those that the straight trace did not hold for."""
+    for row in range(len(flux)):
+        if flux[row] == flux[row]:
+            continue
+        flux[row] = absorbed(hits, rates, row)
+        if reflects:
+            flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
 
 
 Vector = tuple[float, float, float]
@@ -106,37 +137,20 @@ def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
 
 @fused
 def carried(
-    a: float,
-    b: float,
-    c: float,
-    x: float,
-    y: float,
-    z: float,
-    u: float,
-    v: float,
-    w: float,
-    n1: float,
-    n2: float,
-) -> Vector:
-    """Carry the field (a, b, c) over a face that turns (x, y, z) into (u, v, w)."""
+    a: float, b: float, c: float, x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float
+) -> Vector:  # fmt: skip
+    """Carry the field (a, b, c) over a face that turns the ray D = (x, y, z) into D' = (u, v, w).
+
+    Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part across
+    the plane of incidence times τ_s, the rest turned and times τ_p. τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
+    """
     turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
-    cos = 1.0 - turn
-    tau, factor = 1.0, 0.0
-    step = (n2 - n1) * (n2 + n1)
+    cos, less, step = 1.0 - turn, n2 - n1, (n2 - n1) * (n2 + n1)
+    tau = 1.0
     if step != 0.0:
-        square, per = (n2 - n1) * (n2 - n1), 1.0 / (step * cos)
-        s = -(square + 2.0 * n1 * n2 * turn) * per * cos
-        p = (square - (n1 * n1 + n2 * n2) * turn) * per
-        tau = sqrt(1.0 - p * p)
-        factor = -2.0 * n1 * n2 * (p - s) * per / (sqrt(1.0 - s * s) + tau)
-    sx, sy, sz = y * w - z * v, z * u - x * w, x * v - y * u
-    along = tau * (a * u + b * v + c * w) / (1.0 + cos)
-    side = factor * (a * sx + b * sy + c * sz)
-    return (
-        tau * a - along * (x + u) + side * sx,
-        tau * b - along * (y + v) + side * sy,
-        tau * c - along * (z + w) + side * sz,
-    )
+        tau = 2.0 * sqrt(n1 * n2 * (less - n2 * turn) * (less + n1 * turn)) / (abs(step) * cos)
+    own, back = tau * cos, tau * (a * u + b * v + c * w)
+    return own * a - back * x, own * b - back * y, own * c - back * z
 
 
 @fused

@@ -37,8 +37,11 @@ NAMES = (
 FOLLOWED = ("walls", "tir_paths")
 """Effects that trace ended rays anew, with every loss: they run last and have the last word on those rows."""
 
-BLOCK = 4096
-"""Rays at a time: the hits of four faces take 3 MB."""
+BLOCK = 8192
+"""Rays at a time: the hits of four faces take 1.5 MB."""
+
+LIGHT_BLOCK = 65536
+"""The same where hits are kept of few rays only."""
 
 
 class Stage(Enum):
@@ -107,7 +110,7 @@ class Block:
     @property
     def indices(self) -> Floats:
         """Refractive index before the first face and behind each, (faces + 1,)."""
-        return np.array([1.0] + [n for body in self.window.bodies for n in (self.index(body), 1.0)])
+        return np.array(around([self.index(body) for body in self.window.bodies]))
 
     @property
     def air_wavelength(self) -> float:
@@ -123,6 +126,9 @@ class Block:
             raise ValueError("this effect needs a wavelength, and neither the rays nor the design have one")
         return wavelength
 
+
+Losses = tuple[bool, tuple[float, ...]]
+"""Light lost on the way: whether bare faces reflect, and the attenuation of each body (1/length; empty: none)."""
 
 Pass = Callable[[Block, Crossing | None], None]
 Launch = Callable[[Window, Rays], Rays]
@@ -150,6 +156,8 @@ class Effect:
         The rung the effect stands for (facets: mesh).
     options : mapping
         Keyword arguments of `trace` on that rung.
+    losses : callable or None
+        `losses(wavelength)`: the same as the pass where the compiled tracer can count it on the way.
     colours : bool
         Whether the pass depends on the wavelength, so that a block may hold only one.
     """
@@ -164,6 +172,7 @@ class Effect:
     rung: Rung | None = None
     options: dict[str, Any] = field(default_factory=dict)
     colours: bool = True
+    losses: Callable[[float | None], Losses] | None = None
 
 
 class EffectModule(Protocol):
@@ -250,13 +259,21 @@ def trace_with(
     keep = record or any("hits" in effect.needs for effect in passes)
     by_colour = not passes or any(effect.colours for effect in passes)
     threads, options["path"] = _workers(window, rays, rung, options)
-    places = list(blocks(rays, by_colour))
     fast = options["path"] == "numba" and rung == "surfaces"
+    lossy = [effect for effect in passes if effect.losses is not None]
+    others = [effect for effect in passes if effect.losses is None]
+    if not fast or record or any("hits" in effect.needs for effect in others):
+        lossy, others = [], passes
+    places = list(blocks(rays, by_colour, LIGHT_BLOCK if lossy else BLOCK))
     gathered = Gathered(len(rays), window, record if fast else None)
 
     def one(place: tuple[Chosen, float | None]) -> None:
         rows, wavelength = place
         part = take_rays(rays, rows)
+        if lossy and isinstance(rows, slice):
+            result = gathered.traced_with_losses(rows, part, wavelength, lossy)
+            run(others, Block(window, part, result, rung, wavelength, compiled=True))
+            return
         if fast and isinstance(rows, slice):
             result = gathered.traced_in_place(rows, part, wavelength, keep)
             run(passes, Block(window, part, result, rung, wavelength, compiled=True))
@@ -318,22 +335,22 @@ def run(passes: Sequence[Effect], block: Block) -> None:
 Chosen = slice | NDArray[np.intp]
 
 
-def blocks(rays: Rays, by_colour: bool) -> Iterator[tuple[Chosen, float | None]]:
+def blocks(rays: Rays, by_colour: bool, size: int = BLOCK) -> Iterator[tuple[Chosen, float | None]]:
     """Rows of rays a block at a time, each of one wavelength where that matters."""
     if rays.wavelength is None or not by_colour or len(rays) == 0:
-        for first in range(0, max(len(rays), 1), BLOCK):
-            yield slice(first, min(first + BLOCK, len(rays))), None
+        for first in range(0, max(len(rays), 1), size):
+            yield slice(first, min(first + size, len(rays))), None
         return
     if one_colour(rays):
         first_wave = float(rays.wavelength[0])
-        for first in range(0, len(rays), BLOCK):
-            yield slice(first, min(first + BLOCK, len(rays))), _real(first_wave)
+        for first in range(0, len(rays), size):
+            yield slice(first, min(first + size, len(rays))), _real(first_wave)
         return
     waves, which = np.unique(rays.wavelength, return_inverse=True)
     for k, wave in enumerate(waves):
         rows = np.flatnonzero(which == k)
-        for first in range(0, len(rows), BLOCK):
-            yield rows[first : first + BLOCK], _real(float(wave))
+        for first in range(0, len(rows), size):
+            yield rows[first : first + size], _real(float(wave))
 
 
 def one_colour(rays: Rays) -> bool:
@@ -353,6 +370,14 @@ def take_rays(rays: Rays, rows: Chosen) -> Rays:
     return Rays(rays.position[rows], rays.direction[rows], waves)
 
 
+_ROOM = local()
+
+
+def around(indices: Sequence[float]) -> list[float]:
+    """Refractive index before the first face and behind each, from those of the bodies."""
+    return [1.0, *(n for index in indices for n in (index, 1.0))]
+
+
 class Gathered:
     """Results of blocks on their way back into the order of launch."""
 
@@ -361,7 +386,6 @@ class Gathered:
         self.count, self.window = count, window
         self.columns: dict[str, Any] = {}
         self.whole: TraceResult | None = None
-        self.room = local()
         if direct is not None:
             faces = 2 * len(window.bodies) if direct else 0
             self.columns = {
@@ -375,6 +399,38 @@ class Gathered:
 
     def traced_in_place(self, rows: slice, rays: Rays, wavelength: float | None, keep: bool) -> TraceResult:
         """Trace a block by the compiled kernels straight into its slice; its hits may be kept for it alone."""
+        indices = tuple(body.index_at(wavelength) for body in self.window.bodies)
+        return self.traced(rows, rays, indices, 2 * len(self.window.bodies) if keep else 0)
+
+    def traced_with_losses(
+        self, rows: slice, rays: Rays, wavelength: float | None, lossy: Sequence[Effect]
+    ) -> TraceResult:
+        """Trace a block and count the light lost on the way; rays that had to be walked have it counted afterwards."""
+        from clacad.effects.kernels import losses_pass
+
+        bodies = self.window.bodies
+        indices = tuple(body.index_at(wavelength) for body in bodies)
+        asked = [effect.losses(wavelength) for effect in lossy if effect.losses is not None]
+        rates = np.zeros(len(bodies))
+        for _, own in asked:
+            rates[: len(own)] += own
+        reflects = any(own for own, _ in asked)
+        result = self.traced(rows, rays, (*indices, float(reflects), *rates), 2 * len(bodies), 1)
+        hits, turns = result.hits, result.directions
+        assert hits is not None
+        assert turns is not None
+        flux = result.flux
+        flux[:] = turns[-1].reshape(-1)[: len(rays)]
+        losses_pass(
+            rays.position, rays.direction, hits, turns, result.fate, result.surface, np.array(around(indices)),
+            rates, reflects, flux,
+        )  # fmt: skip
+        return replace(result, hits=None, directions=None)
+
+    def traced(
+        self, rows: slice, rays: Rays, indices: tuple[float, ...], faces: int, more: int = 0
+    ) -> TraceResult:
+        """Trace a block into its slice, hits kept at so many faces; see `trace_chunk` for the indices."""
         from clacad.trace.compiled_surfaces import trace_compiled
         from clacad.trace.layout import lay_out
         from clacad.trace.ledger import Ledger
@@ -382,23 +438,22 @@ class Gathered:
         own = {
             name: column[rows] for name, column in self.columns.items() if name not in ("hits", "directions")
         }
-        faces = 2 * len(self.window.bodies) if keep else 0
         for name in ("hits", "directions"):
             whole = self.columns[name]
-            own[name] = self.lent(name, faces, len(rays)) if whole is None else whole[:, rows]
-        indices = tuple(body.index_at(wavelength) for body in self.window.bodies)
+            layers = faces + (more if name == "directions" else 0)
+            own[name] = self.lent(name, layers, len(rays)) if whole is None else whole[:, rows]
         ledger = Ledger(**own)
         trace_compiled(lay_out(self.window), rays, ledger, np.arange(len(rays)), indices, 1)
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Room for one block's hits, used again by the same thread's next block: fresh pages cost as much as a pass."""
-        size = faces * BLOCK * 3
-        room: Floats | None = getattr(self.room, name, None)
+        """Room for one block's hits, used again by the thread's next block: fresh pages cost as much as a pass."""
+        size = faces * count * 3
+        room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:
             room = np.empty(size)
-            setattr(self.room, name, room)
-        return room[: faces * count * 3].reshape(faces, count, 3)
+            setattr(_ROOM, name, room)
+        return room[:size].reshape(faces, count, 3)
 
     def enter(self, rows: Chosen, result: TraceResult, record: bool) -> None:
         """Write a block's rows."""
