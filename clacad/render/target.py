@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import cast
 
+import numpy as np
+
 from clacad.accuracy.choose import facets_for
-from clacad.accuracy.table import TargetOutOfReach
+from clacad.accuracy.table import MOST_DISAGREEMENT, TargetOutOfReach
 from clacad.effects.fidelity import rms_angle
 from clacad.effects.passes import Rung
 from clacad.effects.situation import Situation
@@ -52,22 +54,24 @@ def within_target(scene: Scene, target: float) -> Scene:
             )
         return chosen.replace({"sheet.quads": facets.quads})
     situation = of_scene(still, window)
-    error = _error(situation, cast("Rung", rung), still.file(still.sheet.mesh) if still.sheet.mesh else None)
-    if error > target:
+    mesh = still.file(still.sheet.mesh) if still.sheet.mesh else None
+    error, disagree = _compared(situation, cast("Rung", rung), mesh)
+    if error > target or disagree > MOST_DISAGREEMENT:
         raise TargetOutOfReach(
-            f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays, more than the "
-            f"{1e3 * target:.4g} mrad asked; use rung surfaces, or auto"
+            f"rung {rung} is {1e3 * error:.4g} mrad rms off the exact surfaces on this scene's rays and sends "
+            f"{disagree:.2%} of them another way; {1e3 * target:.4g} mrad and {MOST_DISAGREEMENT:.0%} are allowed: use "
+            "rung surfaces, or auto"
         )
     return chosen
 
 
-def _error(situation: Situation, rung: Rung, mesh: str | None) -> float:
-    """Rms angle to the exact surfaces over the scene's rays that live on both."""
+def _compared(situation: Situation, rung: Rung, mesh: str | None) -> tuple[float, float]:
+    """Rms angle to the exact surfaces over the scene's rays that live on both, and the share of other fates."""
     from clacad.trace import trace
 
     if not len(situation.rays):
-        return 0.0
+        return 0.0, 0.0
     found = trace(situation.window, situation.rays, rung, mesh=mesh)
     truth = situation.probe
     both = (truth.fate == Fate.ALIVE) & (found.fate == Fate.ALIVE)
-    return rms_angle(truth.direction[both], found.direction[both])
+    return rms_angle(truth.direction[both], found.direction[both]), float(np.mean(truth.fate != found.fate))
