@@ -27,7 +27,7 @@ LAYER = {
     # 5 judgement
     "verify": 5, "accuracy": 5, "stability": 5, "tolerance": 5,
     # 6 presentation
-    "report": 6, "render": 6, "doctor": 6,
+    "report": 6, "render": 6, "doctor": 6, "explain": 6,
     # 7 surface
     "cli": 7, "__init__": 7, "__main__": 7,
 }  # fmt: skip

@@ -372,6 +372,20 @@ def effects(
 
 
 @app.command()
+def explain(
+    code: Annotated[str | None, typer.Argument(metavar="CODE", help="A code (CL337), a check (wall) or a word (eta); "
+                                               "default: list all.", show_default=False)] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """What a code, a check or a word means, why it matters, what to do."""
+    from clacad.cli.explain_command import show_explanation
+
+    return show_explanation(code, json=json, quiet=quiet)
+
+
+@app.command()
 def doctor(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder whose disk is tried.")] = Path("."),
     json: Json = False,

@@ -43,8 +43,9 @@ def groove(window: Window, radius: float) -> Named:
     """Greatest share of a cell's width that a tool of this nose radius (length) leaves rounded at the grooves.
 
     Where two faces meet in an inner corner of turning angle τ, the nose touches them r·tan(τ/2) before it. Between
-    two spheres of radius R without a seam both slopes are asin(p/2R), and the share is r/R. A concave lens has no
-    groove at its border, but a nose larger than its radius does not fit in at all: 1.
+    two spheres of radius R without a seam the share is r/R in the middle of a border and r/√(R² − p²/4) at its
+    ends, where the slopes across it are steepest. A concave lens has no groove at its border, but a nose larger than
+    its radius does not fit in at all: 1.
     """
     return max(
         (_rounded(window, name, face, radius) for name, face in _lens_faces(window)), key=lambda n: n.value

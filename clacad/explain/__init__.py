@@ -1,0 +1,91 @@
+"""`explain`: what a code, a check or a word means, why it matters, what is computed, what to do."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from clacad.cell_complex.refusal import CODES as BODIES
+from clacad.design.errors import CODES as DESIGN
+from clacad.design.keys import ROOT, SECTIONS, homes
+from clacad.design.units import LENGTHS, Unit
+from clacad.explain.entry import Entry
+from clacad.explain.mistakes import MISTAKES
+from clacad.explain.rules import CHECKS
+from clacad.explain.words import WORDS
+from clacad.verify.checks import CODES as JUDGED
+
+__all__ = ["Entry", "Unexplained", "entries", "explain"]
+
+
+class Unexplained(KeyError):
+    """Nothing of that name is known; the message names what is nearest."""
+
+    exit_status = 2
+
+    def __str__(self) -> str:
+        """The sentence, without the quotes of a KeyError."""
+        return str(self.args[0])
+
+
+def entries() -> dict[str, Entry]:
+    """Every explanation: codes first, in order, then words."""
+    found = {}
+    for code, title in sorted({**DESIGN, **BODIES}.items()):
+        means, why, formula, do = MISTAKES[code]
+        found[code] = Entry(code, "", title, means, why, formula, do)
+    for name, code in sorted(JUDGED.items(), key=lambda pair: pair[1]):
+        means, why, formula, do = CHECKS[name]
+        found[code] = Entry(code, name, f"check {name}", means, why, formula, do)
+    for word, (means, key) in WORDS.items():
+        found[word] = Entry("", word, word, means, "", "", f"see {key} of the design file" if key else "")
+    return found
+
+
+def explain(asked: str) -> Entry:
+    """Look up a code ("CL337", "cl337", "337"), a check ("wall"), a word ("moire") or a key ("pair.web").
+
+    Raises
+    ------
+    Unexplained
+    """
+    known = entries()
+    word = asked.strip()
+    code = f"CL{word}" if word.isdigit() else word.upper()
+    if code in known:
+        return known[code]
+    by_name = {entry.name: entry for entry in known.values() if entry.name}
+    folded = word.lower().replace("é", "e").replace("-", "_")
+    for name in () if "." in folded else (folded, folded.replace("_", " ")):
+        if name in by_name:
+            return by_name[name]
+    key = _key(folded)
+    if key is not None:
+        return key
+    raise Unexplained(f"nothing is called {asked!r}; {_nearest(word, known, list(by_name))}")
+
+
+def _key(name: str) -> Entry | None:
+    """A key of the design file, by its dotted name or its last part."""
+    places = homes(name.rsplit(".", 1)[-1])
+    place = name if name in places else (places[0] if places and "." not in name else None)
+    if place is None:
+        return None
+    section, _, last = place.rpartition(".")
+    if not section and last not in ROOT:
+        return Entry(
+            "", last, f"section [{last}] of the design file", f"keys: {', '.join(SECTIONS[last])}", "", "", ""
+        )
+    key = (SECTIONS[section] if section else ROOT)[last]
+    allowed = key.kind.allowed(Unit("the design's unit", LENGTHS["m"]))
+    return Entry("", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}")
+
+
+def _nearest(word: str, known: dict[str, Entry], names: list[str]) -> str:
+    """What was probably meant."""
+    digits = "".join(sign for sign in word if sign.isdigit())
+    if digits and (word[:2].upper() == "CL" or word.isdigit()):
+        codes = [code for code in known if known[code].code]
+        near = sorted(codes, key=lambda code: (abs(int(code[2:]) - int(digits)), code))[:3]
+        return f"the nearest codes are {', '.join(sorted(near))}"
+    close = get_close_matches(word.lower(), names, n=3, cutoff=0.4)
+    return f"did you mean {' or '.join(close)}?" if close else "`clacad explain` lists all codes and words"

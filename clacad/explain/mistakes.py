@@ -1,0 +1,133 @@
+"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL137."""
+
+from __future__ import annotations
+
+from clacad.explain.entry import Text
+
+_NOTHING_MADE = (
+    "Nothing is computed from a file that is not understood: a guess would be a part nobody asked for."
+)
+
+MISTAKES: dict[str, Text] = {
+    "CL100": (
+        "The file is missing, is no text, is larger than 16 MB or nested more than 64 deep.", _NOTHING_MADE, "",
+        "Check the path and that it is a text file in UTF-8; `clacad new NAME` writes a good one.",
+    ),
+    "CL101": (
+        "The text breaks the grammar of TOML (of JSON, if the name ends in .json) at the place that is shown.",
+        _NOTHING_MADE, "", "Mend the line that is shown: often a quote, a bracket or a comma is missing, or a key is there twice.",
+    ),
+    "CL102": (
+        "The file has a key or a section that no design has; the nearest known one is named.",
+        "A misspelt key that was passed over would leave its default in force without a word.", "",
+        "Take the name that is suggested, or leave the key out. `clacad schema` lists all of them for editors.",
+    ),
+    "CL103": (
+        "A key or section without a default is not there.", "There is no harmless default for it: the part depends on it.",
+        "", "Add it; the message says what may stand there.",
+    ),
+    "CL104": (
+        "A value is of another kind than the key takes: text for a number, a number for a list.",
+        "Converting silently is how 012 becomes 10 and no becomes false.", "", "Write the value as the message shows.",
+    ),
+    "CL105": (
+        "A number lacks its unit where one must be written, or its unit is unknown or of another family.",
+        "Limits and tolerances are read by people who think in micrometres and written by people who think in millimetres.",
+        "", 'Write a text with a unit: "250 um", "1 mrad", "10 deg", "550 nm".',
+    ),
+    "CL106": (
+        "A number is outside the range its key allows, or is not finite.", "Beyond it there is no such part, or no such number.",
+        "", "Take a value in the range that is shown; check the unit first, a factor 1000 is the usual cause.",
+    ),
+    "CL107": (
+        "A value is none of the words its key knows.", "Words choose how the part is built; none is chosen by likeness.", "",
+        "Take one of the words that are listed.",
+    ),
+    "CL108": (
+        "A list has more or fewer values than its key takes.", "x and y, or lens 1 and lens 2, would be mixed up.", "",
+        "Give as many values as the message names.",
+    ),
+    "CL109": (
+        "`format` names a version this program does not read.", "A later version may mean something else by the same key.",
+        "", "Use the program's version that wrote it, or write format = 1.",
+    ),
+    "CL110": (
+        "eta = 0, or eta = 1 in both meridians.", "eta = -f2/f1. With 0 lens 2 would have no focal length; with 1 in both the sheet does nothing.",
+        "η_i = −f2_i/f1_i,  f1_i = s/(1 − η_i),  f2_i = −η_i s/(1 − η_i)", "Take any other number; one meridian may have eta = 1 (a cylindrical sheet).",
+    ),
+    "CL111": (
+        "A meridian with eta = 1 is given an offset delta.", "Its lenses have no power, so there is no axis to offset.",
+        "d_i = δ_i f1_i with f1_i → ∞", "Set this component of delta to 0, or eta to something else.",
+    ),
+    "CL112": (
+        "Two keys that say the same thing are both given, or both lacking.", "They could contradict each other.", "",
+        "Keep exactly one of them.",
+    ),
+    "CL113": (
+        "A key stands without the key it depends on.", "By itself it would have no effect, which its writer would not expect.",
+        "", "Add the other key, or leave this one out.",
+    ),
+    "CL114": (
+        "A key is given that this form of pair (biconvex, plano, slab) does not have.", "It would have no effect.", "",
+        "Leave it out, or choose the form it belongs to.",
+    ),
+    "CL115": (
+        "The pitch is below 0.1 micrometre.", "A lens smaller than the wavelength is no lens; usually the unit is wrong.",
+        "p < 0.1 µm", "Check `unit`.",
+    ),
+    "CL116": (
+        "The lattice's kind and its pitch disagree: one pitch for a rectangular lattice, two for a square or hexagonal one.",
+        "", "", "Write [px, py] for a rectangular lattice, one length for the others.",
+    ),
+    "CL117": (
+        "Seam, web, outline or baffle leave no lens, or nothing that holds the lenses together.", "There would be nothing to make.",
+        "seam < pitch; baffle_wall < pitch; an outline holds one cell at least", "Make it narrower, or the cell or outline larger.",
+    ),
+    "CL118": (
+        "An override (--set, --vary) cannot be applied: it is not key=value, or leads through something that has no such part.",
+        "", "", 'Write "section.key=value", for one element of a list "law.eta.0=-0.5".',
+    ),
+    "CL119": (
+        "The material is not in the table, or its dispersion formula does not reach the wavelength.",
+        "A dispersion formula outside its range returns a number that looks like an index and is none.",
+        "n(λ) by Sellmeier, Schott or Cauchy, within the range of its source", "Take the name that is suggested, a wavelength in range, or give pair.index.",
+    ),
+    "CL120": (
+        "No lens pair has what is asked: the radii cannot be solved, a lens would be thicker than its focal length allows, or the "
+        "surface would end inside its cell.",
+        "The thick-lens equation has no root there; the message names lens and meridian.",
+        "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell",
+        "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",
+    ),
+    "CL130": (
+        "A lens surface has no point over part of its cell.", "The lens would end in the air with nothing at its place.",
+        "half the cell's diagonal < radius", "A smaller pitch, a larger separation, or a web or land for the lens to end in.",
+    ),
+    "CL131": (
+        "The rim of a lens sticks out of the plate that joins the lenses.", "The edge would hang in the air.",
+        "", "A thicker web, or a thicker lens that reaches its neighbours.",
+    ),
+    "CL132": (
+        "The two faces of a lens meet in a rim that is no plane curve.", "A plane curve has an exact edge in CAD; this one would be an approximation.",
+        "", "Thickness that covers the cell (so that there is no rim), or a web.",
+    ),
+    "CL133": (
+        "A lens is undercut or too steep to be one patch.", "An exact rational patch needs a graph over the sheet.",
+        "n_z > 0 over the cell", "Less tilt, larger radii, a smaller pitch.",
+    ),
+    "CL134": (
+        "A border, a seam or displaced arrays need flat land, and this body has none.", "", "",
+        "Give a web (biconvex) or a seam (plano, slab), or leave out border and outline.",
+    ),
+    "CL135": (
+        "The bevel asked for at corners where cells only touch does not fit.", "It would eat more than the lenses have.", "",
+        "A narrower bevel.",
+    ),
+    "CL136": (
+        "A cell lies beyond the outline.", "The outline must hold every whole cell.", "", "A larger outline, or fewer cells.",
+    ),
+    "CL137": (
+        "A body is so thin that float32 heights cannot tell front from back.", "Mesh files hold float32; the faces would touch.",
+        "thickness ≥ some 10⁻⁶ of the distance from the origin", "A thicker body, or STEP.",
+    ),
+}  # fmt: skip

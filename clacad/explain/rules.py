@@ -1,0 +1,168 @@
+"""Explanations of the checks of a design, of light through it and of its files: CL301 … CL365, by check name."""
+
+from __future__ import annotations
+
+from clacad.explain.entry import Text
+
+_LIGHT = (
+    "Rays spread evenly over a cell and a cone (Sobol points, seed 0) are traced through the exact surfaces."
+)
+
+CHECKS: dict[str, Text] = {
+    "law_rms": (
+        f"Rms angle between where light leaves and where the asked law sends it. {_LIGHT}",
+        "It is the blur and the distortion a viewer sees, in one number.",
+        "√⟨∠(d', A d)²⟩ over ALIVE rays, A = R M Rᵀ",
+        "A smaller ratio of pitch to separation (aberration falls as its third power), biconic faces, or confocal = \"best\".",
+    ),
+    "law_bias": (
+        "Largest mean error of nine directions of the field: where the middle of a blurred point goes wrong.",
+        "A mean error bends straight lines; a blur only softens them.", "max ∠(⟨d'⟩, A d)",
+        "As for law_rms; off the axis it is mostly coma and field curvature, so a smaller field helps too.",
+    ),
+    "eta": (
+        "η fitted to traced rays near the axis, against the η that was asked.", "η is the magnification the sheet was made for.",
+        "max_i |η_i,fit/η_i − 1|", "If the pair is thin-lens designed, take confocal = \"exact\".",
+    ),
+    "delta": (
+        "δ fitted to traced rays, against the δ that was asked.", "An error of δ shifts the whole image.", "max_i |δ_i,fit − δ_i|",
+        "Check the sign: δ_i = d_i/f1_i, with a different f1 in x and y.",
+    ),
+    "tilt": (
+        "Euler angles by which the fitted law is turned against the asked one.", "θ and δ act alike in first order; this tells them apart.",
+        "δ_eff = δ + (1 − η) θ", "Check euler_axes and the sign of θ: for θ > 0, ψ = 0 the axis leans to −y.",
+    ),
+    "confocality": (
+        "How far lens 2 would have to move along the axis to share a focal plane with lens 1.",
+        "A pair that is not confocal has power: every telescopelet focuses or spreads light.",
+        "|Δz|/s, from rays a hair beside the axis ray; Φ = −Δz/(f1 f2)", "confocal = \"exact\" solves the thick lenses; for tilted plano pairs less tilt.",
+    ),
+    "spread": (
+        "Rms angle of the exit directions of parallel light about their mean.", "It is the blur of a distant point.", "√⟨∠(d', ⟨d'⟩)²⟩",
+        "As for law_rms.",
+    ),
+    "throughput": (
+        "Share of the light that leaves through the partner of the lenslet it entered, over what thin lenses would keep.",
+        "The rest goes into ghosts or walls.", "ALIVE/launched ÷ V,  V = V_x V_y,  V_0(c) = overlap of the cell's image with its partner",
+        "lattice.aperture steers the field; a smaller field or |η| nearer 1 keeps more.",
+    ),
+    "field": (
+        "Whether the sheet's normal, with the cone of test rays, lies in the field of view.", "Outside it no light keeps to the law.",
+        "|t − a| < (p/s)(1 + |η|)/2", "Set lattice.aperture so that the field is where the viewer is.",
+    ),
+    "residual": (
+        "Error and decollimation the recipe leaves along the axis ray, before any aberration.", "It is what no lens shape can mend.",
+        "∠ of the axis ray to the law; ‖Φ‖ p/2", "Another recipe or form, or less tilt.",
+    ),
+    "fresnel_number": (
+        "Fresnel number of the lit width of a lenslet.", "Below 10 diffraction shows; below 1 rays mean nothing.",
+        "N = (w/2)²/(λ f2), w = p·min(1, |η|)", "A larger pitch or a shorter separation.",
+    ),
+    "accounting": (
+        "Every ray ends in exactly one fate, and none but invalid ones holds NaN.", "Otherwise light got lost in the program, not in the sheet.",
+        "Σ counts = rays launched", "This is an error of the program: please report it with the design.",
+    ),
+    "one_piece": (
+        "Each body hangs together and has no holes.", "A sheet that falls into strips cannot be delivered.",
+        "T − p_i²/(4 R_i) > p_i |tan τ_i| across every border i", "thickness = \"auto\", a web, or a smaller pitch.",
+    ),
+    "cover": (
+        "Share of each optical cell where the lens exists.", "Where it does not, light passes a hole or flat land.",
+        "T ≥ 2ρ/(1 + √(1 − κρ)), ρ = c_x x² + c_y y² at the worst corner", "The thickness, index or pitch named in the message.",
+    ),
+    "clearance": (
+        "Gap between the two bodies, steps included.", "Bodies that touch cannot be assembled, or grind.", "min z of body 2 − max z of body 1",
+        "A larger separation or less tilt.",
+    ),
+    "graph": (
+        "Smallest z component of the outward normal of a lens face.", "At 0 the face is undercut; near 0 nobody can make or measure it.",
+        "n_z = cos(slope) ≥ 0.1", "Larger radii, a smaller pitch, less tilt.",
+    ),
+    "edge": ("Least thickness along the outer side of a body.", "A knife edge chips.", "", "A border, a web, or a thicker lens."),
+    "neck": (
+        "Least thickness that joins neighbours, after the step between them.", "The sheet breaks there first.",
+        "min over borders of (common height of both columns)", "A thicker lens, a web, less tilt.",
+    ),
+    "radius": (
+        "Smallest apex radius of a lens.", "Tool noses, voxels and spots allow no less.", "R = 1/c", "A longer separation, or a finer process.",
+    ),
+    "sag": ("Height of a lens over its cell.", "Servo strokes, resists and working distances end.", "", "Larger radii or a smaller pitch."),
+    "pitch": ("Pitch of the lattice against what the process resolves.", "", "", "A larger pitch or a finer process."),
+    "tool": (
+        "Share of a cell's width that the nose of the tool leaves rounded where two faces meet in a groove.",
+        "Light through the rounding goes astray: it is lost from the image and seen as haze.",
+        "Σ r tan(τ/2) cos β / p, τ the turning angle, β the slopes; r/√(R² − p²/4) for spheres without a seam",
+        "A smaller nose, larger radii, or a seam that takes the rounding. Making the inverse (a mould) turns grooves into ridges.",
+    ),
+    "wall": (
+        "Highest vertical wall on the optical side: the step between neighbours of a tilted array, or the edge of a seam.",
+        "Turning leaves no vertical walls, and mouldings stick on them; a ramp in their place is lost to light.",
+        "h ≈ p |tan τ| for a tilt τ across the border, more where the lens is steep", "Less tilt, φ + ψ a multiple of 90°, or a web instead of a seam.",
+    ),
+    "draft": (
+        "Least angle between anything that must release (walls, steep faces) and the sheet's normal.",
+        "Below it the tool's flank rubs, the moulding sticks, or exposed walls come out slanted anyway.",
+        "0 for a wall, else 90° − steepest slope", "Avoid steps, or allow it with a reason if walls may be slanted.",
+    ),
+    "slope": (
+        "Steepest slope of a lens face against the sheet.", "A tool's clearance, a resist's contrast or a mould's finish end there.",
+        "acos(min n_z)", "Larger radii, a smaller pitch, less tilt.",
+    ),
+    "voxel": (
+        "Narrowest thing to be drawn (a twentieth of the pitch, half a seam, half a baffle's wall) against the voxel, pixel or spot.",
+        "A lens of fewer than 20 voxels across is a mosaic; a wall of one voxel may be missing.",
+        "min(p/20, seam/2, wall/2) ≥ voxel", "A larger pitch, wider seams and walls, or a finer process.",
+    ),
+    "layer": (
+        "Number of layers that shape the flatter lens.", "Few layers make stairs: each step is a slope error as large as the lens's own slope.",
+        "sag/layer ≥ 20", "Steeper lenses (shorter separation or larger pitch), finer layers; or use the print as a demonstrator and allow it.",
+    ),
+    "aspect": (
+        "Greatest height over width of a lens, a seam or a baffle's wall.", "Tall thin walls bend, and deep narrow grooves cannot be reached or filled.",
+        "h/w", "Wider walls and seams, or shallower ones.",
+    ),
+    "undercut": (
+        "Whether a face overhangs, seen along the sheet's normal.", "What a tool, a mould or a light field from one side cannot reach.",
+        "min n_z > 0", "Less tilt or larger radii, or a process that builds in layers.",
+    ),
+    "allowance": (
+        "The design allows a warning that is not given (or one that cannot be allowed).",
+        "An allowance that does nothing hides the next real warning of that code.", "", "Take it out of [check] allow.",
+    ),
+    "readable": ("Whether the file could be read, and what is in it.", "Nothing else can be said of a file that cannot be read.", "",
+                 "Export it again, or in another format."),
+    "design": ("Whether the files were made from this very design.", "Files of another design are judged by this one, and may fail for that.",
+               "sha256 of the canonical text", "Verify against the design they were made from."),
+    "integrity": ("Whether a file's bytes are those that were written.", "A changed file is no longer what was checked.", "sha256",
+                  "Export it again. A file that came back from a workshop: verify it alone, outside its folder."),
+    "closed": ("Whether the surface of a mesh is closed and consistently wound.", "An open mesh has no inside, so nothing can be made from it.",
+               "every edge once in each direction", "Export it again. For a scan an open surface is normal, and only a warning."),
+    "pieces": ("Number of connected pieces in a file.", "More pieces than designed: something is missing or torn.", "", "Export it again."),
+    "volume": ("Volume a file encloses against quadrature of the design.", "It finds what no picture shows: a facet turned over, a wrong unit, a missing body.",
+               "|V − ∫(back − front)| ≤ stated chord error", "Export it again; check the unit."),
+    "shape": ("Distance of a file's surfaces from the exact faces; for a part that came back the mean over its cells, noise apart.",
+              "A deviation that all cells share is the process; one cell's own is damage.",
+              "1.1 × L²/8R for facets; 10⁻⁷ pitch for STEP", "Finer facets, or look at the deviation map."),
+    "file_rms": ("Direction error of light through the file's own surfaces against the exact ones.", "It is the file's share of the blur, the design's apart.",
+                 "≤ 1.25 × forecast from the facets' slope errors; 10⁻⁶ rad for STEP", "--quads or --slope-error finer, or STEP."),
+    "file_eta": ("η fitted to light through the file, against the design cut into the same facets.", "It finds wrong radii however coarse the facets are.",
+                 "max_i |η_i,file/η_i,design − 1|", "The part is not this design: wrong radius, index, separation or scale in z."),
+    "file_delta": ("δ fitted to light through the file, against the design cut into the same facets.", "It finds decentred or exchanged lenses.",
+                   "max_i |δ_i,file − δ_i,design|", "Check decentre of the arrays, sign of δ, and handedness."),
+    "file_law_rms": ("Rms angle between light through the file's triangles and the law; only if check.mesh_law_rms asks for it.",
+                     "For processes that print facets, facets count.", "√⟨∠(d', A d)²⟩", "Finer facets."),
+    "file_target": ("Whether a file keeps the error it was asked to be made with.", "An export that names a target has promised it.", "",
+                    "Export with a finer setting."),
+    "scale": ("Size of a file over the design's.", "Shrinkage moves partners apart by more than a cell in a large sheet.", "fitted scale, or extent over extent",
+              "Compensate the shrinkage in the process, or check the unit."),
+    "pose": ("How a part that came back lies in its file: axes turned, rotation, displacement; and how well it then fits.",
+             "A part in the design's own frame that fits only when turned has tilt, offset or arrays of the other sign.",
+             "24 turns of the axes, then least squares point to plane; residual ≤ pitch/20",
+             "If the part was turned on purpose, mount it turned; if not, it is not the design's part."),
+    "handedness": ("Whether the part is the design or its mirror image.", "A mirrored part shows the view flipped left to right; δ and φ, ψ have the other sign.",
+                   "best of 24 mirrored turns against the best of 24 proper ones", "Mirror the file back: somebody's software took a left-handed frame."),
+    "convergence": ("Whether light through facets approaches the exact surfaces as they shrink, at the rate physics predicts.",
+                    "A wrong order means that mesh or tracer is wrong, however small the error.", "direction error ∝ L, η error ∝ L²",
+                    "This is an error of the program: please report it with the design."),
+    "solids": ("Number of solids in a STEP file.", "A solid too few is a piece that was lost.", "", "Export it again."),
+}  # fmt: skip
