@@ -14,7 +14,7 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite, nan, sqrt
+from math import inf, isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ from clacad.trace.kernel_block_slots import (
     CI0,
     CJ,
     CJ0,
-    DEPTH,
     DX,
     DY,
     DZ,
@@ -39,18 +38,15 @@ from clacad.trace.kernel_block_slots import (
     GZ,
     LEFT_X,
     LEFT_Y,
-    OVER,
     PATH,
     ROOT,
     SCRATCH,
-    SHARE,
-    STEEP,
     X,
     Y,
     Z,
 )
 from clacad.trace.kernel_column import DIVISIONS, EVENT_NUMBERS, WORK_NUMBERS
-from clacad.trace.kernel_facets import cross_facets
+from clacad.trace.kernel_facet_block import cross_facets
 from clacad.trace.kernel_launch import launch_block, launch_ray
 from clacad.trace.kernel_scalar import height, meet
 from clacad.trace.kernel_walk import WALKER_NUMBERS, reach, walk_ray
@@ -465,66 +461,6 @@ def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
             s[GOOD, i] = 0.0
 
 
-@fused
-def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
-    """Multiply SHARE/OVER by the mean of T_s and T_p at an untilted quadric.
-
-    With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i + n1/n2 b)².
-    """
-    x, y, z, dx, dy, dz, root, share, over = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[SHARE], s[OVER]
-    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
-    sk = face[slot.SIDE] * face[slot.KX]
-    mu = n1 / n2
-    for i in range(m):
-        a, b = mu * root[i], sx * x[i] * dx[i] + sy * y[i] * dy[i] + (1.0 - sk * z[i]) * dz[i]
-        one, two = a + b, root[i] + mu * b
-        one, two = one * one, two * two
-        share[i] *= 2.0 * a * b * (one + two)
-        over[i] *= one * two
-
-
-@fused
-def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
-    """The same at any face whose normals are kept: in what axes does not matter."""
-    gx, gy, gz, root, share, over = s[GX], s[GY], s[GZ], s[ROOT], s[SHARE], s[OVER]
-    mu = n1 / n2
-    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
-    for i in range(m):
-        a = mu * root[i]
-        b = sqrt((gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i]) * weight + a * a)
-        one, two = a + b, root[i] + mu * b
-        one, two = one * one, two * two
-        share[i] *= 2.0 * a * b * (one + two)
-        over[i] *= one * two
-
-
-@fused
-def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
-    """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
-    z, dz, depth, steep = s[Z], s[DZ], s[DEPTH], s[STEEP]
-    if side == 0:
-        for i in range(m):
-            steep[i] = rate / dz[i]
-            depth[i] -= (z[i] + vz) * steep[i]
-        return
-    for i in range(m):
-        depth[i] += (z[i] + vz) * steep[i]
-
-
-@exact
-def _lose(
-    face: Floats, s: Floats, m: int, n1: float, n2: float, reflects: bool, rate: float, side: int
-) -> None:
-    """Light lost at a face just crossed, and in the glass behind or before it."""
-    if reflects and n1 != n2:
-        if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
-            _let_through(face, s, m, n1, n2)
-        else:
-            _let_through_turned(s, m, n1, n2)
-    if rate != 0.0:
-        _absorbed(s, m, rate, face[slot.VZ], side)
-
-
 @exact
 def _store_hit(
     lat: Floats,
@@ -554,14 +490,10 @@ def straight(
 ) -> int:  # fmt: skip
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face, whatever was last crossed. `indices` may go on after
-    those of the bodies: whether faces reflect (0 or 1), then the attenuation of each body; the rows SHARE and DEPTH
-    then gather what bare faces let through of unpolarised light and what the bodies absorb, and no hit is stored.
+    Positions are relative to the vertex of the last face, whatever was last crossed.
     """
     m = len(chosen)
-    array, met, counted = 0, 0, len(indices) > len(bodies)
-    for i in range(m if counted else 0):
-        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
+    array, met = 0, 0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
@@ -599,8 +531,6 @@ def straight(
                 cross_facets(tiles, tiles.of[b, side], side, face, s, m, n1, n2, climb, ox, oy, oz)
                 if structured:
                     _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
-            if counted:
-                _lose(face, s, m, n1, n2, indices[len(bodies)] != 0.0, indices[len(bodies) + 1 + b], side)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
@@ -617,7 +547,7 @@ def straight(
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
                 _open_baffle(lat, face, s, m)
-            if len(hits) and not counted:
+            if len(hits):
                 _store_hit(
                     lat, face, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
                 )  # fmt: skip
@@ -654,13 +584,15 @@ def _together(chosen: Rows) -> bool:
 
 @exact
 def _store(
-    lat: Floats, face: Floats, s: Floats, chosen: Rows, array: int, top: float, last: int, position: Floats, direction: Floats,
+    bodies: Floats, lat: Floats, faces: Floats, s: Floats, chosen: Rows, array: int, position: Floats, direction: Floats,
     fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
 ) -> None:  # fmt: skip
     """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
     m = len(chosen)
     px, py, z, dz, good = s[GX], s[GY], s[Z], s[DZ], s[GOOD]
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
+    last = len(faces) - 1
+    face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
         held = (good[k] > 0.0) & (dz[k] > 0.0)
@@ -753,8 +685,7 @@ def trace_chunk(
     surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
-    s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    walked = 0
+    s, carried, waiting, count = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), np.empty_like(chosen), 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
@@ -762,11 +693,13 @@ def trace_chunk(
         launch_block(lat, bodies[0], s, m)
         _copy(s[PATH], carried, m)
         array = straight(tiles, faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
-        walked += _finish(
-            tiles, faces, bodies, lat, rows, indices, s, block, array, start, ray, position, direction, fate, path,
-            cell, order, surface, hits, turns,
-        )  # fmt: skip
-    return walked
+        _store(bodies, lat, faces, s, block, array, position, direction, fate, path, cell, order, surface)
+        count = _queue(s, block, waiting, count)
+    _walk(
+        tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path, cell,
+        order, surface, hits, turns,
+    )  # fmt: skip
+    return count
 
 
 @owning
@@ -777,10 +710,9 @@ def trace_chunk_single(
     cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """`trace_chunk` with the straight path in single precision, from the plane of the launch on."""
-    wide = np.zeros((SCRATCH, BLOCK))
+    wide, waiting, count = np.zeros((SCRATCH, BLOCK)), np.empty_like(chosen), 0
     carried: Singles = np.empty(BLOCK, dtype=np.float32)
     s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
-    walked = 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
@@ -795,51 +727,37 @@ def trace_chunk_single(
         )  # fmt: skip
         for row in ARRIVED:
             _copy(s[row], wide[row], m)
-        walked += _finish(
-            tiles, faces, bodies, lat, rows, indices, wide, block, array, start, ray, position, direction, fate, path,
-            cell, order, surface, hits, turns,
-        )  # fmt: skip
-    return walked
+        _store(bodies, lat, faces, wide, block, array, position, direction, fate, path, cell, order, surface)
+        count = _queue(wide, block, waiting, count)
+    _walk(
+        tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path, cell,
+        order, surface, hits, turns,
+    )  # fmt: skip
+    return count
+
+
+@exact
+def _queue(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
+    """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
+    good = s[GOOD]
+    for k in range(len(block)):
+        if good[k] == 0.0:
+            waiting[count] = block[k]
+            count += 1
+    return count
 
 
 @owning
-def _finish(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, block: Rows,
-    array: int, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells,
-    order: Cells, surface: Cells, hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
-    """Write the rows of a block that was traced straight; walk its other rays. Return how many these were."""
-    last = len(faces) - 1
-    base = bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
-    _store(
-        lat, faces[last], s, block, array, base, last, position, direction, fate, path, cell, order, surface
-    )
-    counted, share = len(indices) > len(bodies), len(faces)  # one more layer of `turns` takes the shares
-    absorbs = False
-    for b in range(len(bodies) if counted else 0):
-        absorbs |= indices[len(bodies) + 1 + b] != 0.0
-    walked = 0
-    for k in range(len(block)):
-        walked += s[GOOD, k] == 0.0
-    if counted:
-        for k in range(len(block)):
-            s[SHARE, k] /= s[OVER, k]
-        for k in range(len(block) if absorbs else 0):
-            s[SHARE, k] *= exp(-s[DEPTH, k])
-        for k in range(len(block)):
-            turns[share, block[k] // 3, block[k] % 3] = s[SHARE, k]
-    if walked == 0:
-        return 0
+def _walk(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, waiting: Rows, start: Floats,
+    ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
+    surface: Cells, hits: Floats, turns: Floats,
+) -> None:  # fmt: skip
+    """Walk rays one by one: many in a row, so that the walk's own code and tables stay near."""
     work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
     walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
-    for k in range(len(block)):
-        if s[GOOD, k] != 0.0:
-            continue
-        row = block[k]
-        sound = _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns)
-        if counted:
-            turns[share, row // 3, row % 3] = 1.0
-        if not sound:
+    for row in waiting:
+        if not _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns):
             continue
         reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
         if reaches:
@@ -847,6 +765,3 @@ def _finish(
                 tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
                 fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
             )  # fmt: skip
-            if counted:  # not known here: its hits are there to work it out from
-                turns[share, row // 3, row % 3] = 1.0 if fate[row] >= MISSED else nan
-    return walked

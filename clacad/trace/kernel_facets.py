@@ -1,8 +1,8 @@
-"""Compiled tracing of facets: the lookup, the straight path through one face, the walk from facet to facet."""
+"""Compiled tracing of facets: the lookup and the walk from facet to facet."""
 
 from __future__ import annotations
 
-from math import copysign, inf, isnan, nan, sqrt
+from math import copysign, inf, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from clacad.trace import packing as slot
 from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.trace.compiled import exact
-from clacad.trace.kernel_block_slots import DX, DY, DZ, GOOD, PATH, X, Y, Z
 from clacad.trace.kernel_column import (
     BASE,
     CELL,
@@ -54,9 +53,6 @@ NORMAL = PLACE + 8
 FACET = 20
 """Place in the integer scratch where the present facets of arrays 0 and 1 are kept."""
 
-TRIES = 8
-"""Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
-
 
 @exact
 def locate_facet(tiles: Tiles, tile: int, x: float, y: float) -> int:
@@ -92,57 +88,6 @@ def facet_normal(tiles: Tiles, facet: int, side: int, x: float, y: float) -> tup
         n = tiles.normal[facet, side, k]
         gx, gy, gz = gx + share * n[0], gy + share * n[1], gz + share * n[2]
     return gx, gy, gz
-
-
-@exact
-def cross_facets(
-    tiles: Tiles, tile: int, side: int, face: Floats, s: Floats, m: int, n1: float, n2: float,
-    climb: float, ox: float, oy: float, oz: float,
-) -> None:  # fmt: skip
-    """Cross one face of facets; positions plus (ox, oy, oz) are relative to cell and level, and are after.
-
-    From a first guess where the ray meets the face's middle height, the facet over the point is met; if that
-    hit lies over the same facet it is the hit, since a ray steeper than every facet has only one.
-    """
-    mu = n1 / n2
-    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
-    middle = 0.5 * (face[slot.LOW] + face[slot.HIGH])
-    for i in range(m):
-        if not s[GOOD, i] > 0.0:
-            continue
-        x, y, z = s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz
-        u, v, w = s[DX, i], s[DY, i], s[DZ, i]
-        t = (middle - z) / w
-        found = -1
-        facet = locate_facet(tiles, tile, x + t * u, y + t * v)
-        for _ in range(TRIES):
-            p = tiles.plane[facet, side]
-            t = (p[2] + p[0] * x + p[1] * y - z) / (w - p[0] * u - p[1] * v)
-            if isnan(t):
-                break
-            e = tiles.weight[facet]
-            a, b = x + t * u, y + t * v
-            if (
-                e[0, 0] * a + e[0, 1] * b + e[0, 2] >= 0.0
-                and e[1, 0] * a + e[1, 1] * b + e[1, 2] >= 0.0
-                and e[2, 0] * a + e[2, 1] * b + e[2, 2] >= 0.0
-            ):
-                found = facet
-                break
-            facet = locate_facet(tiles, tile, a, b)
-        if found < 0 or tiles.part[found, side] != LENS:
-            s[GOOD, i] = 0.0
-            continue
-        x, y, z = x + t * u, y + t * v, z + t * w
-        gx, gy, gz = facet_normal(tiles, found, side, x, y)
-        root = u * gx + v * gy + w * gz
-        incident = mu * root
-        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
-        s[X, i], s[Y, i], s[Z, i] = x, y, z
-        s[DX, i], s[DY, i], s[DZ, i] = mu * u + g * gx, mu * v + g * gy, mu * w + g * gz
-        s[PATH, i] += n1 * t
-        if not (root > 0.0 and s[DZ, i] > 0.0 and s[DZ, i] >= climb):
-            s[GOOD, i] = 0.0
 
 
 # -- the walk ----------------------------------------------------------------------------------

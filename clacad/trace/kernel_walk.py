@@ -24,6 +24,7 @@ from clacad.trace.kernel_column import (
     to_array,
 )  # fmt: skip
 from clacad.trace.kernel_facets import NORMAL, first_facet_change
+from clacad.trace.kernel_quick import ARRIVING, INSIDE, LEAVING, quick_change
 from clacad.trace.kernel_scalar import less_steps, meet, snell, to_lens, to_sheet, upward
 from clacad.trace.kernel_soup import first_soup_change
 from clacad.trace.layout import Floats
@@ -124,17 +125,18 @@ def _order(w: Floats) -> tuple[int, int]:
 @exact
 def _next_change(
     tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
-    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats, work: Floats,
+    x: float, y: float, z: float, L: float, M: float, N: float, stage: int, event: Floats, work: Floats,
     causes: Ints,
 ) -> None:  # fmt: skip
     """Find what is met first, on smooth faces or on facets."""
+    inside = stage == INSIDE
     if len(tiles.corner) > 0:
         first_soup_change(tiles, faces, bodies, lat, b, array, i, j, x, y, z, L, M, N, inside, event)
     elif len(tiles.part) > 0:
         first_facet_change(
             tiles, faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes
         )  # fmt: skip
-    else:
+    elif not quick_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, stage, event):
         first_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes)
 
 
@@ -148,7 +150,7 @@ def _through_body(
     event[DISTANCE] = -1.0  # nothing of this body has been met
     _next_change(
         tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        False, event, work, causes,
+        ARRIVING, event, work, causes,
     )  # fmt: skip
     kind, distance = int(event[KIND]), event[DISTANCE]
     if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
@@ -174,7 +176,7 @@ def _through_body(
         return end
     _next_change(
         tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        True, event, work, causes,
+        INSIDE, event, work, causes,
     )  # fmt: skip
     kind = int(event[KIND])
     if kind != BACK and kind != BACK_LAND:
@@ -186,7 +188,7 @@ def _through_body(
         return BACKWARD
     _next_change(
         tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        False, event, work, causes,
+        LEAVING, event, work, causes,
     )  # fmt: skip
     kind = int(event[KIND])
     if kind != ABOVE and kind != ASIDE:

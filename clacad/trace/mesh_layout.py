@@ -26,8 +26,8 @@ LENS, LAND, VOID = 0, 1, 2
 BEYOND = 2**59
 """Levels beyond this stand for a face that is not there."""
 
-# Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length, offset.
-FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, TILE_NUMBERS = range(9)
+# Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length, diagonal.
+FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, TILE_NUMBERS = range(10)
 
 
 class Tiles(NamedTuple):
@@ -47,7 +47,10 @@ class Tiles(NamedTuple):
     part : (m, 2) uint8
         LENS, LAND or VOID.
     start : (bins + 1,) ints, member : ints
-        Facets of bin b are member[start[b] : start[b + 1]].
+        Facets of bin b are member[start[b] : start[b + 1]], those nearest its middle first.
+    half : (2 bins,) ints
+        Facets that are just one half of a bin: 2 b below its diagonal, 2 b + 1 beyond; −1 for none.
+        Diagonals rise (SPLIT = −1) or fall (+1).
     normal : (m, 2, 3, 3) or (0, 2, 3, 3)
         Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
     corner : (t, 3, 3), corner_normal : (t, 3, 3) or (0, 3, 3), tree : (bodies, 3) ints, box : (nodes, 6)
@@ -63,6 +66,7 @@ class Tiles(NamedTuple):
     part: NDArray[np.uint8]
     start: Ints
     member: Ints
+    half: Ints
     normal: Floats
     corner: Floats
     corner_normal: Floats
@@ -73,7 +77,7 @@ class Tiles(NamedTuple):
 NO_TILES = Tiles(
     np.zeros((0, TILE_NUMBERS)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3, 3)),
     np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2, 3)), np.zeros((0, 2), dtype=np.uint8),
-    np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 2, 3, 3)),
+    np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 2, 3, 3)),
     np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 6)),
 )  # fmt: skip
 
@@ -222,19 +226,45 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
     place = np.arange(len(facets)) - np.repeat(np.cumsum(each) - each, each)
     j, i = np.divmod(place, across[facets, 0])
     bins = (first[facets, 1] + j) * count + first[facets, 0] + i
-    order = np.argsort(bins, kind="stable")
+    middle = low + width * (np.stack([bins % count, bins // count], axis=1) + 0.5)
+    weights = _weights(corners)[facets]
+    deep = (np.einsum("mkc,mc->mk", weights[..., :2], middle) + weights[..., 2]).min(axis=1)
+    order = np.lexsort([-deep, bins])
     start = np.searchsorted(bins[order], np.arange(count * count + 1))
     table = [float(count), float(count), *low.tolist(), *(1.0 / width).tolist()]
     return table, start.astype(np.int64), facets[order].astype(np.int64)
 
 
+def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
+    """Which way a grid's diagonals go, and the facet that fills each half of each bin."""
+    nx, ny, low, per = int(table[0]), int(table[1]), np.array(table[2:4]), np.array(table[4:6])
+    place = (corners - low) * per
+    near = np.rint(place)
+    bins = near.min(axis=1).astype(np.int64)
+    u, v = (near - bins[:, None]).transpose(2, 0, 1)
+    fits = (np.abs(place - near) < 1e-9).all(axis=(1, 2)) & (u <= 1).all(axis=1) & (v <= 1).all(axis=1)
+    fits &= (bins >= 0).all(axis=1) & (bins < [nx, ny]).all(axis=1)
+    best, found = 1.0, np.full(2 * nx * ny, -1, dtype=np.int64)
+    for split in (-1.0, 1.0):
+        beyond = v.mean(axis=1) + split * u.mean(axis=1) > 0.5 + 0.5 * split
+        on = np.abs(v + split * u - (0.5 + 0.5 * split)) < 0.5  # two corners lie on the diagonal
+        chosen = np.flatnonzero(fits & (on.sum(axis=1) == 2))
+        half = np.full(2 * nx * ny, -1, dtype=np.int64)
+        half[2 * (bins[chosen, 1] * nx + bins[chosen, 0]) + beyond[chosen]] = chosen
+        if (half >= 0).sum() > (found >= 0).sum():
+            best, found = split, half
+    return best, found
+
+
 def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
     table: list[list[float]] = []
     starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
-    beside = []
+    beside, halves = [], list[Ints]()
     for tile in tiles:
         numbers, start, member = _binned(tile.corners)
-        table.append([float(facets), float(sum(len(s) - 1 for s in starts[1:])), *numbers])
+        split, half = _halves(tile.corners, numbers)
+        halves.append(np.where(half >= 0, half + facets, -1))
+        table.append([float(facets), float(sum(len(s) - 1 for s in starts[1:])), *numbers, split])
         starts.append(np.append(start[:-1], start[-1]) + sum(len(k) for k in members))
         members.append(member + facets)
         near = _beside(tile.triangles)
@@ -250,6 +280,7 @@ def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
         part=np.concatenate([t.part for t in tiles]).astype(np.uint8),
         start=_chained(starts[1:]),
         member=np.concatenate(members),
+        half=np.concatenate(halves),
         normal=np.ascontiguousarray(np.concatenate([t.normal for t in tiles])),
     )
 

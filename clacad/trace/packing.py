@@ -18,9 +18,21 @@ ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, FACE_NUMBERS = range(20, 27)
 
 # Columns of a body's row.
 LEVEL, BODY_LOW, BODY_HIGH, COLUMNAR, COVERED, BOX = range(6)
-MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, JUMP_FROM, JUMP_TO, BODY_NUMBERS = (
-    range(10, 22)
-)
+(
+    MID_X,
+    MID_Y,
+    INNER_X,
+    INNER_Y,
+    INNER_R,
+    OUTLINE,
+    OUT_X,
+    OUT_Y,
+    ENTRY,
+    JUMP_FROM,
+    JUMP_TO,
+    QUICK,
+    BODY_NUMBERS,
+) = range(10, 23)
 
 # The lattice's numbers.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
@@ -64,7 +76,7 @@ def pack(layout: Layout) -> Packed:
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
     return Packed(
         faces=np.array(faces),
-        bodies=np.array([_body(body) for body in layout.bodies]),
+        bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=_lattice(layout),
         rows=_rows(layout),
     )
@@ -88,7 +100,7 @@ def _face(face: FacePlan) -> list[float]:
     return row
 
 
-def _body(body: BodyPlan) -> list[float]:
+def _body(body: BodyPlan, margin: float) -> list[float]:
     row = [0.0] * BODY_NUMBERS
     row[LEVEL], row[BODY_LOW], row[BODY_HIGH] = body.level, body.low, body.high
     row[COLUMNAR], row[COVERED] = float(body.columnar), float(body.covered)
@@ -100,6 +112,8 @@ def _body(body: BodyPlan) -> list[float]:
     solid = body.separate and all(face.whole or face.land == face.land for face in (body.front, body.back))
     row[JUMP_FROM], row[JUMP_TO] = (body.front.high, body.back.low) if solid else (1.0, 0.0)
     row[ENTRY] = float(body.arrays[0])  # the array in whose cells rays arrive
+    bare = all(face.whole and face.land != face.land for face in (body.front, body.back))
+    row[QUICK] = float(body.columnar and body.covered and bare and margin == 0.0)  # see `kernel_quick`
     return row
 
 
