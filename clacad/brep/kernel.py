@@ -19,7 +19,7 @@ from OCP.collections import (
     Array2_double,
     Array2_gp_Pnt,
 )
-from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Plane
+from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Line, Geom_Plane
 from OCP.Geom2d import Geom2d_BSplineCurve
 from OCP.gp import gp_Ax3, gp_Dir, gp_Pnt, gp_Pnt2d, gp_Vec
 from OCP.GProp import GProp_GProps
@@ -60,7 +60,8 @@ class KernelWriter:
         self.surfaces: list[Any] = []
         self.faces: list[Any] = []
         self.roles: list[Role] = []
-        self._prototypes: dict[int, tuple[object, Any]] = {}
+        self._ends: list[float] = []
+        self._prototypes: dict[tuple[int, float], tuple[object, Any]] = {}
 
     def vertex(self, point: Floats, tolerance: float) -> int:
         """Make a vertex."""
@@ -70,16 +71,18 @@ class KernelWriter:
         return len(self.vertices) - 1
 
     def edge(self, first: int, last: int, arc: Arc, offset: Floats, tolerance: float) -> int:
-        """Make an edge; its curve is a Bézier curve on 0 … 1."""
+        """Make an edge; its curve is a Bézier curve on 0 … 1, or a line on 0 … its length, which selections find."""
         made = TopoDS_Edge()
+        end = float(np.linalg.norm(arc.poles[1] - arc.poles[0])) if arc.straight else 1.0
         curve = self._prototype(arc, _curve).Translated(gp_Vec(*map(float, offset)))
         self._build.MakeEdge(made, curve, tolerance)
         self._build.Add(made, self.vertices[first].Oriented(TopAbs_FORWARD))
         self._build.Add(made, self.vertices[last].Oriented(TopAbs_REVERSED))
-        self._build.Range(made, 0.0, 1.0)
-        for end in (first, last):
-            self._build.UpdateVertex(self.vertices[end], tolerance)
+        self._build.Range(made, 0.0, end)
+        for vertex in (first, last):
+            self._build.UpdateVertex(self.vertices[vertex], tolerance)
         self.edges.append(made)
+        self._ends.append(end)
         return len(self.edges) - 1
 
     def surface(self, surface: Surface, offset: Floats) -> int:
@@ -108,7 +111,7 @@ class KernelWriter:
             return self._degenerate(use, forward, surface)
         edge = self.edges[use.edge]
         if use.parameters is not None:
-            curve = self._prototype(use.parameters, _curve_2d)
+            curve = self._prototype(use.parameters, _curve_2d, self._ends[use.edge])
             self._build.UpdateEdge(edge, curve, self.surfaces[surface], TopLoc_Location(), PARAMETRIC)
         return edge.Oriented(TopAbs_FORWARD if forward else TopAbs_REVERSED)
 
@@ -125,13 +128,14 @@ class KernelWriter:
         self._build.Degenerated(edge, True)
         return edge.Oriented(TopAbs_FORWARD if forward else TopAbs_REVERSED)
 
-    def _prototype(self, key: object, make: Any) -> Any:
-        """The kernel's object for a class of curves or surfaces, made once."""
-        found = self._prototypes.get(id(key))
+    def _prototype(self, key: object, make: Any, end: float = 1.0) -> Any:
+        """The kernel's object for a class of curves or surfaces, made once; `end`: last parameter of a 2-D curve."""
+        found = self._prototypes.get((id(key), end))
         if found is None:
-            found = self._prototypes[id(key)] = (
+            made = make(key) if end == 1.0 else make(key, end)
+            found = self._prototypes[id(key), end] = (
                 key,
-                make(key),
+                made,
             )  # the key is kept alive: ids are not used again
         return found[1]
 
@@ -147,16 +151,19 @@ class KernelWriter:
         return solid
 
 
-def _knots(degree: int) -> tuple[Any, Any]:
+def _knots(degree: int, end: float = 1.0) -> tuple[Any, Any]:
     knots, multiplicities = Array1_double(1, 2), Array1_int(1, 2)
     knots.SetValue(1, 0.0)
-    knots.SetValue(2, 1.0)
+    knots.SetValue(2, end)
     multiplicities.SetValue(1, degree + 1)
     multiplicities.SetValue(2, degree + 1)
     return knots, multiplicities
 
 
 def _curve(arc: Arc) -> Any:
+    if arc.straight:
+        way = arc.poles[1] - arc.poles[0]
+        return Geom_Line(gp_Pnt(*map(float, arc.poles[0])), gp_Dir(*map(float, way)))
     n = len(arc.poles)
     poles, weights = Array1_gp_Pnt(1, n), Array1_double(1, n)
     for i in range(n):
@@ -168,13 +175,13 @@ def _curve(arc: Arc) -> Any:
     return Geom_BSplineCurve(poles, weights, knots, multiplicities, n - 1)
 
 
-def _curve_2d(arc: Arc) -> Any:
+def _curve_2d(arc: Arc, end: float = 1.0) -> Any:
     n = len(arc.poles)
     poles, weights = Array1_gp_Pnt2d(1, n), Array1_double(1, n)
     for i in range(n):
         poles.SetValue(i + 1, gp_Pnt2d(*map(float, arc.poles[i])))
         weights.SetValue(i + 1, float(arc.weights[i]))
-    knots, multiplicities = _knots(n - 1)
+    knots, multiplicities = _knots(n - 1, end)
     return Geom2d_BSplineCurve(poles, weights, knots, multiplicities, n - 1)
 
 
