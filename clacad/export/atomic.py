@@ -294,10 +294,9 @@ def _finish(private: Path, folder: Path) -> None:
     The old manifest goes first: while files of two exports stand side by side, none vouches for them.
     """
     with _publishing(folder):
-        (private / OLD).mkdir(exist_ok=True)
         gone = [MANIFEST] if os.path.lexists(folder / MANIFEST) else []
         gone += _dropped(private, folder)
-        names = sorted(p.name for p in private.iterdir() if p.name not in (_SEALED, OLD))
+        names = sorted(p.name for p in private.iterdir() if p.name != _SEALED and not p.name.startswith(OLD))
         exchange(private, folder, names, gone, (_SEALED, MANIFEST))
         flush(folder)
 
@@ -315,7 +314,7 @@ def _publishing(folder: Path) -> Iterator[None]:
 
 def _dropped(private: Path, folder: Path) -> list[str]:
     """Names of unchanged files of the previous export that the new one does not list: they would mislead."""
-    old = read_manifest(folder) or read_manifest(private / OLD)
+    old = read_manifest(folder) or read_manifest(private, OLD + MANIFEST)
     if old is None:
         return []
     sealed = json.loads((private / _SEALED).read_text(encoding="utf-8"))

@@ -11,8 +11,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-OLD = "old"
-"""Subfolder of the private folder for what was at the final names before."""
+OLD = "~"
+"""What was at a final name before is kept in the private folder under that name with this before it."""
 
 
 class Unfinished(OSError):
@@ -41,21 +41,22 @@ def exchange(
         Nothing has changed.
     Unfinished
     """
-    old = private / OLD
-    old.mkdir(exist_ok=True)
+    def kept(name: str) -> Path:
+        return private / (OLD + name)
+
     undo: list[tuple[Path, Path | None, Path]] = []  # target, its old content, where the new content was
     try:
         for name in gone:
-            undo.append((folder / name, old / name, old / name))
-            os.replace(folder / name, old / name)
+            undo.append((folder / name, kept(name), kept(name)))
+            os.replace(folder / name, kept(name))
         if gone:
             flush(folder)
         for name, public in [*zip(names, names), *([last] if last else [])]:
             target = folder / public
             there = os.path.lexists(target)
             if there:
-                _keep(target, old / name)
-            undo.append((target, old / name if there else None, private / name))
+                _keep(target, kept(name))
+            undo.append((target, kept(name) if there else None, private / name))
             if last == (name, public):
                 flush(folder)
             os.replace(private / name, target)
