@@ -156,7 +156,7 @@ def test_a_plain_number_is_a_material_at_every_wavelength():
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"formula": "herzberger"}, "no dispersion formula"),
+        ({"formula": "hartmann"}, "no dispersion formula"),
         ({"coefficients": (1.0, 2.0, 3.0)}, "do not belong to the sellmeier formula"),
         ({"coefficients": (1.0, float("nan"))}, "not a finite number"),
         ({"range_m": (2e-6, 1e-6)}, "ascending range"),

