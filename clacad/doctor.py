@@ -37,7 +37,7 @@ class Finding:
     Parameters
     ----------
     topic : str
-        packages, kernel, memory, disk, cache, threads or fonts.
+        packages, kernel, memory, disk, cache, rates, threads or fonts.
     name : str
     state : "ok", "warn", "fail" or "absent"
     value : str, float, int or None
@@ -70,7 +70,7 @@ def examine(folder: str | os.PathLike[str] = ".") -> tuple[Finding, ...]:
     tuple of Finding
     """
     return (
-        *_versions(), *_packages(), *_kernel(), *_memory(), *_disk(Path(folder)), *_cache(), *_threads(), *_fonts(),
+        *_versions(), *_packages(), *_kernel(), *_memory(), *_disk(Path(folder)), *_cache(), *_rates(), *_threads(), *_fonts(),
     )  # fmt: skip
 
 
@@ -309,3 +309,30 @@ def _cache() -> Iterator[Finding]:
     size = sum(path.stat().st_size for path in kept)
     many = f"{len(kept)} compiled, {size / 1e6:.1f} MB" if kept else "none yet; the first trace compiles them"
     yield Finding("cache", "kernels", "ok", str(place), many)
+
+
+def _rates() -> Iterator[Finding]:
+    """What forecasts of seconds rest on: the machine's speed, and what each task took here."""
+    from clacad.rates import MACHINE, REFERENCE, Rates
+
+    took = Rates.here().calibrate()
+    rates = Rates.here()
+    if rates.path is None or not rates.path.is_file():
+        yield Finding(
+            "rates", "seconds seen", "warn", None, "are not kept: forecasts stay wide; set CLACAD_CACHE_DIR to a "
+            "folder that can be written",
+        )  # fmt: skip
+    else:
+        yield Finding(
+            "rates", "seconds seen", "ok", str(rates.path), "kept for forecasts; delete it to start anew"
+        )
+    yield Finding(
+        "rates", "machine", "ok", round(took / REFERENCE, 2), "times the reference machine's seconds"
+    )
+    for task, noted in sorted(rates.tasks.items()):
+        if task != MACHINE:
+            model, last = noted[-1]
+            now = rates.span(task, model)
+            yield Finding(
+                "rates", task, "ok", round(last, 3), f"seconds of the last run of {len(noted)}; again {now}"
+            )

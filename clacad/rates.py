@@ -15,7 +15,7 @@ import platform
 import secrets
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -41,6 +41,7 @@ SEEN = math.log(1.28)
 FAR = 0.12
 """Half width added for each factor e between the size asked and the nearest size seen."""
 
+Clock = Callable[[], float]
 Noted = tuple[float, float]
 """Modelled seconds, and seconds it took."""
 
@@ -142,11 +143,23 @@ class Rates:
         _write(self.path, tasks)
 
     @contextmanager
-    def noting(self, task: str, modelled: float) -> Iterator[None]:
+    def noting(self, task: str, modelled: float, clock: Clock | None = None) -> Iterator[None]:
         """Note the processor seconds of the block, if it ends well."""
-        began = processor_seconds()
+        tick = clock or processor_seconds
+        began = tick()
         yield
-        self.note(task, modelled, processor_seconds() - began)
+        self.note(task, modelled, tick() - began)
+
+    def calibrate(self, clock: Clock | None = None) -> float:
+        """Time a fixed piece of work, best of 3, and note it: a task never seen here is then forecast by it."""
+        tick = clock or time.process_time
+        best = math.inf
+        for _ in range(3):
+            began = tick()
+            _reference_work()
+            best = min(best, tick() - began)
+        self.note(MACHINE, REFERENCE, best)
+        return best
 
 
 def _around(modelled: float, factor: float, width: float, seen: int) -> Span:
@@ -267,29 +280,16 @@ def _write(path: Path, tasks: Mapping[str, tuple[Noted, ...]]) -> None:
             draft.unlink()
 
 
-def measure(clock: object = None) -> float:
-    """Time a fixed piece of arithmetic of the interpreter and give it relative to the reference machine.
+# -- the machine's speed ----------------------------------------------------------------------------
 
-    Notes
-    -----
-    It is noted as the task "machine", so that a forecast of a task never seen here knows how fast the machine is.
-    """
-    tick = clock if callable(clock) else time.process_time
-    best = math.inf
-    for _ in range(3):
-        began = tick()
-        _reference_work()
-        best = min(best, tick() - began)
-    return best
-
-
-REFERENCE = 0.035
+MACHINE = "machine"
+REFERENCE = 0.033
 """Processor seconds of `_reference_work` on the machine whose constants the models hold."""
 
 
 def _reference_work() -> int:
     """Dictionary, float and text work, as exports mostly are."""
     kept: dict[str, float] = {}
-    for k in range(40_000):
+    for k in range(60_000):
         kept[f"{k % 997} {k * 0.1!r}"] = math.sqrt(k) / (k + 1.0)
     return len(kept)

@@ -42,14 +42,18 @@ def accuracy(
     ------
     DesignError
         The design cannot be built.
+    LimitRefused
+        It has more lenslets than any file would hold.
     """
     from clacad.accuracy.floors import floors, probe
     from clacad.accuracy.measure import QUADS, Ladder, exact_rows, mesh_rows, reference
     from clacad.accuracy.step import step_row
+    from clacad.export.forecast import refuse_early
     from clacad.prescription import prescribe
     from clacad.verify.bundle import bundle
 
     report = progress or _silent
+    refuse_early(design, (), None)
     window = prescribe(design)
     report("tracing the truth", 0.0)
     lit = bundle(window, rays, design.check.field, design.check.field_centre)

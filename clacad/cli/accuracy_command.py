@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
 from clacad.cli.export_command import parse_angle
+from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
     from clacad.accuracy import Row, Table
@@ -21,12 +22,16 @@ def measure_accuracy(
 ) -> int:  # fmt: skip
     """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
     from clacad.accuracy import accuracy
+    from clacad.accuracy.forecast import TASK, seconds
+    from clacad.export.forecast import refuse_early
 
     design = load_counted(path, overrides)
     limit = None if target is None else parse_angle("--target", target)
+    refuse_early(design, (), None)  # before anything is forecast of it
     progress = Progress(quiet=quiet)
     try:
-        measured = accuracy(design, rays=rays, progress=progress)
+        with forecast(TASK, seconds(rays), quiet=quiet):
+            measured = accuracy(design, rays=rays, progress=progress)
     finally:
         progress.done()
     if out is not None:

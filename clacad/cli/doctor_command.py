@@ -42,7 +42,7 @@ def value_text(finding: Finding) -> str:
     value = finding.value
     if value is None:
         return "-"
-    if isinstance(value, str) or finding.topic == "threads":
+    if isinstance(value, str) or finding.topic in ("threads", "rates"):
         return str(value)
     if finding.topic == "kernel":
         return f"{value:.3g} s"

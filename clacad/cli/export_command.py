@@ -124,18 +124,20 @@ def _forecast(
 ) -> int:
     from clacad.cli.tables import forecast_text
     from clacad.export.request import Request
-    from clacad.export.run import forecast_rows
+    from clacad.export.run import forecast_rows, in_all
 
     step, slope_error = parse_step(request.step), parse_slope_error(request.slope_error)
     asked = Request(
         request.formats, slope_error, request.quads, step, cells, request.overwrite, request.force,
         pcurves=request.pcurves, saddle_bevel=bevel,
     )  # fmt: skip
-    rows: list[dict[str, Any]] = [row.to_dict() for row in forecast_rows(design, asked)]
+    found = forecast_rows(design, asked)
+    rows: list[dict[str, Any]] = [row.to_dict() for row in found]
     if json:
         show_json(rows)
     else:
-        show_text(forecast_text(rows), quiet=quiet)
+        seconds = in_all(request.formats, found)
+        show_text(f"{forecast_text(rows)}\nin all {seconds} of processor time", quiet=quiet)
     return 0
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.cli.console import Progress, say, show_json, show_text, table
+from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
     from clacad.render.picture import Picture
@@ -38,6 +39,7 @@ class RenderRequest:
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
     """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
     from clacad.render.files import write_picture
+    from clacad.render.forecast import seconds, task
     from clacad.render.picture import view_through
     from clacad.scene import load_scene
 
@@ -47,7 +49,8 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
         return _movie(scene, request, progress, json=json, quiet=quiet)
     if scene.animation is not None:
         scene = scene.at(request.frame or 0)
-    picture = view_through(scene, progress=progress)
+    with forecast(task(scene), seconds(scene), quiet=quiet):
+        picture = view_through(scene, progress=progress)
     progress.done()
     write_picture(picture, request.out, overwrite=request.overwrite)
     _told([picture], [request.out], json=json, quiet=quiet)
@@ -85,12 +88,17 @@ def _within_target(scene: Scene, text: str) -> Scene:
 
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
     from clacad.render.files import write_movie
+    from clacad.render.forecast import seconds, task
     from clacad.render.picture import render_movie
 
     assert scene.animation is not None
-    frames = write_movie(
-        render_movie(scene, progress=progress), request.out, scene.animation.fps, overwrite=request.overwrite
-    )
+    with forecast(task(scene), seconds(scene, scene.animation.frames), quiet=quiet):
+        frames = write_movie(
+            render_movie(scene, progress=progress),
+            request.out,
+            scene.animation.fps,
+            overwrite=request.overwrite,
+        )
     progress.done()
     if json:
         show_json({"files": [str(request.out)], "frames": frames})

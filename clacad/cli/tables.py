@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from clacad.cli.console import size, table
+from clacad.rates import span_text
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
 
@@ -43,7 +44,7 @@ def number(value: Any) -> str:
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
     """What the files would cost: facets, bytes, seconds, memory; or why an export would be refused."""
-    lines = [["format", "facets", "bytes", "seconds", "memory", ""]]
+    lines = [["format", "facets", "bytes", "processor", "memory", ""]]
     for row in rows:
         if row.get("refused"):
             lines.append([row["format"], f"refused: {row['refused']}"])
@@ -55,7 +56,7 @@ def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
                 row["format"],
                 "" if row["facets"] is None else f"{row['facets']:,}",
                 ("" if row["exact"] else "about ") + size(row["bytes"]),
-                f"{low:.2g} to {high:.2g}",
+                span_text(low, high),
                 f"up to {size(row['memory'][1])}",
                 grid,
             ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
 from clacad.cli.export_command import parse_angle, parse_cells
+from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -26,6 +27,8 @@ def verify_design(
     """
     from clacad.cli.tables import checks_text
     from clacad.verify import verify
+    from clacad.verify.files import find_files
+    from clacad.verify.forecast import seconds, task
 
     design = load_counted(path, overrides)
     limit = None if target is None else parse_angle("--target", target)
@@ -33,7 +36,9 @@ def verify_design(
         rays = _rays(design, files, limit, parse_cells(cells))
     progress = Progress(quiet=quiet)
     try:
-        report = verify(design, files=files, cells=parse_cells(cells), rays=rays, progress=progress)
+        judged = () if files is None else find_files(files).subjects
+        with forecast(task(judged), seconds(rays, judged), quiet=quiet):
+            report = verify(design, files=files, cells=parse_cells(cells), rays=rays, progress=progress)
         if limit is not None:
             from clacad.verify.target import judged_by
 

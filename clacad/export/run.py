@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad import log
 from clacad.export import forecast as limits
+from clacad.export import seconds as cost
 from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
 from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, NotPossible, WorkerDied
 from clacad.export.formats import FORMATS, Job, known_formats
@@ -16,11 +17,13 @@ from clacad.export.manifest import FileRecord, Manifest, carried_over, document
 from clacad.export.request import Request
 from clacad.export.tessellation import Meshes, Tessellation
 from clacad.export.worker import Progress, Worker, ended_by_signals
-from clacad.rates import Rates, seconds_of
+from clacad.rates import Rates, Span, seconds_of, total
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet import Window
+
+PREPARE = "export prepare"
 
 KERNEL = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 """What the worker loads while the parent still prepares the work."""
@@ -33,7 +36,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     made = design if request.cells is None else design.with_cells(request.cells)
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
-    began = time.monotonic()
+    began, used = time.monotonic(), time.process_time()
     with ended_by_signals(), Worker(memory=_worker_memory(), preload=KERNEL) as worker:
         if "step" in formats:
             worker.start()  # the kernel loads while the design is prescribed and forecast
@@ -47,6 +50,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
             job = _job(meshes.at(quads), design, stage, worker, request, report)
+            Rates.here().note(PREPARE, prepare_seconds(formats, quads), time.process_time() - used)
             records, failures, seconds = _produced(job, formats, rows)
             if not records:
                 raise next(iter(failures.values()))
@@ -79,6 +83,23 @@ def forecast_rows(design: Design, request: Request) -> list[limits.Forecast]:
         limits.refuse_early(made, formats, request.quads)
     meshes = Meshes(_prescribed(made), request.saddle_bevel)
     return limits.forecast(meshes, formats, _quads(meshes, request, formats), request.step, request.pcurves)
+
+
+def prepare_seconds(formats: Sequence[str], quads: int) -> float:
+    """Modelled seconds of an export before its first file."""
+    return cost.prepare(quads if any(name in limits.MESH_FORMATS for name in formats) else None)
+
+
+def in_all(formats: Sequence[str], rows: Sequence[limits.Forecast]) -> Span:
+    """Seconds of a whole export on this machine, from the forecasts of its formats."""
+    rates = Rates.here()
+    quads = next((row.quads for row in rows if row.quads is not None), limits.QUADS[-1])
+    return total(
+        [
+            rates.span(PREPARE, prepare_seconds(formats, quads)),
+            *(rates.span(r.task, r.modelled) for r in rows),
+        ]
+    )
 
 
 def _silent(_name: str, _done: float) -> None:
