@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -39,6 +40,18 @@ def _local(address: Any) -> bool:
         return ipaddress.ip_address(host.partition("%")[0]).is_loopback
     except ValueError:
         return False
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_network_for_children(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Refuse the same to every Python that a test starts, and theirs; what was tried anywhere fails the run."""
+    log = tmp_path_factory.mktemp("network") / "tried"
+    patch = pytest.MonkeyPatch()
+    patch.setenv("CLACAD_NETWORK_LOG", str(log))
+    patch.setenv("PYTHONPATH", str(Path(__file__).parent / "offline"), prepend=os.pathsep)
+    yield
+    patch.undo()
+    assert not log.exists(), log.read_text()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -55,7 +55,7 @@ class Ended:
 
 def environment(**changes: str) -> dict[str, str]:
     """Where the package and the tests' helpers are found, whatever the current folder."""
-    path = os.pathsep.join([str(ROOT), str(TESTS)])
+    path = os.pathsep.join([str(TESTS / "offline"), str(ROOT), str(TESTS)])
     return os.environ | {"PYTHONPATH": path} | changes
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from trust import golden
-from trust.running import TINY, clacad, environment
+from trust.running import TINY, clacad, command, environment
 
 from clacad.design import Design
 from clacad.export import export
@@ -130,3 +131,45 @@ def test_no_test_can_reach_another_machine() -> None:
         socket.create_connection(("example.org", 80), timeout=1)
     with socket.socket() as plain, pytest.raises(Exception, match="connect"):
         plain.connect(("192.0.2.1", 80))
+
+
+TALKATIVE = """
+import socket, sys
+from clacad.export.worker import Worker
+try:
+    socket.create_connection(("192.0.2.1", 80), 1)
+except RuntimeError as refusal:
+    print(refusal)
+if sys.argv[1:]:
+    with Worker() as worker:
+        worker.run("worker_tricks:talk")
+"""
+
+
+def test_no_process_that_a_test_starts_can_reach_another_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor the processes those start; and who swallows the refusal is found in the log."""
+    log = tmp_path / "tried"
+    monkeypatch.setenv("CLACAD_NETWORK_LOG", str(log))
+    line = [sys.executable, "-c", TALKATIVE]
+    child = subprocess.run(line, capture_output=True, text=True, env=environment())
+    assert "tests talk to no other machine" in child.stdout
+    assert len(log.read_text().splitlines()) == 1
+    family = subprocess.run([*line, "and a worker"], capture_output=True, text=True, env=environment())
+    assert "tests talk to no other machine" in family.stderr
+    assert len(log.read_text().splitlines()) == 3
+
+
+def test_the_main_job_runs_where_there_is_no_network_at_all(design: Path, tmp_path: Path) -> None:
+    """In a network of its own, which has not even a loop."""
+    apart = ["unshare", "--net", "--"]
+    if shutil.which("unshare") is None or subprocess.run([*apart, "true"], capture_output=True).returncode:
+        pytest.skip("a network of one's own needs unshare and the right to use it")
+    for words in (["check", design], ["export", design, "-o", tmp_path / "out", "--format", "step,stl", "--quads", "4"],
+                  ["verify", design, "--files", tmp_path / "out", "--rays", 1024], ["doctor", tmp_path]):  # fmt: skip
+        done = subprocess.run(
+            [*apart, *command([*words, "-q"])], capture_output=True, text=True, env=environment()
+        )
+        assert done.returncode in ((0, 1) if words[0] in ("verify", "doctor") else (0,)), done.stderr
+        assert "Traceback" not in done.stderr
