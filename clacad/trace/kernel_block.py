@@ -14,7 +14,7 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 
 from __future__ import annotations
 
-from math import inf, isfinite, sqrt
+from math import exp, inf, isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from clacad.trace.kernel_block_slots import (
     CI0,
     CJ,
     CJ0,
+    DEPTH,
     DX,
     DY,
     DZ,
@@ -38,9 +39,12 @@ from clacad.trace.kernel_block_slots import (
     GZ,
     LEFT_X,
     LEFT_Y,
+    OVER,
     PATH,
     ROOT,
     SCRATCH,
+    SHARE,
+    STEEP,
     X,
     Y,
     Z,
@@ -461,6 +465,66 @@ def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
             s[GOOD, i] = 0.0
 
 
+@fused
+def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
+    """Multiply SHARE/OVER by the mean of T_s and T_p at an untilted quadric.
+
+    With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i + n1/n2 b)².
+    """
+    x, y, z, dx, dy, dz, root, share, over = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[SHARE], s[OVER]
+    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
+    sk = face[slot.SIDE] * face[slot.KX]
+    mu = n1 / n2
+    for i in range(m):
+        a, b = mu * root[i], sx * x[i] * dx[i] + sy * y[i] * dy[i] + (1.0 - sk * z[i]) * dz[i]
+        one, two = a + b, root[i] + mu * b
+        one, two = one * one, two * two
+        share[i] *= 2.0 * a * b * (one + two)
+        over[i] *= one * two
+
+
+@fused
+def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
+    """The same at any face whose normals are kept: in what axes does not matter."""
+    gx, gy, gz, root, share, over = s[GX], s[GY], s[GZ], s[ROOT], s[SHARE], s[OVER]
+    mu = n1 / n2
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    for i in range(m):
+        a = mu * root[i]
+        b = sqrt((gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i]) * weight + a * a)
+        one, two = a + b, root[i] + mu * b
+        one, two = one * one, two * two
+        share[i] *= 2.0 * a * b * (one + two)
+        over[i] *= one * two
+
+
+@fused
+def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
+    """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
+    z, dz, depth, steep = s[Z], s[DZ], s[DEPTH], s[STEEP]
+    if side == 0:
+        for i in range(m):
+            steep[i] = rate / dz[i]
+            depth[i] -= (z[i] + vz) * steep[i]
+        return
+    for i in range(m):
+        depth[i] += (z[i] + vz) * steep[i]
+
+
+@exact
+def _lose(
+    face: Floats, s: Floats, m: int, n1: float, n2: float, reflects: bool, rate: float, side: int
+) -> None:
+    """Light lost at a face just crossed, and in the glass behind or before it."""
+    if reflects and n1 != n2:
+        if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
+            _let_through(face, s, m, n1, n2)
+        else:
+            _let_through_turned(s, m, n1, n2)
+    if rate != 0.0:
+        _absorbed(s, m, rate, face[slot.VZ], side)
+
+
 @exact
 def _store_hit(
     lat: Floats,
@@ -490,10 +554,14 @@ def straight(
 ) -> int:  # fmt: skip
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face, whatever was last crossed.
+    Positions are relative to the vertex of the last face, whatever was last crossed. `indices` may go on after
+    those of the bodies: whether faces reflect (0 or 1), then the attenuation of each body; the rows SHARE and DEPTH
+    then gather what bare faces let through of unpolarised light and what the bodies absorb, and no hit is stored.
     """
     m = len(chosen)
-    array, met = 0, 0
+    array, met, counted = 0, 0, len(indices) > len(bodies)
+    for i in range(m if counted else 0):
+        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
@@ -531,6 +599,8 @@ def straight(
                 cross_facets(tiles, tiles.of[b, side], side, face, s, m, n1, n2, climb, ox, oy, oz)
                 if structured:
                     _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+            if counted:
+                _lose(face, s, m, n1, n2, indices[len(bodies)] != 0.0, indices[len(bodies) + 1 + b], side)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
@@ -547,7 +617,7 @@ def straight(
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
                 _open_baffle(lat, face, s, m)
-            if len(hits):
+            if len(hits) and not counted:
                 _store_hit(
                     lat, face, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
                 )  # fmt: skip
@@ -694,6 +764,7 @@ def trace_chunk(
         _copy(s[PATH], carried, m)
         array = straight(tiles, faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
         _store(bodies, lat, faces, s, block, array, position, direction, fate, path, cell, order, surface)
+        _share(indices, bodies, s, block, len(faces), turns)
         count = _queue(s, block, waiting, count)
     _walk(
         tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path, cell,
@@ -737,6 +808,22 @@ def trace_chunk_single(
 
 
 @exact
+def _share(indices: Floats, bodies: Floats, s: Floats, block: Rows, share: int, turns: Floats) -> None:
+    """Write what the straight path lets through, where that was gathered: one more layer of `turns` takes it."""
+    if len(indices) == len(bodies):
+        return
+    absorbs = False
+    for b in range(len(bodies)):
+        absorbs |= indices[len(bodies) + 1 + b] != 0.0
+    for k in range(len(block)):
+        s[SHARE, k] /= s[OVER, k]
+    for k in range(len(block) if absorbs else 0):
+        s[SHARE, k] *= exp(-s[DEPTH, k])
+    for k in range(len(block)):
+        turns[share, block[k] // 3, block[k] % 3] = s[SHARE, k]
+
+
+@exact
 def _queue(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
     """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
     good = s[GOOD]
@@ -756,8 +843,12 @@ def _walk(
     """Walk rays one by one: many in a row, so that the walk's own code and tables stay near."""
     work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
     walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
+    counted, share = len(indices) > len(bodies), len(faces)
     for row in waiting:
-        if not _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns):
+        sound = _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns)
+        if counted:
+            turns[share, row // 3, row % 3] = 1.0
+        if not sound:
             continue
         reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
         if reaches:
@@ -765,3 +856,5 @@ def _walk(
                 tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
                 fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
             )  # fmt: skip
+            if counted:  # not known here: its hits are there to work it out from
+                turns[share, row // 3, row % 3] = 1.0 if fate[row] >= MISSED else nan

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ, HALF, SCRATCH = range(20)
+X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ = range(18)
+SHARE, OVER, DEPTH, STEEP, HALF, SCRATCH = range(18, 24)
+"""Light let through is SHARE/OVER; DEPTH sums attenuation times length, STEEP is attenuation/N; HALF numbers half bins."""
 
 RANGE = ROOT
 """Distances, where facets take the place of a smooth face."""
