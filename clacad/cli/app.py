@@ -133,8 +133,16 @@ def new(
 
 
 @app.command()
-def schema(quiet: Quiet = False, json: Json = False) -> int:
-    """Print the JSON Schema of design files, so that editors complete keys."""
+def schema(
+    scene: Annotated[bool, typer.Option("--scene", help="Of scene files instead of design files.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Print the JSON Schema of design files, or of scene files, so that editors complete keys."""
+    if scene:
+        from clacad.cli.render_command import print_scene_schema
+
+        return print_scene_schema()
     from clacad.cli.design_commands import print_schema
 
     return print_schema()

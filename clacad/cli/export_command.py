@@ -50,6 +50,13 @@ def export_design(
     from clacad.feasibility import describe, feasibility
     from clacad.prescription import prescribe
 
+    if request.formats == ("pov",):
+        from clacad.cli.render_command import export_scene, is_scene
+
+        if is_scene(path):
+            return export_scene(
+                path, overrides, request.out, overwrite=request.overwrite, json=json, quiet=quiet
+            )
     design = load_design(path, overrides)
     cells = parse_cells(request.cells)
     schema, bevel = parse_schema(request.step_schema), parse_length(request.saddle_bevel, design)

@@ -120,7 +120,7 @@ def make_atlas(request: AtlasRequest, progress: Progress | None = None) -> Atlas
         page = _page(chosen, findings, [(stem, title) for stem, title, _ in movies], names)
         stage.path("index.html").write_text(page, encoding="utf-8")
         stage.path("atlas.json").write_text(canonical_json(_record(findings)), encoding="utf-8")
-        stage.publish(_manifest(stage))
+        stage.publish(manifest_of(stage, "atlas"))
     return Atlas(stage.folder, findings, (*names, "index.html", "atlas.json"))
 
 
@@ -183,13 +183,14 @@ def _names(stage: Stage) -> tuple[str, ...]:
     return tuple(sorted(path.name for path in folder.iterdir()))
 
 
-def _manifest(stage: Stage) -> dict[str, Any]:
+def manifest_of(stage: Stage, kind: str) -> dict[str, Any]:
+    """The manifest of all files of a stage."""
     folder = stage.path("x").parent
     files = [
         {"name": path.name, "sha256": file_hash(path), "bytes": os.path.getsize(path)}
         for path in sorted(folder.iterdir())
     ]
-    return {"format": 1, "kind": "atlas", "files": files}
+    return {"format": 1, "kind": kind, "files": files}
 
 
 def _record(findings: dict[str, tuple[Finding, ...]]) -> dict[str, Any]:
