@@ -11,7 +11,7 @@ from clacad.export.readers import read_mesh
 from clacad.prescription import prescribe
 from clacad.verify import CannotRegister, verify
 from clacad.verify.checks import not_run
-from clacad.verify.deviationmap import plot_deviation
+from clacad.verify.deviationmap import deviation_map, plot_deviation
 from clacad.verify.files import find_files
 from clacad.verify.registration import place
 from clacad.verify.returned import cut_to
@@ -92,7 +92,10 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", list(MOTIONS))
+@pytest.mark.parametrize("name", [
+    "as written", "upside down, moved", "turned a lot",
+    *(pytest.param(n, marks=pytest.mark.long) for n in ("set down elsewhere", "axes exchanged", "turned a little")),
+])  # fmt: skip
 def test_the_pose_is_found_and_undone(tmp_path, soup, name):
     rotation, move = MOTIONS[name]
     placed = found(tmp_path, soup @ rotation.T + move)
@@ -103,6 +106,7 @@ def test_the_pose_is_found_and_undone(tmp_path, soup, name):
     assert placed.exact == (name == "as written")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("metres", "word"), [(1e-3, "mm"), (1.0, "m"), (1e-6, "um"), (0.0254, "in")])
 def test_the_unit_is_found_with_the_part_turned(tmp_path, soup, metres, word):
     placed = found(tmp_path, (soup @ CYCLE.T) * (1e-3 / metres))
@@ -118,6 +122,7 @@ def test_shrinkage_is_found_as_a_scale_and_judged(tmp_path, soup):
     assert scale == pytest.approx(0.995, abs=2e-5)
 
 
+@pytest.mark.long
 def test_a_piece_cut_across_cells_is_judged_by_its_whole_cells(tmp_path, soup):
     window = prescribe(DESIGN.with_cells((12, 12)))
     middle = (whole := sheet_facets(window, 12)).mean(axis=1)
@@ -168,6 +173,7 @@ def irregular(triangles, generator):
     return np.concatenate(parts)
 
 
+@pytest.mark.long
 def test_a_slicers_repair_goes_through(tmp_path):
     manifold3d = pytest.importorskip("manifold3d")
     fine = sheet_facets(prescribe(DESIGN), 24)
@@ -188,10 +194,10 @@ def test_a_slicers_repair_goes_through(tmp_path):
 
 
 @pytest.mark.parametrize(("change", "culprits"), [
-    pytest.param({"law.delta": [-0.01, 0.005]}, {"handedness"}, id="mirrored by its design"),
+    pytest.param({"law.delta": [-0.01, 0.005]}, {"handedness"}, id="mirrored by its design", marks=pytest.mark.long),
     pytest.param({"law.delta": [-0.01, -0.005]}, {"pose"}, id="delta of the other sign"),
-    pytest.param({"law.eta": [-0.51, -1.0]}, {"shape", "file_eta"}, id="eta off by 2 %"),
-    pytest.param({"pair.index": 1.515}, {"scale", "shape", "file_eta"}, id="another index"),
+    pytest.param({"law.eta": [-0.51, -1.0]}, {"shape", "file_eta"}, id="eta off by 2 %", marks=pytest.mark.long),
+    pytest.param({"pair.index": 1.515}, {"scale", "shape", "file_eta"}, id="another index", marks=pytest.mark.long),
 ])  # fmt: skip
 def test_wrong_parts_are_named(tmp_path, change, culprits):
     report = judged(tmp_path, sheet_facets(prescribe(DESIGN.replace(change)), 24))
@@ -229,6 +235,7 @@ def test_a_tilt_of_the_wrong_sign_is_named(tmp_path):
     assert "turned" in pose.sentence
 
 
+@pytest.mark.long
 def test_a_damaged_cell_is_found(tmp_path, soup):
     middle = soup.mean(axis=1)
     dent = (np.abs(middle[:, 0] - 2.0) < 0.5) & (np.abs(middle[:, 1] + 1.0) < 0.5)
@@ -263,10 +270,10 @@ def test_facets_cut_to_a_cell_keep_its_area_and_their_side():
     assert area.sum() == pytest.approx(1.0, rel=1e-12)
 
 
-def test_the_deviation_map_is_a_picture_and_a_table(tmp_path, soup):
+def test_the_deviation_map_is_a_picture_and_a_table(soup):
     generator = np.random.default_rng(1)
-    report = judged(tmp_path, soup + generator.normal(0.0, 1e-4, soup.shape))
-    mapped = report.files[0].mesh.facts["deviation"]
+    scan = soup + generator.normal(0.0, 1e-4, soup.shape)
+    mapped = deviation_map(prescribe(DESIGN), "mm", [scan], ("array1", "array2"), len(scan))
     assert [face.name for face in mapped.faces] == [
         "array1 front",
         "array1 back",

@@ -100,8 +100,11 @@ def test_parquet_holds_the_same_table(table):
     assert found[2]["state"] == "error"
 
 
-@pytest.mark.parametrize("texts", [["law.eta.0=-0.5:-1:2"], ["law.eta.0=-0.5,-1", "law.delta.0=0:0.01:2"],
-                                   ["law.eta.0=-0.5,-1", "law.delta.0=0,0.01", "pair.index=1.5"]])  # fmt: skip
+@pytest.mark.parametrize("texts", [
+    ["law.eta.0=-0.5,-1", "law.delta.0=0:0.01:2"],
+    pytest.param(["law.eta.0=-0.5:-1:2"], marks=pytest.mark.long),
+    pytest.param(["law.eta.0=-0.5,-1", "law.delta.0=0,0.01", "pair.index=1.5"], marks=pytest.mark.long),
+])  # fmt: skip
 def test_tables_and_pictures_have_the_same_bytes_every_time(tmp_path, texts):
     axes = [parse_vary(text) for text in texts]
     kept = tmp_path / "sweep.checkpoint"

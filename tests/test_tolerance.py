@@ -348,6 +348,7 @@ def test_killed_twenty_times_and_resumed_gives_the_bytes_of_an_unbroken_run(tmp_
         assert (whole / name).read_bytes() == (broken / name).read_bytes(), name
 
 
+@pytest.mark.long
 def test_a_killed_run_leaves_no_worker_behind_and_is_resumed(tmp_path):
     path = tmp_path / "sheet.json"
     path.write_text(json.dumps(SLAB | {"tolerances": TOLERANCES}))
@@ -377,6 +378,7 @@ def test_a_design_without_tolerances_is_told_how_to_state_them():
         tolerance(design())
 
 
+@pytest.mark.long
 def test_a_scheduler_that_is_not_there_is_said_in_a_sentence():
     with pytest.raises(NoCluster):
         tolerance(design(**TOLERANCES), samples=1, farm=Farm(scheduler="tcp://127.0.0.1:9"))

@@ -19,6 +19,7 @@ import numpy as np
 from clacad.export.atomic import Stage, canonical_json, safe_name
 from clacad.sheet import Window
 from clacad.verify.checks import plain
+from clacad.verify.gather import levels
 from clacad.verify.sides import STEEP, Floats, Ints, off_faces
 
 BINS = 16
@@ -108,6 +109,7 @@ class Mapper:
     def __init__(self, window: Window, unit: str, present: Sequence[str], facets: int) -> None:
         self.window, self.unit, self.present = window, unit, present
         self._stride = max(1, facets // MOST)
+        self._between = levels(window)
         tile = window.lattice.tile()
         self._low, self._high = tile.min(axis=0), tile.max(axis=0)
         faces = 2 * len(window.bodies)
@@ -129,7 +131,7 @@ class Mapper:
         points = corners[good].reshape(-1, 3)
         asked = (corners[good] + 1e-6 * (middle - corners[good])).reshape(-1, 3)
         asked[:, 2] = points[:, 2]
-        off = off_faces(self.window, asked, facing, self.present)
+        off = off_faces(self.window, asked, facing, self.present, self._between)
         rows = np.flatnonzero(off.known & self.window.lattice.contains(off.cell))
         up = np.where(facing[rows, 2] > 0.0, 1.0, -1.0)  # positive: too much material
         value = off.distance[rows] * up

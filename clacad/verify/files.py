@@ -302,7 +302,7 @@ def fitting_window(
         if tuple(count) != spec.count or spec.outline is not None:
             whole_box = whole_extent(whole)
             if not _alike(whole_box, extent):
-                whole = prescribe(design.with_cells((count[0], count[1])))
+                whole = whole.with_cells((count[0], count[1]))
     return whole if _alike(whole_extent(whole), extent) or _one_body_alike(whole, extent) else None
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from clacad.export.filemesh import FileMesh, Part
 from clacad.export.truth import whole_extent
+from clacad.feasibility import body_range
 from clacad.prescription import prescribe
 from clacad.sheet import Window
 from clacad.verify.checks import Check, State
@@ -29,7 +30,8 @@ from clacad.verify.files import (
     fitting_window,
     present_bodies,
 )
-from clacad.verify.sides import Floats, off_faces, ranges
+from clacad.verify.gather import levels
+from clacad.verify.sides import Floats, off_faces
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -139,10 +141,11 @@ class _Trial:
     facing: Floats
     onto: Floats
     move: Floats
+    between: Floats
     residual: float
 
     def off(self, points: Floats, facing: Floats) -> Floats:
-        return off_faces(self.window, points, facing, self.present).distance
+        return off_faces(self.window, points, facing, self.present, self.between).distance
 
 
 def robust(distance: Floats) -> float:
@@ -276,7 +279,9 @@ def _trials(
 ) -> Iterator[_Trial]:  # fmt: skip
     """Every unit and turn that makes the box of the part the design's, with its distance before any fit."""
     heights = [whole.z_range[1] - whole.z_range[0]]
-    heights += [high - low for low, high in ranges(whole)]
+    spans = [body_range(whole, body) for body in whole.bodies]
+    between = levels(whole)
+    heights += [high - low for low, high in spans]
     own = [("its own unit", mesh.unit)] if mesh.unit is not None and mesh.format in STATED else list(FACTORS)
     few = slice(None, None, max(1, len(corners) // 3000))
     for (name, metres), axes in product(own, list(_axes())):
@@ -289,11 +294,22 @@ def _trials(
         present = present_bodies(window, subject, float(size[2]))
         points, looks = corners[few] @ axes.T * factor, facing[few] @ axes.T
         middle = axes @ centre * factor
-        onto = _onto(window, present, middle)
+        onto = _onto(window, spans, present, middle)
         for move in _moves(window, onto, cut, axes):
-            off = off_faces(window, points + move, looks, present)
+            off = off_faces(window, points + move, looks, present, between)
             yield _Trial(
-                name, factor, axes, window, present, not cut, points, looks, onto, move, robust(off.distance)
+                name,
+                factor,
+                axes,
+                window,
+                present,
+                not cut,
+                points,
+                looks,
+                onto,
+                move,
+                between,
+                robust(off.distance),
             )
 
 
@@ -315,12 +331,14 @@ def _fits(
     return whole.with_cells((count[0], count[1])), True
 
 
-def _onto(window: Window, present: Sequence[str], middle: Floats) -> Floats:
+def _onto(
+    window: Window, spans: Sequence[tuple[float, float]], present: Sequence[str], middle: Floats
+) -> Floats:
     """Displacement (3,) from the middle of a box to the middle of the design's."""
     held = replace(window, bodies=tuple(b for b in window.bodies if b.name in present))
     x0, x1, y0, y1 = whole_extent(held)
-    spans = [r for r, body in zip(ranges(window), window.bodies, strict=True) if body.name in present]
-    z = 0.5 * (min(r[0] for r in spans) + max(r[1] for r in spans))
+    mine = [r for r, body in zip(spans, window.bodies, strict=True) if body.name in present]
+    z = 0.5 * (min(r[0] for r in mine) + max(r[1] for r in mine))
     return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), z]) - middle
 
 
@@ -362,7 +380,7 @@ def _fitted(trial: _Trial, lean: Floats) -> _Fit:
     best = (trial.residual, turn, scale, move)
     for _ in range(STEPS):
         here = points @ turn.T / scale + move
-        off = off_faces(trial.window, here, looks @ turn.T, trial.present)
+        off = off_faces(trial.window, here, looks @ turn.T, trial.present, trial.between)
         known = np.flatnonzero(off.known)
         if len(known) < 32:
             break

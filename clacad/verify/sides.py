@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.feasibility import body_range
 from clacad.sheet import Face, Window, face_height, lens_height_and_normal
 from clacad.verify.gather import levels, owner
 
@@ -18,17 +16,6 @@ Ints = NDArray[np.int64]
 
 STEEP = 0.3
 """Facets whose |n_z| is below this belong to walls and edges, not to faces."""
-
-
-@lru_cache(maxsize=16)
-def ranges(window: Window) -> tuple[tuple[float, float], ...]:
-    """Height range of each body, worked out once for a window."""
-    return tuple(body_range(window, body) for body in window.bodies)
-
-
-@lru_cache(maxsize=16)
-def _levels(window: Window) -> Floats:
-    return levels(window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +44,9 @@ class Off:
         return np.isfinite(self.distance)
 
 
-def off_faces(window: Window, points: Floats, facing: Floats, present: Sequence[str] | None = None) -> Off:
+def off_faces(
+    window: Window, points: Floats, facing: Floats, present: Sequence[str] | None = None, between: Floats | None = None
+) -> Off:  # fmt: skip
     """Compare points (n, 3), sheet frame, with the faces they belong to.
 
     Parameters
@@ -67,13 +56,19 @@ def off_faces(window: Window, points: Floats, facing: Floats, present: Sequence[
     facing : (n, 3)
         Outward unit normals of the part at the points: they tell the side; steep ones belong to no face.
     present : names of the bodies of the part, or None for all
+    between : (bodies − 1,) lengths or None
+        Heights midway between the bodies, where they are known already.
     """
     n = len(points)
     found = Off(
         np.full(n, np.nan), np.full((n, 3), np.nan), np.full(n, -1), np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2))
     )  # fmt: skip
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
-    body_of = np.full(n, held[0]) if len(held) == 1 else np.searchsorted(_levels(window), points[:, 2])
+    body_of = (
+        np.full(n, held[0])
+        if len(held) == 1
+        else np.searchsorted(levels(window) if between is None else between, points[:, 2])
+    )
     steep = np.abs(facing[:, 2]) < STEEP
     for number in held:
         body = window.bodies[number]
