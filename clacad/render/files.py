@@ -232,7 +232,7 @@ def _mp4_writer() -> Any:
         write_frames = import_module("imageio_ffmpeg").write_frames
     except ImportError:
         raise UnknownPicture(
-            "MP4 needs an encoder: pip install 'clacad[pictures]', or write .webp, .png or .gif"
+            "MP4 needs an encoder: pip install 'clacad[movies]', or write .webp, .png or .gif"
         ) from None
 
     def write(path: Path, frames: Iterator[Bytes], fps: float) -> None:
