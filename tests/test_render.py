@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import copy
 import math
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +17,16 @@ from viewscenes import CASES, ROOT, VIEWS, view_data, view_scene
 from clacad.rays import Fate
 from clacad.render import view_through
 from clacad.render.camera import aim, offsets, rays
-from clacad.render.files import decode, encode, facts, labelled, read_picture, write_movie, write_picture
+from clacad.render.files import (
+    UnknownPicture,
+    decode,
+    encode,
+    facts,
+    labelled,
+    read_picture,
+    write_movie,
+    write_picture,
+)
 from clacad.render.kernel_look import look_all
 from clacad.render.measure import measure
 from clacad.render.meet import look, nearest
@@ -442,6 +455,64 @@ def test_a_movie_has_its_frames_in_order(tmp_path):
         assert columns == sorted(columns, reverse=True)  # +x is on the left
 
 
+def test_a_movie_is_written_as_mp4_where_the_encoder_is_installed(tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    data = copy.deepcopy(PLAIN) | {"object": [BALL | {"at": [0, 0, -15]}]}
+    data["camera"] = data["camera"] | {"pixels": [64, 48]}
+    data["animation"] = {
+        "frames": 5,
+        "fps": 10,
+        "move": [{"key": "object.ball.at.0", "from": -0.3, "to": 0.3}],
+    }
+    write_movie(render_movie(Scene.from_dict(data, folder=str(ROOT))), tmp_path / "m.mp4", 10.0)
+    frames = ffmpeg.read_frames(str(tmp_path / "m.mp4"))
+    told = next(frames)
+    assert told["size"] == (64, 48)
+    assert told["fps"] == 10.0
+    columns = []
+    for frame in frames:
+        red = np.frombuffer(frame, np.uint8).reshape(48, 64, 3).astype(float)
+        much = np.maximum(0.0, red[..., 0] - red[..., 1:].max(axis=-1) - 20.0)
+        assert much.sum() > 100.0
+        columns.append((much * np.arange(64)).sum() / much.sum())
+    assert len(columns) == 5
+    assert columns == sorted(columns, reverse=True)
+
+
+def test_without_the_encoder_mp4_is_refused_with_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(UnknownPicture, match=r"clacad\[movies\]"):
+        write_movie(iter(()), tmp_path / "m.mp4", 10.0)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_picture_that_is_stopped_leaves_nothing_and_stops_at_once(name, tmp_path):
+    scene = ROOT / "designs" / "scenes" / "fig3-z-8.toml"
+    command = [sys.executable, "-m", "clacad", "render", str(scene), "-o", str(tmp_path / "x.png"),
+               "--pixels", "6000", "--samples", "200"]  # fmt: skip
+    busy = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        time.sleep(2.5)
+        assert busy.poll() is None
+        busy.send_signal(getattr(signal, name))
+        _, said = busy.communicate(timeout=60)
+    finally:
+        busy.kill()
+    assert busy.returncode != 0
+    assert b"Traceback" not in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_progress_tells_the_share_of_the_rays_that_are_done():
+    told = []
+    view_through(scene(FLOOR, camera={"pixels": [300, 300], "samples": 9}), threads=1,
+                 progress=lambda stage, share: told.append(share))  # fmt: skip
+    assert len(told) > 3
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+
+
 def test_a_frame_that_cannot_be_is_told_before_the_first_is_drawn():
     data = copy.deepcopy(PLAIN)
     move = {"key": "sheet.set.law.eta.0", "values": [-1.0, 0.0]}
@@ -464,7 +535,6 @@ def test_fates_that_do_not_shine_are_black():
 
 def test_a_large_sheet_is_seen_as_fast_as_a_small_one():
     """Nothing in the renderer counts lenslets: a lens is found by its index."""
-    import time
 
     def seconds(count):
         busy = scene(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from viewscenes import ROOT, view_data
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.scene import keys as scene_keys
 from clacad.scene.moves import value_at
+from clacad.scene.schema import scene_schema
 
 SCENES = sorted((ROOT / "designs" / "scenes").glob("*.toml"))
 
@@ -191,3 +193,37 @@ def test_junk_is_refused_in_words_and_never_with_a_traceback(junk):
             {**view_data("base"), **junk} if junk and "format" not in junk else junk, folder=str(ROOT)
         )
     assert str(caught.value)
+
+
+def fits(value, schema, whole):
+    """A small reading of JSON Schema: tables, their keys, arrays, alternatives."""
+    if "$ref" in schema:
+        return fits(value, whole["$defs"][schema["$ref"].rsplit("/", 1)[1]], whole)
+    if "oneOf" in schema and schema["oneOf"][0].get("type") == "object":
+        return sum(fits(value, one, whole) for one in schema["oneOf"]) == 1
+    if "const" in schema:
+        return value == schema["const"]
+    if "enum" in schema:
+        return value in schema["enum"]
+    if schema.get("type") == "object" and "properties" in schema:
+        known = schema["properties"]
+        return (
+            isinstance(value, dict)
+            and value.keys() <= known.keys()
+            and set(schema.get("required", ())) <= value.keys()
+            and all(fits(each, known[key], whole) for key, each in value.items())
+        )
+    if schema.get("type") == "array" and isinstance(schema.get("items"), dict):
+        return isinstance(value, list) and all(fits(each, schema["items"], whole) for each in value)
+    return True
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "designs" / "scenes").glob("*.toml")), ids=lambda p: p.stem)
+def test_the_schema_holds_every_scene_of_the_project_and_no_slip(path):
+    whole = scene_schema()
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert fits(data, whole, whole)
+    assert not fits(data | {"camra": {}}, whole, whole)
+    assert not fits(data | {"camera": data["camera"] | {"framme": 1}}, whole, whole)
+    assert not fits(data | {"object": [{"kind": "sphere", "tile": 1.0}]}, whole, whole)
+    assert not fits({key: value for key, value in data.items() if key != "sheet"}, whole, whole)

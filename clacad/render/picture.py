@@ -198,9 +198,12 @@ def _each(
             work(corner)
             tell(k + 1)
         return
-    with ThreadPoolExecutor(threads) as pool:
+    pool = ThreadPoolExecutor(threads)
+    try:
         for k, _ in enumerate(pool.map(work, corners)):
             tell(k + 1)
+    finally:  # an interrupted picture does not finish its other tiles first
+        pool.shutdown(cancel_futures=True)
 
 
 def tile(
