@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import json
 import re
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -293,3 +294,44 @@ def test_headings_and_controls_have_names_and_the_page_can_be_walked_by_keyboard
     assert "Arrow keys" in canvas["aria-label"]
     anchors = {a["href"][1:] for t, a in found.tags if t == "a" and a.get("href", "").startswith("#")}
     assert anchors <= {a["id"] for _, a in found.tags if "id" in a}
+
+
+def test_the_paper_version_says_the_same_and_is_the_same_every_time(made, short, tmp_path):
+    paper = importlib.import_module("clacad.report.paper")
+    pytest.importorskip("typst")
+    *_, path = write_report(made, tmp_path, pdf=True)
+    data = path.read_bytes()
+    assert data.startswith(b"%PDF")
+    assert data == paper.pdf_bytes(made)
+    write_report(made, tmp_path, pdf=True)  # its own it may replace
+    said = json.dumps(paper._document(made, paper._Shelf(tmp_path)), ensure_ascii=False)
+    for check in made.report.checks:
+        assert json.dumps(check.sentence, ensure_ascii=False)[1:-1] in said
+    for about, lines in made.fabrication:
+        assert about in said
+        assert all(json.dumps(line.text, ensure_ascii=False) in said for line in lines)
+    for part in made.attributions[0]["parts"]:
+        assert all(json.dumps(value, ensure_ascii=False) in said for value in part)
+
+
+def test_without_the_typesetter_the_error_says_what_to_install(made, tmp_path, monkeypatch):
+    from clacad.report.paper import PdfMissing
+
+    monkeypatch.setitem(sys.modules, "typst", None)
+    with pytest.raises(PdfMissing, match=r"clacad\[pdf\]") as error:
+        write_report(made, tmp_path / "new", pdf=True)
+    assert error.value.exit_status == 2
+    assert not (tmp_path / "new").exists()
+
+
+def test_progress_is_told_from_beginning_to_end(report, tmp_path, short):
+    told = []
+    full = verify(Design.from_dict(TEXT), rays=2048, progress=lambda stage, _part: told.append(stage))
+    write_report(
+        replace(full, evidence=report.evidence), tmp_path, progress=lambda stage, _part: told.append(stage)
+    )
+    assert list(dict.fromkeys(told)) == [
+        "building the window", "tracing the exact surfaces", "tracing the field of view", "done",
+        "looking through the sheet", "meshing the parts to look at", "drawing the report",
+    ]  # fmt: skip
+    assert all(len(stage) < 60 for stage in told)
