@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.verify.sources import sourced
+
 if TYPE_CHECKING:
     from clacad.design import Design
 
@@ -127,12 +129,13 @@ def not_run(id: str, why: str, **rest: Any) -> Check:
 
 
 def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Mark the warnings that the design accepts, with the reason it gives; say which of its allowances do nothing.
+    """Mark the warnings that the design accepts, with the reason it gives; say which of its allowances do nothing,
+    and of each limit where it comes from.
 
     An allowance is idle if its code is nobody's, or if the checks of that code ran and none of them warned. Checks
     that were marked before stay as they are.
     """
-    found = [check for check in checks if check.id != "allowance"]
+    found = [check for check in sourced(checks, design) if check.id != "allowance"]
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
     marked = [
         replace(c, sentence=f"{c.sentence}. Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
