@@ -286,3 +286,38 @@ def test_the_deviation_map_is_a_picture_and_a_table(soup):
     first = plot_deviation(mapped, "part.stl")
     assert first.startswith(b"\x89PNG")
     assert first == plot_deviation(mapped, "part.stl")
+
+
+@pytest.mark.long
+def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
+    from OCP.gp import gp_Ax1, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
+    from OCP.STEPControl import STEPControl_AsIs, STEPControl_Writer
+
+    from clacad.export import export
+    from clacad.export.step_read import kernel_shape
+
+    export(DESIGN.with_cells((4, 3)), tmp_path / "made", ("step",))
+    made = next((tmp_path / "made").glob("*.step"))
+    turned, moved = gp_Trsf(), gp_Trsf()
+    turned.SetRotation(gp_Ax1(gp_Pnt(0, 0, 0), gp_Dir(1, 1, 1)), 2.0 * np.pi / 3.0)
+    moved.SetTranslation(gp_Vec(5, 6, 7))
+    moved.Multiply(turned)
+    writer = STEPControl_Writer()
+    writer.Transfer(BRepBuilderAPI_Transform(kernel_shape(made), moved, True).Shape(), STEPControl_AsIs)
+    writer.Write(str(tmp_path / "part.step"))
+    report = verify(DESIGN, tmp_path / "part.step", rays=RAYS)
+    about = {c.id: c for c in report.checks if c.subject == "part.step"}
+    assert about["pose"].state == "warn"
+    assert "x → z" in about["pose"].sentence
+    assert "4 x 3 cells" in report.files[0].note
+    assert {about[n].state for n in ("readable", "closed", "handedness", "scale", "shape", "file_eta")} == {
+        "pass"
+    }
+    assert about["shape"].limit < 2e-5
+    (tmp_path / "bare.step").write_bytes(made.read_bytes())
+    exact = {
+        c.id: c for c in verify(DESIGN, tmp_path / "bare.step", rays=RAYS).checks if c.subject == "bare.step"
+    }
+    assert exact["shape"].value < 1e-9  # where the design lies, STEP is judged exactly
+    assert exact["volume"].state == exact["pose"].state == "pass"

@@ -32,7 +32,7 @@ FACTORS: tuple[tuple[str, float], ...] = (
 )  # fmt: skip
 """Units in metres that a file without a manifest may be in, if its format has none."""
 
-STATED = ("3mf", "glb")
+STATED = ("3mf", "glb", "step")
 """Formats whose files are in a unit that every reader takes them to be in."""
 
 SAME_EXTENT = 0.02

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.export.closed import measure
+from clacad.export.truth import whole_extent
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.deviationmap import DeviationMap, Mapper
@@ -25,6 +26,9 @@ from clacad.verify.registration import Placed
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+ON_FACES = 1e-5
+"""Pitches that the corners of a meshed STEP part may lie off: what registration leaves."""
 
 OUTLIER = 3.0
 """A cell is damaged if its rms deviation exceeds this many times the usual one and the limit besides."""
@@ -212,6 +216,13 @@ def _shape(design: Design, gathered: Gathered, mapped: DeviationMap, placed: Pla
     rounding = 1e-6 * max(placed.window.lattice.pitch)
     step = rounding_step(placed) * placed.pose.factor
     limit = design.check.shape * own_sag_error(gathered) + rounding + 0.6 * step
+    source = "what facets of this size and bend give"
+    if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
+        reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
+        limit, source = (
+            ON_FACES * max(placed.window.lattice.pitch) + 2.0**-22 * reach,
+            "corners on exact faces",
+        )
     noise = max(face.noise for face in mapped.faces)
     damaged = _damaged(mapped, limit)
     detail = {
@@ -227,14 +238,14 @@ def _shape(design: Design, gathered: Gathered, mapped: DeviationMap, placed: Pla
     if damaged:
         sentence += f"; {len(damaged)} cells are off by themselves, such as {damaged[0]}"
         return Check("shape", "fail", sentence, worst.systematic, limit, detail=detail,
-                     source="what facets of this size and bend give", **common)  # fmt: skip
+                     source=source, **common)  # fmt: skip
     return judge(
         "shape",
         worst.systematic,
         limit,
         sentence,
         detail=detail,
-        source="what facets of this size and bend give",
+        source=source,
         **common,
     )
 

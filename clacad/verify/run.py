@@ -36,6 +36,7 @@ from clacad.verify.optics import Optics, confocality_check, law_checks, measure,
 from clacad.verify.registration import place
 from clacad.verify.returned import judge_placed
 from clacad.verify.solidfile import judge_solid
+from clacad.verify.turnedsolid import judge_turned, lies_elsewhere
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -317,6 +318,12 @@ def _judge_one(
         return [], FileReport(subject, "no part of the optics; judged by its bytes alone")
     if subject.is_solid:
         found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
+        if not subject.entry and lies_elsewhere(found):
+            found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
+            if placed is not None:
+                return found, FileReport(
+                    subject, placed.note, evidence, facts, window=placed.window, present=placed.present
+                )
         return found, FileReport(subject, solid=facts)
     if subject.is_mesh:
         return _judge_triangles(design, window, subject, rays, progress)

@@ -1,0 +1,42 @@
+"""A STEP file as triangles, for those who must first find out how the part lies in it."""
+
+from __future__ import annotations
+
+from clacad.export.errors import UnreadableFile
+from clacad.export.step_read import kernel_shape
+
+
+def facets(path: str, target: str, deflection: float) -> int:
+    """Mesh the solids of a STEP file and write them as binary STL, in millimetres; runs in a worker.
+
+    Parameters
+    ----------
+    path, target : str
+        The STEP file, and the STL file to write.
+    deflection : float, millimetres
+        Largest distance of a facet from its face; corners lie on the faces.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    UnreadableFile
+        The file holds nothing that can be meshed.
+    """
+    from pathlib import Path
+
+    from OCP.BRepMesh import BRepMesh_IncrementalMesh
+    from OCP.StlAPI import StlAPI_Writer
+
+    shape = kernel_shape(path)
+    BRepMesh_IncrementalMesh(shape, deflection, False, 0.2, True)
+    writer = StlAPI_Writer()
+    writer.ASCIIMode = False
+    writer.Write(shape, target)
+    written = Path(target)
+    if not written.is_file() or written.stat().st_size <= 84:
+        raise UnreadableFile("the file holds no solid that could be meshed")
+    return written.stat().st_size
