@@ -143,17 +143,17 @@ def test_instances_that_are_turned_are_not_read(tmp_path: Path) -> None:
     "case",
     [
         ("tilted-biconvex", ["body.border=2"]),
-        ("plano", ["body.border=1.5"]),
+        pytest.param(("plano", ["body.border=1.5"]), marks=pytest.mark.long),
         ("tilted", ["body.border=2"]),
-        ("hexagonal", ["body.border=2"]),
-        ("tilted-biconvex", ["lattice.outline={circle=5}", "lattice.count=[6,6]"]),
+        pytest.param(("hexagonal", ["body.border=2"]), marks=pytest.mark.long),
+        ("tilted-biconvex", ["lattice.outline={circle=3.5}", "lattice.count=[3,3]"]),
     ],
     ids=["biconvex", "plano", "displaced slab", "hexagonal", "disc"],
 )
 def test_an_engraved_body_is_valid_and_has_lost_its_letters_only(case):
     name, overrides = case
     design = clacad.load(DESIGNS / f"{name}.toml", overrides=overrides)
-    design = design if "outline" in overrides[0] else design.with_cells((4, 4))
+    design = design if "outline" in overrides[0] else design.with_cells((2, 2))
     window = clacad.prescribe(design)
     from clacad.brep import solids
 
@@ -162,8 +162,8 @@ def test_an_engraved_body_is_valid_and_has_lost_its_letters_only(case):
         assert part.is_valid
         assert len(part.solids()) == len(plain.solids())
         before, after = plain.bounding_box(), part.bounding_box()
-        assert (after.min - before.min).length < 1e-9
-        assert (after.max - before.max).length < 1e-9
+        assert (after.min - before.min).length < 1e-6
+        assert (after.max - before.max).length < 1e-6
         floors = [
             f for f in part.faces() if abs(f.center().Z - place.centre[2] - place.depth) < 1e-6 * place.depth
         ]
