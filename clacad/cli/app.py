@@ -170,7 +170,7 @@ def export(
                                         "xyz, table, mask, pov, ...")] = "step,stl",
     slope_error: Annotated[str | None, typer.Option("--slope-error", metavar="E", help="rms facet slope error, e.g. "
                            "'5 mrad', or 'auto' (default): the finest that the limits allow.")] = None,
-    quads: Annotated[int | None, typer.Option("--quads", metavar="N", help="Facet grid: N quads per cell side.")] = None,
+    quads: Annotated[int | None, typer.Option("--quads", metavar="N", min=1, help="Facet grid: N quads per cell side.")] = None,
     step: Annotated[str, typer.Option("--step", help="auto, fused or instanced.")] = "auto",
     cells: Cells = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
@@ -215,7 +215,7 @@ def verify(
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf, too (extra: clacad[pdf]).")] = False,
     timings: Annotated[bool, typer.Option("--timings", help="Show seconds of this run in the report; its bytes then "
                                           "change from run to run.")] = False,
-    rays: Annotated[int, typer.Option("--rays", min=64, help="Rays of the main bundle.")] = 65536,
+    rays: Annotated[int, typer.Option("--rays", min=64, max=100_000_000, help="Rays of the main bundle.")] = 65536,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Fewest rays that tell errors of this size, "
                                                "and files must be within it, e.g. '0.5 mrad'.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
@@ -254,7 +254,7 @@ def trace(
     rung: Annotated[str, typer.Option("--rung", help="law, thin, surfaces or mesh.")] = "surfaces",
     effects: Annotated[str, typer.Option("--effects", metavar="A,B", help="Effects to add; default none.")] = "",
     mesh: Annotated[Path | None, typer.Option("--mesh", metavar="FILE", help="Rung mesh: triangles as written.")] = None,
-    quads: Annotated[int, typer.Option("--quads", help="Rung mesh without a file: quads per cell side.")] = 16,
+    quads: Annotated[int, typer.Option("--quads", min=1, max=2048, help="Rung mesh without a file: quads per cell side.")] = 16,
     normals: Annotated[str, typer.Option("--normals", help="Rung mesh: facet or vertex.")] = "facet",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
     set: Set = None,
@@ -275,7 +275,7 @@ def trace(
 def accuracy(
     design: Annotated[Path | None, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON); not needed with "
                                                   "--hard.", show_default=False)] = None,
-    rays: Annotated[int, typer.Option("--rays", min=100, help="Rays sent up every rung.")] = 100_000,
+    rays: Annotated[int, typer.Option("--rays", min=100, max=100_000_000, help="Rays sent up every rung.")] = 100_000,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Name the cheapest setting within this rms "
                                                "direction error, e.g. '0.5 mrad'.")] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write the plot here, .svg or .png.")]

@@ -55,8 +55,8 @@ def load_target(path: Path, overrides: list[str]) -> Scene | Design:
 
     try:
         keys = set(tomllib.loads(path.read_text(encoding="utf-8")))
-    except tomllib.TOMLDecodeError:
-        keys = set()  # the reader names line and column
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError):
+        keys = set()  # the reader names line and column, or what else is wrong
     if "law" in keys and "sheet" not in keys:
         from clacad.design import load
 

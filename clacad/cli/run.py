@@ -83,10 +83,23 @@ def _explained(error: Exception) -> int:
         log.note("error", **_facts(error), status=INTERNAL if status is None else status)
     if status is None:
         text = f"internal error: {type(error).__name__}: {error}".rstrip(": ")
-        _say(text if log.on() else f"{text}\n  run again with -v for the details")
+        if isinstance(error, MemoryError):
+            text = f"out of memory ({error}): ask for fewer rays, quads or cells".replace(" ()", "")
+        _say(
+            text
+            if log.on() or isinstance(error, MemoryError)
+            else f"{text}\n  run again with -v for the details"
+        )
         return INTERNAL
-    _say(str(error))
+    _say(_sentence(error))
     return status
+
+
+def _sentence(error: Exception) -> str:
+    """The system's errors by the place and the cause, without their numbers."""
+    if isinstance(error, OSError) and error.strerror and isinstance(error.filename, str):
+        return f"{error.filename}: {error.strerror.lower()}"
+    return str(error)
 
 
 def _facts(error: Exception) -> dict[str, Any]:
@@ -110,6 +123,8 @@ def status_of(error: Exception) -> int | None:
     if type(error).__name__ == "DesignError":
         return BAD_INPUT
     if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError, UnicodeError)):
+        return BAD_INPUT
+    if type(error).__name__ == "UnidentifiedImageError":
         return BAD_INPUT
     if isinstance(error, (PermissionError, OSError)):
         return CANNOT_WRITE

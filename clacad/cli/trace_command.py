@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 
 CHUNK = 1_000_000
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
+
+
+DAMAGED = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError)
+"""What a zip file raises that is cut, changed, encrypted or packed in an unknown way."""
 
 
 class BadRays(ValueError):
@@ -56,10 +61,9 @@ class RayFile:
     def __init__(self, path: Path) -> None:
         try:
             self._archive = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, OSError) as error:
-            raise BadRays(
-                f"{path}: {error if isinstance(error, OSError) else 'not an .npz archive'}"
-            ) from None
+        except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
+            why = (error.strerror or "").lower() if isinstance(error, OSError) else ""
+            raise BadRays(f"{path}: {why or 'not an .npz archive'}") from None
         names = {name.removesuffix(".npy"): name for name in self._archive.namelist()}
         for needed in ("position", "direction"):
             if needed not in names:
@@ -79,8 +83,8 @@ class RayFile:
         """Stream at the first row, type, number of rows."""
         import numpy as np
 
-        stream = self._archive.open(self._members[key])
         try:
+            stream = self._archive.open(self._members[key])
             version = np.lib.format.read_magic(stream)
             read = (
                 np.lib.format.read_array_header_1_0
@@ -88,11 +92,11 @@ class RayFile:
                 else np.lib.format.read_array_header_2_0
             )
             shape, fortran, kind = read(stream)
-        except ValueError as error:
+        except (*DAMAGED, ValueError) as error:
             raise BadRays(f"{self._archive.filename}: array '{key}': {error}") from None
         wanted = 1 if key == "wavelength" else 2
         good = len(shape) == wanted and (wanted == 1 or shape[1] == 3) and not (fortran and wanted == 2)
-        if not good or kind.kind not in "fiu":
+        if not good or shape[0] < 0 or kind.kind not in "fiu":
             form = "(n,)" if wanted == 1 else "(n, 3), C order"
             raise BadRays(
                 f"{self._archive.filename}: '{key}' is {shape} of {kind}; it must be {form} of numbers"
@@ -109,7 +113,10 @@ class RayFile:
             chunk = {}
             for key, (stream, kind, _) in opened.items():
                 width = 1 if key == "wavelength" else 3
-                data = stream.read(take * width * kind.itemsize)
+                try:
+                    data = stream.read(take * width * kind.itemsize)
+                except DAMAGED as error:
+                    raise BadRays(f"{self._archive.filename}: array '{key}': {error}") from None
                 if len(data) != take * width * kind.itemsize:
                     raise BadRays(f"{self._archive.filename}: array '{key}' is cut short")
                 values = np.frombuffer(data, dtype=kind).astype(np.float64)
@@ -145,6 +152,16 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
     options: dict[str, Any] = {"rung": request.rung, "effects": request.effects}
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadRays(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
+    if request.normals not in ("facet", "vertex"):
+        raise BadRays(f"--normals {request.normals}: it is facet or vertex")
+    if request.mesh is not None and not request.mesh.is_file():
+        raise BadRays(f"{request.mesh}: there is no such file")
+    if request.effects:
+        from clacad.effects.passes import NAMES
+
+        unknown = [name for name in request.effects if name not in NAMES]
+        if unknown:
+            raise BadRays(f"--effects {unknown[0]}: it is one of {', '.join(NAMES)}")
     if request.rung == "mesh":
         from clacad.mesh import tessellate
 
@@ -162,6 +179,8 @@ def _write(
     progress: Progress,
 ) -> None:
     """Trace chunk by chunk into one raw file a column, then gather them into the archive."""
+    import numpy as np
+
     from clacad.rays import Rays
     from clacad.trace import trace
 
@@ -185,7 +204,7 @@ def _write(
         for stream in streams.values():
             stream.close()
     if rays.count == 0:
-        last = trace(window, Rays([[0.0, 0.0, 0.0]] * 0, [[0.0, 0.0, 1.0]] * 0), **options)
+        last = trace(window, Rays(np.empty((0, 3)), np.empty((0, 3))), **options)
     _gather(private, parts, last, rays.count)
 
 

@@ -7,6 +7,7 @@ Facets and the bytes of STL and TIFF are exact, other bytes are good to 20 %, se
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -179,7 +180,8 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
     try:
         quads = forecast_quads(one_cell(window), slope_error)
     except ValueError as error:
-        raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {error}") from error
+        short = re.sub(r"\d{16,}", lambda long: f"{Decimal(long[0]):.3g}", str(error))
+        raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {short}") from error
     if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
         _refuse_facets("stl", facets_at_least(window, quads), quads, window.lattice.count)
     return quads
