@@ -8,6 +8,7 @@ import trimesh
 
 from clacad import Design, Fate, Rays, prescribe, trace
 from clacad.fixture import COMPENSATIONS, NoFixture, baffle_mesh, coupon_solid, frame_solids, frame_spec
+from clacad.fixture.frame import MARK_DEPTH
 
 BASE = {
     "format": 1,
@@ -71,7 +72,8 @@ def test_the_baffle_stops_the_ghosts_and_lets_partners_through_where_the_tracer_
 def test_the_frame_holds_the_plates_at_the_separation_and_nothing_collides():
     window = window_of()
     spec = frame_spec(window, window.land.border)
-    parts = frame_solids(spec)
+    parts = frame_solids(spec, "ab 1")
+    _carries_its_marks(parts, spec)
     for part in parts.values():
         assert part.is_valid
         assert len(part.solids()) == 1
@@ -92,6 +94,23 @@ def test_the_frame_holds_the_plates_at_the_separation_and_nothing_collides():
         common = parts["spacer"] & parts[name]
         volume = 0.0 if common is None else sum(s.volume for s in common.solids())
         assert volume < 1e-9
+
+
+def _carries_its_marks(parts, spec):
+    """Letters and arrow: on retainer 1 towards the viewer (−z) and up, on the spacer's −y side pointing to the viewer."""
+    ring, spacer = parts["retainer1"], parts["spacer"]
+    floor = ring.bounding_box().min.Z + MARK_DEPTH
+    letters = [f for f in ring.faces() if abs(f.center().Z - floor) < 1e-6 and f.normal_at().Z < -0.9]
+    assert len(letters) >= 13  # an arrow and twelve letters
+    arrow = max(letters, key=lambda f: f.center().X)  # seen from −z, +x is on the left, where the line begins
+    tip = max(arrow.vertices(), key=lambda v: v.Y)
+    assert tip.X == pytest.approx(arrow.bounding_box().center().X, abs=1e-6)
+    inside = -0.5 * spec.outer[1] + MARK_DEPTH
+    sunk = [f for f in spacer.faces() if abs(f.center().Y - inside) < 1e-6 and f.normal_at().Y < -0.9]
+    assert len(sunk) >= 13
+    arrow = max(sunk, key=lambda f: f.center().X)
+    tip = min(arrow.vertices(), key=lambda v: v.Z)  # towards the viewer
+    assert tip.X == pytest.approx(arrow.bounding_box().center().X, abs=1e-6)
 
 
 def test_the_coupon_is_one_solid_with_five_scaled_patches():
