@@ -462,7 +462,7 @@ def test_a_movie_is_written_as_mp4_where_the_encoder_is_installed(tmp_path):
     data["animation"] = {
         "frames": 5,
         "fps": 10,
-        "move": [{"key": "object.ball.at.0", "from": -0.3, "to": 0.3}],
+        "move": [{"key": "object.ball.at.0", "from": -0.1, "to": 0.1}],
     }
     write_movie(render_movie(Scene.from_dict(data, folder=str(ROOT))), tmp_path / "m.mp4", 10.0)
     frames = ffmpeg.read_frames(str(tmp_path / "m.mp4"))

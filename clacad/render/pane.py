@@ -40,7 +40,7 @@ def pane_of(
     if len(lines) != 1 or not lines[0].whole or (present and not (plane or exact)):
         return None
     from clacad.render import kernel_view as kernel
-    from clacad.trace import lay_out
+    from clacad.trace.layout import lay_out
     from clacad.trace.mesh_layout import NO_TILES
     from clacad.trace.packing import pack
 
@@ -68,7 +68,7 @@ def pane_of(
 
 def _first_box(window: Window) -> Floats:
     """Low and high corner of the first body, window units: a ray that misses it misses the sheet."""
-    from clacad.trace import lay_out
+    from clacad.trace.layout import lay_out
 
     body = lay_out(window).bodies[0]
     x0, x1, y0, y1 = body.box

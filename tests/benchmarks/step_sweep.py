@@ -52,11 +52,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--number", type=int, default=64, help="angles per family")
     parser.add_argument("--families", nargs="+", default=list(SWEEPS))
+    parser.add_argument("--both", action="store_true", help="also without parameter curves")
     parser.add_argument("--into", type=Path, help="Markdown file whose table is replaced")
     options = parser.parse_args()
     text = HEAD
     sys.stdout.write(HEAD)
-    for pcurves in (True, False):
+    for pcurves in (True, False) if options.both else (True,):
         for family in options.families:
             line = swept(family, options.number, pcurves)
             text += line

@@ -83,6 +83,7 @@ def kernel(window, rays: Rays, mesh=None, normals="facet") -> Callable[[], objec
             ledger.order, ledger.surface, ledger.hits, ledger.directions,
         )  # fmt: skip
 
+    run.ledger = ledger
     return run
 
 
