@@ -54,7 +54,8 @@ def load_target(path: Path, overrides: list[str]) -> Scene | Design:
     import tomllib
 
     try:
-        keys = set(tomllib.loads(path.read_text(encoding="utf-8")))
+        with path.open("rb") as stream:
+            keys = set(tomllib.loads(stream.read(1 << 24).decode("utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError):
         keys = set()  # the reader names line and column, or what else is wrong
     if "law" in keys and "sheet" not in keys:
