@@ -20,6 +20,7 @@ from clacad.export.atomic import Stage, canonical_json, safe_name
 from clacad.sheet import Window
 from clacad.verify.checks import plain
 from clacad.verify.gather import levels
+from clacad.verify.registration import INWARD
 from clacad.verify.sides import STEEP, Floats, Ints, off_faces
 
 BINS = 16
@@ -129,7 +130,7 @@ class Mapper:
         # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
         middle = corners[good].mean(axis=1, keepdims=True)
         points = corners[good].reshape(-1, 3)
-        asked = (corners[good] + 1e-6 * (middle - corners[good])).reshape(-1, 3)
+        asked = (corners[good] + INWARD * (middle - corners[good])).reshape(-1, 3)
         asked[:, 2] = points[:, 2]
         off = off_faces(self.window, asked, facing, self.present, self._between)
         rows = np.flatnonzero(off.known & self.window.lattice.contains(off.cell))

@@ -42,6 +42,9 @@ SAMPLE = 4000
 TRIALS = 6
 """Turns of each handedness that are fitted; the others are worse before the fit already."""
 
+INWARD = 1e-6
+"""Part of the way to a facet's middle by which its corners are drawn in before they are located."""
+
 STEPS = 12
 PHASES = 6
 """Places a side tried within a cell, for a piece that was not cut along cell borders."""
@@ -232,6 +235,8 @@ def _sampled(mesh: FileMesh) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     length = np.linalg.norm(normal, axis=1)
     good = length > 0.0
     facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
+    # a corner on a border belongs to two columns: a hair towards the facet's middle decides
+    corners = corners + INWARD * (corners.mean(axis=1, keepdims=True) - corners)
     return corners[good].reshape(-1, 3), facing, high - low, 0.5 * (low + high), lean
 
 
@@ -403,12 +408,25 @@ def _fitted(trial: _Trial, lean: Floats) -> _Fit:
         best = (residual, turn, scale, move)
     residual, turn, scale, move = best
     straight = np.array_equal(lean, np.eye(3))
-    if straight and not trial.move.any() and trial.residual <= 1.2 * residual:  # the fit adds nothing
-        residual, turn, scale, move = trial.residual, np.eye(3), 1.0, trial.move
-    left = np.abs(trial.off(points @ turn.T / scale + move, looks @ turn.T))
-    middle = float(np.nanmedian(left)) if np.isfinite(left).any() else np.inf
+    if straight and not trial.move.any():
+        own = _median(trial.off(points, looks))
+        if own <= _as_written(trial.window) or trial.residual <= 1.2 * residual:  # the fit adds nothing
+            residual, turn, scale, move = trial.residual, np.eye(3), 1.0, trial.move
+    middle = _median(trial.off(points @ turn.T / scale + move, looks @ turn.T))
     pose = Pose(trial.unit, trial.factor, trial.axes, turn @ trial.axes @ lean, scale, move, residual, middle)
     return trial, pose
+
+
+def _median(distance: Floats) -> float:
+    """Half of the known distances (n,) are smaller; infinite where none is known."""
+    known = np.abs(distance[np.isfinite(distance)])
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def _as_written(window: Window) -> float:
+    """Median distance (length) up to which a file lies as it was written: float32 corners, or a hair of a pitch."""
+    reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
+    return max(AS_WRITTEN * min(window.lattice.pitch), 2.0**-22 * reach)
 
 
 def _step(points: Floats, normal: Floats, distance: Floats) -> Floats:
@@ -490,7 +508,7 @@ def _placed(design: Design, subject: Subject, mesh: FileMesh, best: _Fit, handed
     trial, pose = best
     pitch = min(trial.window.lattice.pitch)
     limit = design.check.pose * pitch
-    exact = trial.whole and pose.untouched and pose.median <= AS_WRITTEN * pitch
+    exact = trial.whole and pose.untouched and pose.median <= _as_written(trial.window)
     window = trial.window
     if not trial.whole:
         window, pose = _inside(subject, trial, pose, mesh)
