@@ -9,12 +9,8 @@ from clacad.accuracy.measure import QUADS
 TASK = "accuracy"
 
 
-def seconds(rays: int, quads: Sequence[int] | None = None) -> float:
-    """Processor seconds: the 50-digit trace and the STEP spot, the floors, rays through every row, facets laid out."""
+def seconds(rays: int, bodies: int, quads: Sequence[int] | None = None) -> float:
+    """Processor seconds: the 50-digit trace, the STEP spot and the floors; rays through every row; facets laid out."""
     grids = tuple(quads or QUADS)
-    return FIXED + PER_RAY_AND_GRID * rays * len(grids) + PER_QUAD * sum(q * q for q in grids)
-
-
-FIXED = 16.0
-PER_RAY_AND_GRID = 9e-6
-PER_QUAD = 5e-4
+    each = 1.55 + 8.4e-6 * rays * len(grids) + 1.35e-4 * sum(q * q for q in grids)
+    return 0.4 + bodies * each

@@ -30,7 +30,7 @@ def measure_accuracy(
     refuse_early(design, (), None)  # before anything is forecast of it
     progress = Progress(quiet=quiet)
     try:
-        with forecast(TASK, seconds(rays), quiet=quiet):
+        with forecast(TASK, seconds(rays, 1 if design.pair.form == "slab" else 2), quiet=quiet):
             measured = accuracy(design, rays=rays, progress=progress)
     finally:
         progress.done()

@@ -140,9 +140,24 @@ def _through_mesh(
         mesh = read_soup(mesh, window)
     if isinstance(mesh, TriangleSoup):
         layout, tiles = lay_out_soup(window, mesh, normals)
+        if mesh.search == "embree" and normals == "facet" and recorded == 0 and rays.wavelength is None:
+            return _by_embree(layout, tiles, rays, threads)
     else:
         layout, tiles = lay_out_mesh(window, mesh, normals)
     return _compiled(layout, rays, recorded, threads, tiles)
+
+
+def _by_embree(layout: Layout, tiles: Tiles, rays: Rays, threads: int | None) -> TraceResult:
+    """Foreign triangles: what goes straight through by Embree, the rest by the own tree."""
+    from clacad.trace.embree import trace_straight
+
+    result, decided = trace_straight(layout.window, layout, tiles, rays)
+    rest = np.flatnonzero(~decided)
+    if len(rest):
+        own = _compiled(layout, Rays(rays.position[rest], rays.direction[rest]), 0, threads, tiles)
+        for name in ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux"):
+            getattr(result, name)[rest] = getattr(own, name)
+    return result
 
 
 def _compiled(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from clacad.sheet import Window
 from clacad.trace.layout import BodyPlan, Floats, Ints, Layout, lay_out
 from clacad.trace.mesh_layout import NO_TILES, Normals, Tiles
+
+Search = Literal["tree", "embree"]
 
 LEAF = 4
 """Triangles in a leaf of the tree."""
@@ -36,25 +38,40 @@ class TriangleSoup:
         Counter-clockwise seen from outside.
     normals : (t, 3, 3) or None
         Unit outward normals at the corners, where the file has them.
+    search : "tree" or "embree"
+        Who finds the triangle a ray meets: the tree of this module, or Embree (with facet normals, one wavelength
+        and nothing recorded; what is not plain goes to the tree). The results are the same.
     """
 
     corners: Floats
     normals: Floats | None = None
+    search: Search = "tree"
 
 
-def read_soup(path: str | os.PathLike[str], window: Window) -> TriangleSoup:
+def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tree") -> TriangleSoup:
     """Read a mesh file (STL, 3MF, PLY, OBJ, GLB) in the window's units.
+
+    Parameters
+    ----------
+    path : path
+    window : Window
+    search : "tree" or "embree"
+        See `TriangleSoup`; the results agree to the last digits.
 
     Raises
     ------
     ValueError
-        The file says no unit and its size fits the window in none, or in more than one.
+        The file says no unit and its size fits the window in none, or in more than one; or Embree is asked for and
+        not installed.
     """
     # readers live with the formats' writers; the tracer needs them only when it is handed a path
     from clacad.export.readers import read_mesh
+    from clacad.trace.embree import available
 
     found = read_mesh(path)
-    return soup_of(found, window)
+    if search == "embree" and not available():
+        raise ValueError('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
+    return replace(soup_of(found, window), search=search)
 
 
 def soup_of(found: Any, window: Window) -> TriangleSoup:
