@@ -64,13 +64,13 @@ def lines(shown):
 
 
 def test_volume_and_mass_are_those_of_the_triangles(made):
-    table, mesh = lines(made), tessellate(made.window, quads=24)
+    table, mesh = lines(made), tessellate(made.window, quads=16)
     for body in mesh.bodies:
         (volume,) = table[(body.body.name, "volume")]
         corners = body.vertices[body.triangles]
         crossed = np.cross(corners[:, 1], corners[:, 2])
         enclosed = float(np.einsum("ij,ij->", corners[:, 0], crossed)) / 6.0
-        assert volume == pytest.approx(enclosed, rel=2e-3)
+        assert volume == pytest.approx(enclosed, rel=4e-3)
         if body.body.material is not None:
             (mass,) = table[(body.body.name, "mass")]
             assert mass == pytest.approx(volume * 1190.0e-6, rel=1e-12)  # PMMA: 1190 kg/m³
@@ -91,7 +91,7 @@ def test_sag_is_that_of_the_triangles_of_the_lens(made):
     for lens in made.facts.lenses:
         face = next(f for f in alone.faces if f.array == lens.array)
         body = next(b for b in alone.bodies if face in (b.front, b.back))
-        corners = tessellate(alone, quads=32).bodies[alone.bodies.index(body)].vertices
+        corners = tessellate(alone, quads=16).bodies[alone.bodies.index(body)].vertices
         place = corners[:, :2] - np.asarray(alone.shifts[lens.array])
         from clacad.sheet import lens_height
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clacad.scene import Scene
     from clacad.verify.gather import Progress
 
-PIXELS = 300
+PIXELS = 260
 SAMPLES = 4
 EFFECTS = ("ghosts",)
 """Shown here; what the others would change is said by the plan of the report."""
@@ -42,6 +42,7 @@ class Look:
     through: bytes
     how: str
     scene: str
+    pixels: int = PIXELS
 
 
 def look(design: Design, window: Window, progress: Progress) -> Look:
