@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hard.measure import ULP, assert_whole, error, fate_of, interfaces, off, relative
+from hard.paths import PAGE, PATHS, faceted, turned_by_facets
 from hard.rays import HARD
 from hard.sheets import SHEETS, window_of
 from mpmath import mp, mpf
@@ -105,30 +106,6 @@ def test_compiled_and_numpy_biconics_agree_on_rays_from_everywhere(seed):
         assert (apart <= 1e-9 * size).mean() > 0.99
 
 
-def looked_at(window, rays, compiled):
-    """The rays as the renderer sends them: only if its box says that they may meet the sheet."""
-    from clacad.render.plan import Passage
-    from clacad.render.view import may_cross, sheet_box
-
-    passage = Passage("surfaces", (Fate.ALIVE, Fate.GHOST, Fate.LAND))
-    beyond, result = passage.light(window, rays, compiled)
-    if result.fate[0] != Fate.MISSED:
-        assert may_cross(sheet_box(window), rays.position, rays.direction)[0]
-    if result.fate[0] in (Fate.ALIVE, Fate.GHOST):
-        assert np.array_equal(beyond.direction, result.direction)
-        assert np.array_equal(beyond.position, result.position)
-        assert beyond.parent.tolist() == [0]
-    return result
-
-
-PATHS = {
-    "numpy": lambda window, rays: trace(window, rays, path="numpy"),
-    "numba": lambda window, rays: trace(window, rays, path="numba"),
-    "renderer, numpy": lambda window, rays: looked_at(window, rays, False),
-    "renderer, compiled": lambda window, rays: looked_at(window, rays, True),
-}
-
-
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("case", SHEETS, ids=[case.name for case in SHEETS])
 def test_a_hard_ray_through_a_whole_sheet_is_traced_as_the_oracle_does(case, path):
@@ -192,27 +169,45 @@ def test_the_distance_of_the_source_costs_a_sheet_nothing(path, power):
     np.testing.assert_allclose(far.position, one.position, rtol=0, atol=4 * ULP)
 
 
-PLAIN = [
-    case
-    for case in SHEETS
-    if not any(word in case.name for word in ("border", "corner", "rim", "ghost", "out", "apex", "plano"))
-]
-
-
-@pytest.mark.parametrize("case", PLAIN, ids=[case.name for case in PLAIN])
+@pytest.mark.parametrize("case", SHEETS, ids=[case.name for case in SHEETS])
 def test_facets_give_the_same_fate_and_cell_and_nearly_the_same_direction(case):
-    """Rung mesh: facets of slope error e turn light by a few e, telescopes multiply it by 1/η."""
-    window = window_of(dict(case.changes))
-    mesh = tessellate(window, quads=32)
+    """Rung mesh: facets of slope error e turn light by a few e, telescopes multiply it by 1/η.
+
+    Where a case says that facets cannot decide it, that is shown: the exact ray passes a border of a lens, or the
+    start lies before a face, nearer than the facets' error.
+    """
+    window, mesh = faceted(case)
     rays = Rays([case.start], [case.direction])
-    exact, faceted = trace(window, rays), trace(window, rays, rung="mesh", mesh=mesh)
-    assert_whole(faceted, 1)
-    assert faceted.fate[0] == exact.fate[0], case.why
-    assert np.array_equal(faceted.cell, exact.cell)
-    assert np.array_equal(faceted.order, exact.order)
-    stretch = 1 + np.linalg.svd(window.law.matrix(), compute_uv=False)[0]
-    bound = 6 * mesh.slope_error * stretch * max(body.index - 1 for body in window.bodies)
-    assert law_oracle.angle(faceted.direction[0], exact.direction[0]) <= bound
+    exact, result = trace(window, rays, record=True), trace(window, rays, rung="mesh", mesh=mesh)
+    assert_whole(result, 1)
+    bound = turned_by_facets(window, mesh)
+    if case.facets:
+        z = exact.hits[:, 0, 2]
+        near_face = abs(z[0] - case.start[2]) <= mesh.sag_error
+        cell = exact.cell[0] + exact.order[0]
+        across = exact.hits[-1, 0, :2] - window.shifts[1] - window.lattice.centres(cell[None])[0]
+        to_border = np.abs(0.5 * np.array(window.lattice.pitch) - np.abs(across)).min()
+        assert near_face or to_border <= bound * (z[-1] - z[0])
+        return
+    if case.undecidable:
+        return
+    assert result.fate[0] == exact.fate[0], case.why
+    assert np.array_equal(result.cell, exact.cell)
+    assert np.array_equal(result.order, exact.order)
+    assert law_oracle.angle(result.direction[0], exact.direction[0]) <= bound
+
+
+def test_few_cases_are_beyond_facets_and_the_page_counts_them():
+    beyond = [case for case in SHEETS if case.facets or case.undecidable]
+    assert len(beyond) <= 4
+    text = PAGE.read_text(encoding="utf-8")
+    assert f"of {len(SHEETS)} cases" in text
+    assert "differs" not in text
+    assert "beyond its error" not in text
+    for case in SHEETS:
+        assert text.count(f"| {case.name} |") == 1
+    for case in beyond:
+        assert f"**{case.name}**" in text
 
 
 def test_facets_of_planes_are_exact():

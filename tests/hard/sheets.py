@@ -30,7 +30,7 @@ def window_of(changes):
 
 @dataclass(frozen=True)
 class HardSheet:
-    """A sheet, a ray, and why the ray is hard."""
+    """A sheet, a ray, and why the ray is hard; `facets`: why facets cannot decide its fate."""
 
     name: str
     why: str
@@ -38,14 +38,16 @@ class HardSheet:
     start: tuple
     direction: tuple
     undecidable: bool = False
+    facets: str = ""
 
 
-def sheet(name, why, start, direction, undecidable=False, **changes):
+def sheet(name, why, start, direction, undecidable=False, facets="", **changes):
     """A case; keys of the design with __ for the dot."""
     pairs = tuple((key.replace("__", "."), value) for key, value in changes.items())
-    return HardSheet(name, why, pairs, start, direction, undecidable)
+    return HardSheet(name, why, pairs, start, direction, undecidable, facets)
 
 
+ONTO_BORDER = "lens 1 sends the light onto a border of lens 2, nearer than its facets' slope error carries it"
 MILLION, MILLIARD = [2_000_000, 2_000_000], [2_000_000_000, 2_000_000_000]
 SLAB = {"pair__form": "slab", "pair__thickness": None}
 TINY = {"lattice__pitch": 5e-7, "pair__separation": 5e-6, "pair__thickness": 1e-7}
@@ -54,14 +56,15 @@ SHEETS = [
     sheet("last cell", "cell (199, 199): sheet coordinates cost four bits", (0.4981, 0.4972, -0.01), (-0.02, 0.01, 1)),
     sheet("first cell", "cell (0, 0), the other end", (-0.4981, -0.4972, -0.01), (0.02, -0.01, 1)),
     sheet("on a border", "the wall belongs to the cell above it", (0.005, 0.0012, -0.01), (0, 0, 1)),
-    sheet("on a corner", "four cells meet in one point", (0.005, -0.01, -0.01), (0, 0, 1)),
-    sheet("one place below a corner", "the quotient rounds onto the corner", (0.004999999999999999, -0.010000000000000002, -0.01), (0, 0, 1)),
+    sheet("on a corner", "four cells meet in one point", (0.005, -0.01, -0.01), (0, 0, 1), facets=ONTO_BORDER),
+    sheet("one place below a corner", "the quotient rounds onto the corner", (0.004999999999999999, -0.010000000000000002, -0.01), (0, 0, 1), facets=ONTO_BORDER),
     sheet("along a border", "every hit lies on the wall", (0.005, 0.0012, -0.01), (0, 0.02, 1)),
     sheet("through a corner, oblique", "front and back lie in different cells", (0.005 - 1e-5, -0.01 - 2e-5, -0.0105), (0.001, 0.002, 1)),
     sheet("on the outer rim", "the last wall belongs to no cell", (0.5, 0.1012, -0.01), (0, 0, 1), undecidable=True),
     sheet("one place inside the rim", "the last light that counts", (0.49999999999999994, 0.1012, -0.01), (0, 0, 1)),
     sheet("outside the rim", "no cell is met", (0.5000001, 0.1012, -0.01), (0, 0, 1)),
-    sheet("start on an apex", "the distance to the first face is 0", (0.0025, 0.0025, -0.0005), (0.01, 0.02, 1)),
+    sheet("start on an apex", "the distance to the first face is 0", (0.0025, 0.0025, -0.0005), (0.01, 0.02, 1),
+          facets="the start lies on the surface, the facets stand within their sag error before or behind it"),
     sheet("on a lens's axis", "every offset is 0", (0.0025, 0.0025, -0.01), (0, 0, 1)),
     sheet("source at 1 km", "the cell hangs on the thirteenth digit", (0.0012 - 20.0, 0.0007 + 10.0, -1000.0), (0.02, -0.01, 1)),
     sheet("source at 1 km, on a border", "exact arithmetic says which cell", (0.005 - 15.625, 0.0007, -1000.0), (0.015625, 0, 1)),
