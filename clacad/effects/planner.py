@@ -13,7 +13,7 @@ from math import degrees
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.effects.fidelity import choose_rung
-from clacad.effects.passes import NAMES, Rung, module_of
+from clacad.effects.passes import FOLLOWED, NAMES, Rung, module_of
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Rays, TraceResult
@@ -207,6 +207,8 @@ def plan_effects(
         for name in NAMES:
             if name != "facets" or rung == "mesh":  # else a mesh would be made to judge what is not simulated
                 bounds[name] = _measured(situation, name, bounds[name])
+    if rung == "mesh":
+        bounds = {name: _smooth(name, bound) for name, bound in bounds.items()}
     rows = tuple(
         _row(name, bound, _state(name, bound, situation, wishes, rung), exact)
         for name, bound in bounds.items()
@@ -285,6 +287,13 @@ def _matters(bound: Bound, situation: Situation) -> bool:
 def _row(name: str, bound: Bound, state: State, measured: bool) -> Row:
     measured = measured and bound.known
     return Row(name, state, bound.why, bound.angle, bound.radiance, bound.cost, measured, bound.known)
+
+
+def _smooth(name: str, bound: Bound) -> Bound:
+    """What effects that trace paths of their own leave out on rung mesh."""
+    if name not in (*FOLLOWED, "reflections"):
+        return bound
+    return replace(bound, why=f"{bound.why}; these paths follow the exact surfaces, not the facets")
 
 
 def _measured(situation: Situation, name: str, bound: Bound) -> Bound:
