@@ -1,0 +1,358 @@
+"""The tracer beside other tracers, in one run on one core: python tests/benchmarks/trace_peers.py [rays] [--json] [--write].
+
+Same geometry (two biconvex lenses with spherical faces; or their facets), same number of rays, float64 unless a peer
+has no such thing. Every measurement stands next to one of this package's own kernel and one of the machine's floor,
+turn by turn, processor seconds; ratios are medians of the rounds. A peer that is not installed is left out by name.
+--write puts the table into tests/benchmarks/trace.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import statistics
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from oracle.windows import biconvex
+from trace_speed import beam, cpu, floor_loop, kernel
+
+from clacad.mesh import tessellate
+from clacad.rays import Rays
+from clacad.sheet import Window
+
+ROUNDS = 5
+FACES = 4
+QUADS = 100
+"""Facets along a cell: 20,000 triangles a face."""
+
+TARGETS = {
+    "batoid": 13.0,
+    "optiland": 17.0,
+    "embreex": 8.0,
+    "trimesh + embreex": 16.0,
+    "surfaces, in-cell, normal incidence": 0.50,
+    "array by lattice index, in-field": 0.45,
+    "two threads": 0.90,
+}
+
+Job = Callable[[], object]
+
+
+def sphere_of(face) -> float:
+    """Radius, positive where the centre lies on the +z side."""
+    return face.surface.side / face.surface.curvature_x
+
+
+def batoid_job(window: Window, rays: Rays) -> tuple[Job, Callable[[], np.ndarray]]:
+    """Rays through batoid's spheres; it works in place, so that each call gets a copy made beforehand."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+    import batoid
+
+    air, glass = batoid.ConstMedium(1.0), batoid.ConstMedium(window.bodies[0].index)
+    faces = [
+        (batoid.Sphere(sphere_of(face)), batoid.CoordSys(origin=face.vertex), one, two)
+        for body in window.bodies
+        for face, one, two in ((body.front, air, glass), (body.back, glass, air))
+    ]
+    p, d = rays.position.T.copy(), rays.direction.T.copy()
+    made = [batoid.RayVector(*p, *d, 0.0, 5e-7) for _ in range(ROUNDS + 2)]
+    last = []
+
+    def run() -> None:
+        beam = made.pop()
+        for surface, place, one, two in faces:
+            surface.refract(beam, one, two, place)
+        last[:] = [beam]
+
+    def directions() -> np.ndarray:
+        v = np.stack([last[0].vx, last[0].vy, last[0].vz], axis=1)
+        return v / np.linalg.norm(v, axis=1)[:, None]
+
+    return run, directions
+
+
+def optiland_job(window: Window, rays: Rays) -> tuple[Job, Callable[[], np.ndarray]]:
+    """Rays through optiland's spheres, numpy backend, surface by surface."""
+    from optiland.materials import IdealMaterial
+    from optiland.optic import Optic
+    from optiland.rays import RealRays
+
+    warnings.simplefilter("ignore")
+    lens, glass = Optic(), IdealMaterial(n=window.bodies[0].index)
+    heights = [face.vertex[2] for face in window.faces]
+    lens.add_surface(index=0, thickness=np.inf)
+    for k, face in enumerate(window.faces):
+        gap = heights[k + 1] - heights[k] if k + 1 < FACES else 0.01
+        lens.add_surface(
+            index=k + 1, radius=sphere_of(face), thickness=gap, material=glass if k % 2 == 0 else "air", is_stop=k == 0
+        )  # fmt: skip
+    lens.add_surface(index=FACES + 1)
+    lens.add_wavelength(value=0.5, is_primary=True)
+    surfaces = lens.surface_group.surfaces[1 : FACES + 1]
+    p, d, one = rays.position.T - [[0.0], [0.0], [heights[0]]], rays.direction.T, np.ones(len(rays))
+    last = []
+
+    def run() -> None:
+        beam = RealRays(*(c.copy() for c in p), *(c.copy() for c in d), one, 0.5 * one)
+        for surface in surfaces:
+            surface.trace(beam)
+        last[:] = [beam]
+
+    return run, lambda: np.stack([last[0].L, last[0].M, last[0].N], axis=1)
+
+
+def facets_of(mesh) -> list[np.ndarray]:
+    """Corners (m, 3, 3) of the optical facets of each face, in the order of the light."""
+    faces = []
+    for body in mesh.bodies:
+        corners = body.vertices[body.triangles]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        upright = normal[:, 2] / np.linalg.norm(normal, axis=1)
+        faces += [corners[upright < -0.05], corners[upright > 0.05]]
+    return faces
+
+
+def through_planes(faces, name: Callable, index: float, rays: Rays) -> np.ndarray:
+    """Refract rays in float64 at the planes of the triangles that `name` finds for each face."""
+    p, d = rays.position.copy(), rays.direction.copy()
+    for k, corners in enumerate(faces):
+        which = name(k, p, d)
+        a = corners[which]
+        normal = np.cross(a[:, 1] - a[:, 0], a[:, 2] - a[:, 0])
+        normal /= np.linalg.norm(normal, axis=1)[:, None] * np.sign(normal[:, 2:])
+        along = np.einsum("ij,ij->i", normal, d)
+        p = p + (np.einsum("ij,ij->i", normal, a[:, 0] - p) / along)[:, None] * d
+        mu = 1.0 / index if k % 2 == 0 else index
+        d = mu * d + (np.sqrt(1.0 - mu * mu * (1.0 - along * along)) - mu * along)[:, None] * normal
+    return d
+
+
+def embreex_job(window: Window, faces, rays: Rays) -> tuple[Job, Callable[[], np.ndarray]]:
+    """Embree (float32) says which triangle; hit and refraction are numpy's, float64."""
+    from embreex import rtcore_scene
+    from embreex.mesh_construction import TriangleMesh
+
+    scenes = []
+    for corners in faces:
+        scene = rtcore_scene.EmbreeScene()
+        TriangleMesh(scene, corners.astype(np.float32))
+        scenes.append(scene)
+    last = []
+
+    def name(k: int, p: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return scenes[k].run(p.astype(np.float32), d.astype(np.float32))
+
+    def run() -> None:
+        last[:] = [through_planes(faces, name, window.bodies[0].index, rays)]
+
+    return run, lambda: last[0]
+
+
+def trimesh_job(window: Window, faces, rays: Rays) -> tuple[Job, Callable[[], np.ndarray]]:
+    """Trimesh's own ray interface over embree."""
+    import embreex  # noqa: F401  # else trimesh takes its slow search
+    import trimesh
+
+    tracers = []
+    for corners in faces:
+        part = trimesh.Trimesh(
+            corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), process=False
+        )
+        tracers.append(trimesh.ray.ray_pyembree.RayMeshIntersector(part))
+    last = []
+
+    def name(k: int, p: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return tracers[k].intersects_first(p, d)
+
+    def run() -> None:
+        last[:] = [through_planes(faces, name, window.bodies[0].index, rays)]
+
+    return run, lambda: last[0]
+
+
+def against(ours: Job, peer: Job, own_rays: int, peer_rays: int) -> tuple[float, float]:
+    """How many times the peer's seconds a ray are ours, and the peer's million ray-surfaces a second."""
+    ours()
+    peer()
+    ratios, rates = [], []
+    for _ in range(ROUNDS):
+        one, other = cpu(ours) / own_rays, cpu(peer) / peer_rays
+        ratios.append(other / one)
+        rates.append(1e-6 * FACES / other)
+    return statistics.median(ratios), statistics.median(rates)
+
+
+def peers(count: int) -> list[dict[str, object]]:
+    """One row a peer: how many times slower, its rate, how far its directions are from ours."""
+    window = biconvex(eta=(-0.5, -0.5), count=(1, 1))
+    rays = beam(window, count, 0.02, 0.4)
+    mesh = tessellate(window, quads=QUADS)
+    faces = facets_of(mesh)
+    few = Rays(rays.position[: count // 4], rays.direction[: count // 4])
+    smooth, flat = kernel(window, rays), kernel(window, rays, mesh)
+    makers = {
+        "batoid": (lambda: batoid_job(window, rays), smooth, rays),
+        "optiland": (lambda: optiland_job(window, few), smooth, few),
+        "embreex": (lambda: embreex_job(window, faces, few), flat, few),
+        "trimesh + embreex": (lambda: trimesh_job(window, faces, few), flat, few),
+    }
+    rows: list[dict[str, object]] = []
+    for name, (make, ours, theirs) in makers.items():
+        try:
+            run, directions = make()
+        except ImportError as error:
+            rows.append({"peer": name, "left_out": f"not installed ({error.name})"})
+            continue
+        times, rate = against(ours, run, len(rays), len(theirs))
+        ours()
+        apart = np.linalg.norm(directions() - ours.ledger.direction[: len(theirs)], axis=1)
+        rows.append(
+            {"peer": f"{name} {version(name.split()[0])}", "times_slower": times, "million_ray_surfaces_per_second": rate, "target": TARGETS[name],
+             "direction_median": float(np.nanmedian(apart)), "direction_max": float(np.nanmax(apart))}
+        )  # fmt: skip
+    return rows
+
+
+def cases(count: int) -> list[dict[str, object]]:
+    """Our own rungs against the floor: rays along the normal, over the field, at wide angles."""
+    window = biconvex(count=(200, 200))
+    mesh = tessellate(window, quads=32)
+    rows = np.random.default_rng(1).uniform(0.5, 1.0, (6, count))
+    out = np.empty_like(rows)
+    made: dict[str, Job] = {}
+    for angle, spread in (("normal incidence", 0.001), ("in-field", 0.005), ("wide angle", 0.2)):
+        inner, anywhere = beam(window, count, spread, 0.4), beam(window, count, spread, 1.0)
+        made[f"surfaces, in-cell, {angle}"] = kernel(window, inner)
+        made[f"array by lattice index, {angle}"] = kernel(window, anywhere)
+        made[f"mesh, array by lattice index, {angle}"] = kernel(window, anywhere, mesh)
+    floor = cpu_of_floor(rows, out)
+    table = []
+    for name, run in made.items():
+        walked = int(run()) / count
+        shares, rates = [], []
+        for _ in range(ROUNDS):
+            base, one = floor() / (FACES * count), cpu(run) / (FACES * count)
+            shares.append(base / one)
+            rates.append(1e-6 / one)
+        table.append(
+            {"what": name, "million_ray_surfaces_per_second": statistics.median(rates),
+             "of_floor": statistics.median(shares), "walked": walked, "target": TARGETS.get(name)}
+        )  # fmt: skip
+    return table
+
+
+def cpu_of_floor(rows: np.ndarray, out: np.ndarray) -> Callable[[], float]:
+    """The floor loop, compiled, to be timed."""
+    floor_loop(rows, out)
+    return lambda: cpu(lambda: floor_loop(rows, out))
+
+
+def threads(count: int) -> dict[str, float]:
+    """Speed-up from one to two threads, of the bare floor loop and of the tracer; wall clock."""
+    window = biconvex(count=(200, 200))
+    rays = beam(window, count, 0.005, 1.0)
+    rows = np.random.default_rng(1).uniform(0.5, 1.0, (6, count))
+    out = np.empty_like(rows)
+    half = count // 2
+    parts = [(rows[:, :half].copy(), out[:, :half].copy()), (rows[:, half:].copy(), out[:, half:].copy())]
+    run = {n: trace_with(window, rays, n) for n in (1, 2)}
+
+    def floor(pool_of: int) -> None:
+        with ThreadPoolExecutor(pool_of) as pool:
+            list(pool.map(lambda part: floor_loop(*part), parts))
+
+    gains: dict[str, list[float]] = {"floor": [], "tracer": []}
+    for work in (lambda: floor(2), run[1], run[2]):
+        work()
+    for _ in range(2 * ROUNDS):
+        gains["floor"].append(wall(lambda: floor(1)) / wall(lambda: floor(2)))
+        gains["tracer"].append(wall(run[1]) / wall(run[2]))
+    floor_gain, own = statistics.median(gains["floor"]), statistics.median(gains["tracer"])
+    return {"floor": floor_gain, "tracer": own, "share": own / floor_gain, "target": TARGETS["two threads"]}
+
+
+def trace_with(window: Window, rays: Rays, number: int) -> Job:
+    """The compiled tracer on so many threads, into arrays that exist already."""
+    from clacad.trace.compiled_surfaces import trace_compiled
+    from clacad.trace.layout import lay_out
+    from clacad.trace.ledger import Ledger
+
+    ledger, layout, indices = Ledger.blank(len(rays), 0), lay_out(window), [b.index for b in window.bodies]
+    return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, number)
+
+
+def wall(run: Job) -> float:
+    """Seconds of one call by the clock."""
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
+
+
+def as_table(found: dict) -> str:
+    """The result as Markdown."""
+    lines = [
+        "| what (one core) | M ray-surfaces/s | of the floor | walked | target |", "|---|---:|---:|---:|---:|"
+    ]  # fmt: skip
+    for row in found["cases"]:
+        goal = "" if row["target"] is None else f"{row['target']:.2f}"
+        lines.append(
+            f"| {row['what']} | {row['million_ray_surfaces_per_second']:.1f} | {row['of_floor']:.2f} | {row['walked']:.2%} | {goal} |"
+        )
+    lines += ["", "| peer | M ray-surfaces/s | times slower than clacad | target | direction off: median, largest (rad) |",
+              "|---|---:|---:|---:|---|"]  # fmt: skip
+    for row in found["peers"]:
+        if "left_out" in row:
+            lines.append(f"| {row['peer']} | left out: {row['left_out']} | | | |")
+            continue
+        lines.append(
+            f"| {row['peer']} | {row['million_ray_surfaces_per_second']:.2f} | {row['times_slower']:.1f} | {row['target']:.0f} | {row['direction_median']:.1e}, {row['direction_max']:.1e} |"
+        )
+    two = found["threads"]
+    lines += ["", f"Two threads: the tracer {two['tracer']:.2f} times as fast as one, the floor loop {two['floor']:.2f}: "
+              f"{two['share']:.0%} of it (target {two['target']:.0%})."]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def write(text: str, part: str) -> None:
+    """Replace one benchmark's part of trace.md."""
+    path = Path(__file__).with_name("trace.md")
+    begin, end = f"<!-- {part} -->\n", f"<!-- end of {part} -->\n"
+    old = path.read_text()
+    machine = (
+        f"Measured on {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}.\n\n"
+    )
+    path.write_text(old.split(begin)[0] + begin + machine + text + end + old.split(end)[1])
+
+
+def main() -> int:
+    """Measure and show; 1 if a target is missed."""
+    numbers = [int(a) for a in sys.argv[1:] if a.isdigit()]
+    count = numbers[0] if numbers else 1_000_000
+    found = {
+        "rays": count,
+        "cases": cases(count),
+        "peers": peers(min(count, 400_000)),
+        "threads": threads(count),
+    }
+    text = as_table(found)
+    sys.stdout.write(json.dumps(found, indent=1) + "\n" if "--json" in sys.argv else text)
+    if "--write" in sys.argv:
+        write(text, "peers")
+    reached = [row["of_floor"] >= row["target"] for row in found["cases"] if row["target"] is not None]
+    reached += [row["times_slower"] >= row["target"] for row in found["peers"] if "left_out" not in row]
+    return int(not all([*reached, found["threads"]["share"] >= found["threads"]["target"]]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
