@@ -20,12 +20,15 @@ from clacad.export.errors import UnreadableFile
 
 Floats = NDArray[np.float64]
 
-_STATEMENT = re.compile(r"((?:'(?:[^']|'')*'|[^';])*);")
+# a doubled quote inside a string reads as the end of one and the beginning of the next; nothing is tried twice
+_STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
 _ENTITY = re.compile(r"\s*#(\d+)\s*=\s*\(?\s*([A-Z0-9_]+)")
 _REFERENCE = re.compile(r"#(\d+)")
 _STRING = re.compile(r"'((?:[^']|'')*)'")
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:E[-+]?\d+)?")
 _CHUNK = 1 << 22
+LONGEST = 1 << 28
+"""Characters of one statement; a shell of ten million faces has fewer."""
 
 
 @dataclass
@@ -81,10 +84,12 @@ def statements(path: str | os.PathLike[str]) -> Iterator[str]:
             first = False
             rest += block
             end = 0
-            for match in _STATEMENT.finditer(rest):
+            while match := _STATEMENT.match(rest, end):
                 yield match.group(1)
                 end = match.end()
             rest = rest[end:]
+            if len(rest) > LONGEST:
+                raise UnreadableFile(f"{os.fspath(path)}: a statement of more than {LONGEST} characters")
     if first or rest.strip():
         raise UnreadableFile(f"{os.fspath(path)}: ends in the middle of a statement; the file is cut short")
 
@@ -116,6 +121,17 @@ def scan_step(path: str | os.PathLike[str]) -> Scan:
     OSError
         The file cannot be read.
     """
+    try:
+        return _scanned(path)
+    except UnreadableFile:
+        raise
+    except (RecursionError, ArithmeticError, ValueError, LookupError, MemoryError) as error:
+        raise UnreadableFile(
+            f"{os.fspath(path)}: its text makes no sense ({type(error).__name__})"
+        ) from error
+
+
+def _scanned(path: str | os.PathLike[str]) -> Scan:
     scan, graph = Scan(), _Graph()
     defined, referred = array("q"), array("q")
     last = ""
@@ -203,9 +219,8 @@ def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
 
 
 def _finish(scan: Scan, graph: _Graph, defined: NDArray[np.int64], referred: NDArray[np.int64]) -> None:
-    known = np.zeros(int(max(defined.max(), referred.max())) + 1, dtype=bool)
-    known[defined] = True
-    scan.dangling = int(np.count_nonzero(~known[referred]))
+    # not a table of all numbers: a stranger's file may name one of 10^18
+    scan.dangling = int(np.count_nonzero(~np.isin(referred, np.unique(defined))))
     scan.open_edges = sum(uses != 3 for uses in graph.uses.values())
     roots = set(graph.shape_of.values()) - {
         child for children in graph.components.values() for child in children
