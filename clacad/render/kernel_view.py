@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from clacad.rays import Fate
 from clacad.render.kernel_look import Pad, look_block, new_pad
+from clacad.render.kernel_quick import DIRECT, STRAYED, UNDECIDED, pass_quick
 from clacad.render.tables import BLOCK
 from clacad.trace import packing as slot
 from clacad.trace.compiled import exact, owning
@@ -30,7 +31,7 @@ Words = NDArray[np.uint64]
 BESIDE, BLACK, SHINES, BEFORE = range(4)
 """What becomes of a ray: goes past the sheet, brings nothing, goes on behind it, met something before it."""
 
-ALIVE, GHOST, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED)
+ALIVE, GHOST, LAND, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.MISSED)
 
 NO_SHEET, LAW, SURFACES = range(3)
 
@@ -71,6 +72,8 @@ class Pane(NamedTuple):
         No facets.
     shining : (256,) bytes
         Fates whose rays bring light.
+    quick : bool
+        Whether `kernel_quick` suits the sheet.
     """
 
     kind: int
@@ -84,6 +87,7 @@ class Pane(NamedTuple):
     indices: Floats
     tiles: Any
     shining: NDArray[np.uint8]
+    quick: bool
 
 
 SCALE, FRONT, PANE_NUMBERS = 19, 20, 21
@@ -318,7 +322,15 @@ def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
         position[0, c], direction[0, c] = start[0, c], way[0, c]
     walk.fate[0] = MISSED
     reaches, p, q, x, y, z, u, v, w, far = launch_ray(pane.lattice, pane.bodies, start, way, 0)
-    if reaches:
+    told = UNDECIDED
+    if reaches and pane.quick:
+        told = pass_quick(
+            pane.faces, pane.bodies, pane.lattice, pane.rows, pane.indices, p, q, x, y, z, u, v, w, position,
+            direction,
+        )  # fmt: skip
+        walk.fate[0] = ALIVE if told == DIRECT else (GHOST if told == STRAYED else LAND)
+    if reaches and told == UNDECIDED:
+        walk.fate[0] = MISSED
         walk_ray(
             pane.tiles, pane.faces, pane.bodies, pane.lattice, pane.rows, pane.indices, p, q, x, y, z, u, v, w, far, 0,
             position, direction, walk.fate, walk.path, walk.cells[0], walk.cells[1], walk.cells[2, :, 0], walk.none,

@@ -40,6 +40,7 @@ def pane_of(
     if len(lines) != 1 or not lines[0].whole or (present and not (plane or exact)):
         return None
     from clacad.render import kernel_view as kernel
+    from clacad.render.kernel_quick import suits
     from clacad.trace.layout import lay_out
     from clacad.trace.mesh_layout import NO_TILES
     from clacad.trace.packing import pack
@@ -60,9 +61,10 @@ def pane_of(
     shining[list(passage.shining)] = 1
     wave = lines[0].wavelength
     indices = np.array([body.index if wave is None else body.index_at(wave) for body in window.bodies])
+    quick = suits(packed.faces, packed.bodies, packed.lattice)
     return kernel.Pane(
         kind, numbers, opaque, before, packed.faces, packed.bodies, packed.lattice, packed.rows, indices, NO_TILES,
-        shining,
+        shining, quick,
     )  # fmt: skip
 
 
