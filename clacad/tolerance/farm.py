@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, Protocol
 
 from clacad import __version__
@@ -35,8 +35,6 @@ class Broken(RuntimeError):
 
 class _Promise(Protocol):
     def result(self) -> Any: ...
-
-    def cancel(self) -> Any: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,15 +87,22 @@ def told(work: Work, study: str, piece: Any) -> tuple[str, list[Any]]:
 
 
 def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
+    others = {process.pid for process in active_children()}
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_settle)
+    done = False
     try:
         yield from _in_order(lambda piece: pool.submit(told, work, study, piece), pieces, count)
+        done = True
     except BrokenProcessPool as error:
         raise Broken(
             "a worker process died (out of memory?); the same command again goes on from there"
         ) from error
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        if not done:  # stopped on the way: nobody waits for pieces that nobody will take
+            for process in active_children():
+                if process.pid not in others:
+                    process.kill()
+        pool.shutdown(wait=done)
 
 
 def _settle() -> None:
@@ -133,18 +138,14 @@ def _in_order(
     """Keep every worker busy, never hold more than a few results, give them in the order of the pieces."""
     waiting: deque[Any] = deque()
     rest = iter(pieces)
-    try:
-        while True:
-            for piece in rest:
-                waiting.append(submit(piece))
-                if len(waiting) >= PER_WORKER * count:
-                    break
-            if not waiting:
-                return
-            version, result = waiting.popleft().result()
-            if version != __version__:
-                raise NoCluster(f"a worker runs clacad {version}, this is {__version__}")
-            yield result
-    finally:
-        for promise in waiting:
-            promise.cancel()
+    while True:
+        for piece in rest:
+            waiting.append(submit(piece))
+            if len(waiting) >= PER_WORKER * count:
+                break
+        if not waiting:
+            return
+        version, result = waiting.popleft().result()
+        if version != __version__:
+            raise NoCluster(f"a worker runs clacad {version}, this is {__version__}")
+        yield result
