@@ -87,8 +87,8 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
         areas.append(0.5 * float(np.linalg.norm(normal, axis=1).sum()))
         low = np.minimum(low, corners.min(axis=(0, 1)))
         high = np.maximum(high, corners.max(axis=(0, 1)))
-    box = [tuple(float(v) for v in corner) for corner in (low, high)]
-    return Measure(facets, (int(sums[0]), int(sums[1])), fsum(volumes), fsum(areas), box[0], box[1])  # type: ignore[arg-type]
+    bottom, top = ((float(corner[0]), float(corner[1]), float(corner[2])) for corner in (low, high))
+    return Measure(facets, (int(sums[0]), int(sums[1])), fsum(volumes), fsum(areas), bottom, top)
 
 
 def _edge_sums(corners: Floats) -> tuple[np.uint64, np.uint64]:

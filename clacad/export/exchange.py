@@ -41,6 +41,7 @@ def exchange(
         Nothing has changed.
     Unfinished
     """
+
     def kept(name: str) -> Path:
         return private / (OLD + name)
 

@@ -22,6 +22,7 @@ from clacad.rates import Rates
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.export.step import Mode
     from clacad.export.tessellation import Meshes
     from clacad.sheet import Window
 
@@ -198,7 +199,7 @@ def facets_at_least(window: Window, quads: int) -> int:
 
 
 def forecast(
-    meshes: Meshes, formats: Sequence[str], quads: int, step: str = "auto", pcurves: bool = True
+    meshes: Meshes, formats: Sequence[str], quads: int, step: Mode = "auto", pcurves: bool = True
 ) -> list[Forecast]:
     """Forecast each format.
 
@@ -222,7 +223,7 @@ def timed(rows: Sequence[Forecast]) -> list[Forecast]:
     return [replace(row, seconds=(span.low, span.high)) for row, span in zip(rows, spans, strict=True)]
 
 
-def _forecast_one(meshes: Meshes, name: str, quads: int, step: str, pcurves: bool = True) -> Forecast:
+def _forecast_one(meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True) -> Forecast:
     window = meshes.window
     if name in ("stl", "stl-parts"):
         files = 1 if name == "stl" else len(window.bodies)
@@ -278,11 +279,11 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     )
 
 
-def _forecast_step(window: Window, step: str, pcurves: bool = True) -> Forecast:
+def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast:
     from clacad.export.sizes import step_bytes
     from clacad.export.step import chosen_mode
 
-    mode = chosen_mode(window, step)  # type: ignore[arg-type]
+    mode = chosen_mode(window, step)
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         memory = (400_000_000, 900_000_000 + 250_000 * columns)

@@ -14,6 +14,7 @@ from clacad.sheet import Window
 
 if TYPE_CHECKING:
     from clacad.export.formats import Job
+    from clacad.export.step import Mode, Schema
 
 SHAPE_LIMIT = 1e-7
 """Largest distance of a written lens face from the closed form, in pitches."""
@@ -65,12 +66,12 @@ def step_record(job: Job) -> FileRecord:
 
 
 def write(
-    window: Window, path: str, mode: str, schema: str = "AP242", pcurves: bool = True
+    window: Window, path: str, mode: Mode, schema: Schema = "AP242", pcurves: bool = True
 ) -> dict[str, Any]:
     """Write in the worker; the kernel is not needed, but its memory and time are."""
     from clacad.export.step import write_step
 
-    return write_step(window, path, mode, schema, pcurves)  # type: ignore[arg-type]
+    return write_step(window, path, mode, schema, pcurves)
 
 
 def read(path: str, window: Window) -> dict[str, Any]:
