@@ -43,7 +43,9 @@ class Browser:
         )  # fmt: skip
         port, path = self._port()
         self.open_things = contextlib.ExitStack()
-        self.socket = self.open_things.enter_context(connect(f"ws://127.0.0.1:{port}{path}", max_size=1 << 28))
+        self.socket = self.open_things.enter_context(
+            connect(f"ws://127.0.0.1:{port}{path}", max_size=1 << 28)
+        )
         self.number, self.events, self.session = 0, [], None
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]

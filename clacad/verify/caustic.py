@@ -82,7 +82,8 @@ def foci(window: Window) -> tuple[MeridianFocus, MeridianFocus]:
     """Trace both fans in both meridians of the lenses, surfaces as built."""
     turn = window.thin.rotation
     middle = np.array([[0.0, 0.0, 0.0], np.asarray(window.thin.offset)])
-    if window.form != "biconvex":  # the offset in air stands for a longer one: glass lies between the vertices
+    # the offset in air stands for a longer one where glass lies between the vertices
+    if window.form != "biconvex":
         middle[1] = _apex(window, 1)
     distance = float((middle[1] - middle[0]) @ turn[:, 2])
     found = []
