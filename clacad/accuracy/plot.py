@@ -126,7 +126,7 @@ def _draw_floors(axes: Any, table: Table) -> None:
     axes.set_xlabel("quads a cell side")
     axes.set_title("where it stops paying: dot: least; cross: traced", fontsize=7)
     if found:
-        axes.legend(fontsize=6, loc="center left")
+        axes.legend(fontsize=6, loc=(0.03, 0.33))
 
 
 def _label(row: Row) -> str:
