@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from clacad import Design, DesignError, Law, Rays, prescribe, trace
+from clacad.effects.follow import Rules, follow
 from clacad.rays import Fate
 
 FINITE = settings(
@@ -250,6 +251,21 @@ ANY = {
     "pair": {"form": "biconvex", "separation": 2.0**-4, "index": 1.5},
     "lattice": {"kind": "square", "pitch": 2.0**-8, "count": [8, 8]},
 }  # fmt: skip
+
+
+@given(designs(), st.integers(0, 10**6), st.integers(0, 2), st.floats(0.0, 0.1))
+@FINITE
+def test_a_sheet_conserves_energy(data, seed, order, dark):
+    """Light behind, before, inside walls and in the glass: the shares of every ray's paths sum to 1."""
+    window, rays = window_of(data), bundle(seed, count=30)
+    met = np.flatnonzero(trace(window, rays).fate < Fate.MISSED)
+    assume(len(met))
+    indices = tuple(body.index for body in window.bodies)
+    rules = Rules(walls=True, total=True, losses=True, order=order, indices=indices,
+                  attenuation=tuple(dark / 2.0**-8 for _ in window.bodies))  # fmt: skip
+    shares = follow(window, rays, met, rules).share
+    assert np.abs(sum(shares.values())[met] - 1.0).max() <= 1e-12
+    assert all((share[met] >= -1e-15).all() for share in shares.values())
 
 
 @given(designs(), st.integers(0, 10**6), st.sampled_from(["thin", "surfaces"]))
