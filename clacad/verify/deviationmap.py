@@ -20,7 +20,7 @@ from clacad.export.atomic import Stage, canonical_json, safe_name
 from clacad.sheet import Window
 from clacad.verify.checks import plain
 from clacad.verify.gather import levels
-from clacad.verify.registration import INWARD
+from clacad.verify.posefit import INWARD
 from clacad.verify.sides import STEEP, Floats, Ints, off_faces
 
 BINS = 16

@@ -1,0 +1,388 @@
+"""The search for a pose: every unit and turn whose box is the design's, fitted to the exact faces by least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+from math import floor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.export.filemesh import FileMesh
+from clacad.export.truth import whole_extent
+from clacad.feasibility import body_range
+from clacad.sheet import Window
+from clacad.verify.files import (
+    FACTORS,
+    SAME_EXTENT,
+    STATED,
+    CannotRegister,
+    Subject,
+    fitting_window,
+    present_bodies,
+)
+from clacad.verify.gather import levels
+from clacad.verify.sides import Floats, off_faces
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+SAMPLE = 4000
+"""Facets whose corners are fitted."""
+
+TRIALS = 6
+"""Turns of each handedness that are fitted; the others are worse before the fit already."""
+
+INWARD = 1e-6
+"""Part of the way to a facet's middle by which its corners are drawn in before they are located."""
+
+STEPS = 12
+PHASES = 6
+"""Places a side tried within a cell, for a piece that was not cut along cell borders."""
+
+AS_WRITTEN = 1e-5
+"""Median distance over the pitch below which a file lies as it was written and is judged to rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Similarity from a file to the design: x ↦ scale · turn · x · factor + move.
+
+    unit : str
+        Name of the file's unit; factor : design units per file unit.
+    axes : (3, 3)
+        The nearest turn of the axes (a signed permutation), det −1 if mirrored.
+    turn : (3, 3)
+        With the small rotation found by the fit.
+    scale : float
+        Size of the part over the design's.
+    move : (3,) lengths
+    residual : float, length
+        Robust rms distance of the part's corners from the design's faces.
+    median : float, length
+        Half of them are nearer than this.
+    """
+
+    unit: str
+    factor: float
+    axes: Floats
+    turn: Floats
+    scale: float
+    move: Floats
+    residual: float
+    median: float
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the part is the mirror image of the design."""
+        return bool(np.linalg.det(self.axes) < 0.0)
+
+    @property
+    def untouched(self) -> bool:
+        """Whether the file's numbers are the design's, but for the unit."""
+        return bool(np.array_equal(self.turn, np.eye(3))) and self.scale == 1.0 and not self.move.any()
+
+    def onto_design(self, points: Floats) -> Floats:
+        """File points (…, 3) in the sheet frame of the design, scaled to its size."""
+        return np.asarray((points * self.factor) @ (self.turn.T / self.scale) + self.move)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    unit: str
+    factor: float
+    axes: Floats
+    window: Window
+    present: tuple[str, ...]
+    whole: bool
+    points: Floats
+    facing: Floats
+    onto: Floats
+    move: Floats
+    between: Floats
+    residual: float
+
+    def off(self, points: Floats, facing: Floats) -> Floats:
+        return off_faces(self.window, points, facing, self.present, self.between).distance
+
+
+def robust(distance: Floats) -> float:
+    """Rms of distances (n,) that a tenth of wild ones cannot spoil; infinite where too few are known."""
+    known = np.abs(distance[np.isfinite(distance)])
+    if len(known) < max(32, len(distance) // 20):
+        return np.inf
+    return float(1.4826 * np.median(known)) + 0.1 * float(
+        np.sqrt(np.mean(np.sort(known)[: int(0.9 * len(known))] ** 2))
+    )
+
+
+# -- trials ---------------------------------------------------------------------------------------------
+
+
+def sampled(mesh: FileMesh) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Corners (n, 3) and outward normals (n, 3) of some facets, straightened; extent and centre of the box; the turn
+    (3, 3) that straightened them.
+    """
+    stride = max(1, mesh.facet_count // SAMPLE)
+    kept, areas, whole, at = [], np.zeros((3, 3)), np.zeros(3), 0
+    for chunk in mesh.chunks():
+        normal = 0.5 * np.cross(chunk[:, 1] - chunk[:, 0], chunk[:, 2] - chunk[:, 0])
+        area = np.linalg.norm(normal, axis=1)
+        for k in range(3):  # vector area, and area, of the sides that look along ±k
+            looks = np.abs(normal[:, k]) > 0.9 * area
+            areas[k] += (normal[looks] * np.sign(normal[looks, k : k + 1])).sum(axis=0)
+            whole[k] += float(area[looks].sum())
+        kept.append(chunk[(-at) % stride :: stride])
+        at += len(chunk)
+    corners = np.concatenate(kept)
+    lean = _lean(areas, whole)
+    corners = corners @ lean.T
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for chunk in mesh.chunks():
+        turned = chunk.reshape(-1, 3) @ lean.T
+        low, high = np.minimum(low, turned.min(axis=0)), np.maximum(high, turned.max(axis=0))
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    good = length > 0.0
+    facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
+    # a corner on a border belongs to two columns: a hair towards the facet's middle decides
+    corners = corners + INWARD * (corners.mean(axis=1, keepdims=True) - corners)
+    return corners[good].reshape(-1, 3), facing, high - low, 0.5 * (low + high), lean
+
+
+def _lean(areas: Floats, whole: Floats) -> Floats:
+    """Turn (3, 3) that sets the sides of the part along the axes; the identity where they stand there already.
+
+    The two flattest sides give it: lenses may lean, walls do not.
+
+    areas : (3, 3) vector areas of the sides that look along ±x, ±y, ±z; whole : (3,) their areas
+    """
+    size = np.linalg.norm(areas, axis=1)
+    flat = np.where(whole > 0.0, size / np.where(whole > 0.0, whole, 1.0), 0.0)
+    a, b = sorted(int(k) for k in np.argsort(-flat, kind="stable")[:2])
+    if flat[a] == 0.0 or flat[b] == 0.0:
+        return np.eye(3)
+    unit = np.where(size[:, None] > 0.0, areas / np.where(size > 0.0, size, 1.0)[:, None], np.eye(3))
+    if max(float(np.abs(unit[k] - np.eye(3)[k]).max()) for k in (a, b)) < 1e-3:
+        return np.eye(3)
+    first = unit[a]
+    second = unit[b] - first * (unit[b] @ first)
+    second = second / np.linalg.norm(second)
+    third = np.cross(first, second) * (1.0 if (b - a) % 3 == 1 else -1.0)
+    rows = np.zeros((3, 3))
+    rows[a], rows[b], rows[3 - a - b] = first, second, third
+    return rows
+
+
+def _axes() -> Iterator[Floats]:
+    """The 48 signed permutations, the identity first."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            made = np.zeros((3, 3))
+            made[range(3), list(order)] = signs
+            yield made
+
+
+def order_of(axes: Floats) -> int:
+    """How far a turn of the axes is from none: ties take the least."""
+    return int(round(3.0 - float(np.trace(axes))))
+
+
+def all_trials(
+    design: Design, whole: Window, fixed: bool, subject: Subject, mesh: FileMesh, corners: Floats, facing: Floats,
+    extent: Floats, centre: Floats,
+) -> Iterator[Trial]:  # fmt: skip
+    """Every unit and turn that makes the box of the part the design's, with its distance before any fit."""
+    heights = [whole.z_range[1] - whole.z_range[0]]
+    spans = [body_range(whole, body) for body in whole.bodies]
+    between = levels(whole)
+    heights += [high - low for low, high in spans]
+    own = [("its own unit", mesh.unit)] if mesh.unit is not None and mesh.format in STATED else list(FACTORS)
+    few = slice(None, None, max(1, len(corners) // 3000))
+    for (name, metres), axes in product(own, list(_axes())):
+        factor = metres / design.unit_m
+        size = np.abs(axes) @ extent * factor
+        made = _fits(design, whole, fixed, heights, size)
+        if made is None:
+            continue
+        window, cut = made
+        present = present_bodies(window, subject, float(size[2]))
+        points, looks = corners[few] @ axes.T * factor, facing[few] @ axes.T
+        middle = axes @ centre * factor
+        onto = _onto(window, spans, present, middle)
+        for move in _moves(window, onto, cut, axes):
+            off = off_faces(window, points + move, looks, present, between)
+            yield Trial(
+                name,
+                factor,
+                axes,
+                window,
+                present,
+                not cut,
+                points,
+                looks,
+                onto,
+                move,
+                between,
+                robust(off.distance),
+            )
+
+
+def _fits(
+    design: Design, whole: Window, fixed: bool, heights: Sequence[float], size: Floats
+) -> tuple[Window, bool] | None:
+    """The design with the cells of a box of this size, and whether it is a piece cut across cells; None if neither."""
+    window = fitting_window(design, whole, fixed, heights, size)
+    if window is not None:
+        return window, False
+    if fixed or not any(abs(size[2] / h - 1.0) <= SAME_EXTENT for h in heights):
+        return None
+    x0, x1, y0, y1 = whole_extent(whole)
+    steps = np.array([design.lattice.pitch[0], whole.lattice.a2[1]])
+    room = (1.0 + SAME_EXTENT) * np.array([x1 - x0, y1 - y0])
+    if (size[:2] > room).any() or (size[:2] < 1.5 * steps).any():
+        return None
+    count = [floor(float(s) / float(p)) + 3 for s, p in zip(size[:2], steps, strict=True)]
+    return whole.with_cells((count[0], count[1])), True
+
+
+def _onto(
+    window: Window, spans: Sequence[tuple[float, float]], present: Sequence[str], middle: Floats
+) -> Floats:
+    """Displacement (3,) from the middle of a box to the middle of the design's."""
+    held = replace(window, bodies=tuple(b for b in window.bodies if b.name in present))
+    x0, x1, y0, y1 = whole_extent(held)
+    mine = [r for r, body in zip(spans, window.bodies, strict=True) if body.name in present]
+    z = 0.5 * (min(r[0] for r in mine) + max(r[1] for r in mine))
+    return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), z]) - middle
+
+
+def _moves(window: Window, onto: Floats, cut: bool, axes: Floats) -> list[Floats]:
+    """Displacements to try: none (the file's own frame), box onto box, and for a cut piece places within a cell."""
+    if not cut:
+        reach = 1e-3 * min(window.lattice.pitch)
+        own = np.array_equal(axes, np.eye(3)) and bool((np.abs(onto) <= reach).all())
+        return [np.zeros(3)] if own else [onto]
+    a1, a2 = np.asarray(window.lattice.a1), np.asarray(window.lattice.a2)
+    parts = (np.arange(PHASES) + 0.5) / PHASES - 0.5
+    return [onto + np.array([*(u * a1 + v * a2), 0.0]) for u in parts for v in parts]
+
+
+def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, extent: Floats) -> str:
+    x0, x1, y0, y1 = whole_extent(whole)
+    size = " x ".join(f"{v:.4g}" for v in extent)
+    want = " x ".join(
+        f"{v * design.unit_m * 1e3:.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
+    )
+    if mesh.unit is not None and mesh.format in STATED:
+        return f"{subject.name} measures {size} in units of {mesh.unit:g} m and the design {want} mm, whichever way it is turned"
+    tried = ", ".join(name for name, _ in FACTORS)
+    return (
+        f"{subject.name} measures {size} and the design {want} mm; in none of the units {tried}, turned any way, are "
+        "they the same part or a piece of it"
+    )
+
+
+# -- fit ------------------------------------------------------------------------------------------------
+
+Fit = tuple[Trial, Pose]
+
+
+def fitted(trial: Trial, lean: Floats) -> Fit:
+    """Least squares, point to plane: rotation, displacement and scale, wild points given less weight (Huber)."""
+    points, looks = trial.points, trial.facing
+    turn, scale, move = np.eye(3), 1.0, trial.move.copy()
+    best = (trial.residual, turn, scale, move)
+    for _ in range(STEPS):
+        here = points @ turn.T / scale + move
+        off = off_faces(trial.window, here, looks @ turn.T, trial.present, trial.between)
+        known = np.flatnonzero(off.known)
+        if len(known) < 32:
+            break
+        residual = robust(off.distance)
+        if residual < best[0]:
+            best = (residual, turn, scale, move)
+        change = _step(here[known], off.normal[known], off.distance[known])
+        pivot = here[known].mean(axis=0)
+        small = _rotation(change[:3])
+        grown = 1.0 + change[6]
+        turn, scale = small @ turn, scale / grown
+        move = grown * (small @ (move - pivot)) + pivot + change[3:6]
+        if (
+            np.abs(change[:3]).max() < 1e-9
+            and np.abs(change[3:6]).max() < 1e-9 * trial.window.lattice.circumradius
+        ):
+            break
+    residual = robust(trial.off(points @ turn.T / scale + move, looks @ turn.T))
+    if residual < best[0]:
+        best = (residual, turn, scale, move)
+    residual, turn, scale, move = best
+    straight = np.array_equal(lean, np.eye(3))
+    if straight and not trial.move.any():
+        own = _median(trial.off(points, looks))
+        if own <= as_written(trial.window) or trial.residual <= 1.2 * residual:  # the fit adds nothing
+            residual, turn, scale, move = trial.residual, np.eye(3), 1.0, trial.move
+    middle = _median(trial.off(points @ turn.T / scale + move, looks @ turn.T))
+    pose = Pose(trial.unit, trial.factor, trial.axes, turn @ trial.axes @ lean, scale, move, residual, middle)
+    return trial, pose
+
+
+def _median(distance: Floats) -> float:
+    """Half of the known distances (n,) are smaller; infinite where none is known."""
+    known = np.abs(distance[np.isfinite(distance)])
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def as_written(window: Window) -> float:
+    """Median distance (length) up to which a file lies as it was written: float32 corners, or a hair of a pitch."""
+    reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
+    return max(AS_WRITTEN * min(window.lattice.pitch), 2.0**-22 * reach)
+
+
+def _step(points: Floats, normal: Floats, distance: Floats) -> Floats:
+    """Rotation vector, displacement and growth (7,) that lessen the distances (n,) of points (n, 3) most."""
+    about = points - points.mean(axis=0)
+    size = float(np.abs(about).max())
+    rows = np.column_stack(
+        [np.cross(about, normal) / size, normal, np.einsum("ij,ij->i", about, normal)[:, None] / size]
+    )
+    width = 1.4826 * float(np.median(np.abs(distance - np.median(distance)))) + 1e-300
+    weight = np.sqrt(np.minimum(1.0, 1.5 * width / np.maximum(np.abs(distance), 1e-300)))
+    rows = rows * weight[:, None]
+    # seven unknowns of like size: the normal equations, with what the faces do not fix left alone
+    solved = np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True) @ (rows.T @ (-distance * weight))
+    solved[:3] /= size
+    solved[6] /= size
+    limit = np.array([0.05] * 3 + [0.25 * size] * 3 + [0.05])
+    return np.asarray(np.clip(solved, -limit, limit))
+
+
+def _rotation(vector: Floats) -> Floats:
+    """Rotation (3, 3) by a rotation vector in radians (Rodrigues)."""
+    x, y, z = vector
+    angle = float(np.linalg.norm(vector))
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle == 0.0:
+        return np.eye(3)
+    return np.asarray(
+        np.eye(3) + np.sin(angle) / angle * cross + (1.0 - np.cos(angle)) / angle**2 * (cross @ cross)
+    )
+
+
+def best_of(fits: Sequence[Fit]) -> Fit:
+    """The least residual; among equals the least turn."""
+    least = min(pose.residual for _, pose in fits)
+    level = 1.05 * least + 1e-7 * min(fits[0][0].window.lattice.pitch)
+    equal = [f for f in fits if f[1].residual <= level]
+    return min(equal, key=lambda f: (order_of(f[1].axes), f[1].residual))
+
+
+def one_unit(subject: Subject, fits: Sequence[Fit], best: Fit, pitch: float) -> None:
+    good = {f[1].unit for f in fits if f[1].residual <= max(2.0 * best[1].residual, 1e-6 * pitch)}
+    if len(good) > 1:
+        raise CannotRegister(
+            f"{subject.name} is the design in {' as well as in '.join(sorted(good))}: give the cells (--cells), or a "
+            "format that states its unit"
+        )
