@@ -6,15 +6,17 @@ import json
 
 import numpy as np
 import pytest
+from trust.running import clacad as clacad_command
 
 import clacad
-from clacad.accuracy import TargetOutOfReach, accuracy
+from clacad.accuracy import Row, Table, TargetOutOfReach, accuracy
 from clacad.accuracy.extended import direction_errors
-from clacad.accuracy.floors import FAMILIES, family_floor, probe
+from clacad.accuracy.floors import FAMILIES, Floor, family_floor, probe
 from clacad.accuracy.measure import Ladder
 from clacad.accuracy.plot import plot_svg
 from clacad.accuracy.rounding import EXACT, Holding, rounded
 from clacad.accuracy.step import step_row
+from clacad.cli import main
 from clacad.mesh import tessellate
 from clacad.sheet import lens_height_and_normal
 from clacad.verify.bundle import bundle
@@ -137,6 +139,45 @@ def test_the_table_is_json_and_the_plot_is_the_same_for_the_same_table(table):
     first, second = plot_svg(table, 1e-3), plot_svg(table, 1e-3)
     assert first == second
     assert "<svg" in first
+
+
+def test_what_was_not_measured_is_null_and_never_nan():
+    dark = Row("mesh", "no ray alive", *[float("nan")] * 5, 1.0, 0.0, float("inf"), 100, 0)
+    nowhere = Floor("stl", "facet", "f32", "", float("nan"), float("nan"), float("inf"), None, float("nan"))
+    table = Table("dark", (dark,), {"rms": float("nan"), "rays": 0.0}, (nowhere,))
+    text = json.dumps(table.to_dict(), allow_nan=False)
+    assert json.loads(text)["rows"][0]["model_rms"] is None
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert table.pareto() == ()
+
+
+@pytest.mark.long
+def test_the_command_prints_one_json_document_without_nan(capsys):
+    status = main(["accuracy", "designs/slab.toml", "--rays", "400", "--json", "-q", "--target", "0.5 mrad"])
+    told = capsys.readouterr()
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    document = json.loads(told.out, parse_constant=refuse)
+    assert (status, told.err) == (0, "")
+    assert document["target"]["chosen"]["model_rms"] <= 5e-4
+    needed = {
+        "model_rms", "model_p95", "model_max", "law_rms", "law_max", "disagree", "seconds", "prepare_s", "rays_per_s",
+        "bytes", "file_bytes", "memory", "triangles", "quads", "normals", "float",
+    }  # fmt: skip
+    assert all(needed <= set(row) for row in document["rows"])
+    assert len({row["quads"] for row in document["rows"] if row["rung"] == "mesh"}) >= 6
+    assert {row["rung"] for row in document["rows"]} == {"law", "thin", "surfaces", "mesh", "step"}
+
+
+@pytest.mark.parametrize("count", ["1000000000,1000000000", "1,1000000000000000000"])
+def test_a_sheet_of_1e18_lenslets_is_refused_at_once(count):
+    ended = clacad_command("accuracy", "designs/slab.toml", "--set", f"lattice.count=[{count}]")
+    assert (ended.status, ended.out) == (3, "")
+    assert "1.00e+18 lenslets" in ended.err
+    assert ended.cpu < 0.6
 
 
 def test_fifty_digits_see_an_error_of_an_ulp_that_doubles_cannot(design):

@@ -98,6 +98,15 @@ class Row:
         return plain | {"rays_per_s": self.rays_per_s}
 
 
+def _without_nan(value: Any) -> Any:
+    """JSON-able value with null for what is no number."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(inner) for inner in value]
+    return value if _finite(value) else None
+
+
 def _finite(value: object) -> bool:
     return not isinstance(value, float) or isfinite(value)
 
@@ -161,10 +170,10 @@ class Table:
         return {
             "format": 1,
             "design": self.design,
-            "reference": dict(self.reference),
+            "reference": _without_nan(dict(self.reference)),
             "rows": [row.to_dict() for row in self.rows],
             "pareto": [self.rows.index(row) for row in self.pareto()],
-            "floors": [floor.to_dict() for floor in self.floors],
+            "floors": [_without_nan(floor.to_dict()) for floor in self.floors],
             "notes": list(self.notes),
         }
 

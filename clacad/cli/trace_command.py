@@ -43,6 +43,7 @@ class TraceRequest:
     quads: int
     normals: str
     overwrite: bool
+    search: str = "tree"
 
 
 class RayFile:
@@ -152,6 +153,8 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
     options: dict[str, Any] = {"rung": request.rung, "effects": request.effects}
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadRays(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
+    if request.search not in ("tree", "embree"):
+        raise BadRays(f"--search {request.search}: it is tree or embree")
     if request.normals not in ("facet", "vertex"):
         raise BadRays(f"--normals {request.normals}: it is facet or vertex")
     if request.mesh is not None and not request.mesh.is_file():
@@ -167,6 +170,13 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
 
         options["normals"] = request.normals
         options["mesh"] = tessellate(window, quads=request.quads) if request.mesh is None else request.mesh
+        if request.mesh is not None and request.search == "embree":
+            from clacad.trace.soup import read_soup
+
+            try:
+                options["mesh"] = read_soup(request.mesh, window, "embree")
+            except ValueError as error:
+                raise BadRays(str(error)) from error
     return options
 
 
