@@ -89,7 +89,9 @@ def test_running_out_of_memory_names_the_limit() -> None:
         worker.run("worker_tricks:eat")
 
 
-@pytest.mark.parametrize("trick", ["mesh_with_the_kernel", "sphere_of_the_mesh_kernel"])
+@pytest.mark.parametrize(
+    "trick", [pytest.param("mesh_with_the_kernel", marks=pytest.mark.long), "sphere_of_the_mesh_kernel"]
+)
 def test_real_kernels_that_want_more_than_1_5_gb_end_in_a_sentence(trick: str) -> None:
     """They crash, abort or raise as they like: seen were segmentation faults and std::bad_alloc."""
     with Worker(memory=1_500_000_000) as worker:

@@ -194,7 +194,7 @@ def judged(ended: Any, out: Path) -> None:
 def test_a_file_size_limit_is_raised_until_all_is_written(design: Path, tmp_path: Path, formats: str) -> None:
     """The system's limit meets the worker's files as well as ours; each higher limit lets one more through."""
     out, statuses = tmp_path / "out", []
-    limits = [200, 600, 1500, 3000, 5000, 9000, 30_000, 200_000]
+    limits = [600, 3000, 9000, 200_000]
     for limit in limits if formats == "stl,table" else [1000, 20_000, 40_000, 60_000, 200_000]:
         guard = f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
         ended = clacad("export", design, "-o", out, "--format", formats, "--quads", "2", "-q", before=guard)
@@ -223,7 +223,7 @@ def test_a_small_disk_is_emptied_page_by_page_until_all_is_written(design: Path,
     """Others have filled the disk; each time they leave a little more room."""
     out, ballast, statuses = disk / "out", disk / "ballast", []
     blind = "from clacad.export import forecast as f; f.free_disk = lambda folder: 1 << 40"
-    for room in (0, 4, 12, 20, 28, 40, 60, 200):
+    for room in (0, 12, 28, 200):
         ballast.write_bytes(b"")
         held = (
             400 - room - sum(-(-p.stat().st_size // 4096) * 4 for p in out.iterdir())

@@ -251,8 +251,13 @@ def test_unchanged_files_pass_with_a_manifest_and_without(
     assert not failed(alone(tmp_path / "alone", name, made[name]))
 
 
-@pytest.mark.parametrize("what", CHANGES)
-@pytest.mark.parametrize("name", MESHES)
+MORE = ("facet doubled", "mirrored")
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(w, marks=pytest.mark.long) if w in MORE else w for w in CHANGES]
+)
+@pytest.mark.parametrize("name", [*MESHES[:-1], pytest.param("tiny.obj", marks=pytest.mark.long)])
 def test_a_changed_mesh_is_caught_with_a_manifest_that_vouches_for_it_and_without_any(
     made: dict[str, bytes], tmp_path: Path, name: str, what: str
 ) -> None:
@@ -393,11 +398,11 @@ def _all_in_inches(text: str) -> str:
     pytest.param(_pole_lifted, id="radius changed"),
     pytest.param(_patches_exchanged, id="lenslets exchanged"),
     pytest.param(_face_left_out, id="face dropped"),
-    pytest.param(_face_turned, id="face turned over"),
+    pytest.param(_face_turned, id="face turned over", marks=pytest.mark.long),
     pytest.param(_all_in_inches, id="x 25.4"),
-    pytest.param(lambda text: text.replace(".MILLI.,.METRE.", "$,.METRE."), id="x 1000"),
-    pytest.param(lambda text: text[: len(text) // 2], id="cut"),
-    pytest.param(lambda text: text.replace("=MANIFOLD_SOLID_BREP(", "=MANIFOLD_SOLID_BREB("), id="letter flipped"),
+    pytest.param(lambda text: text.replace(".MILLI.,.METRE.", "$,.METRE."), id="x 1000", marks=pytest.mark.long),
+    pytest.param(lambda text: text[: len(text) // 2], id="cut", marks=pytest.mark.long),
+    pytest.param(lambda text: text.replace("=MANIFOLD_SOLID_BREP(", "=MANIFOLD_SOLID_BREB("), id="letter flipped", marks=pytest.mark.long),
 ])  # fmt: skip
 def test_a_changed_solid_is_caught_with_a_manifest_that_vouches_for_it(
     made: dict[str, bytes], tmp_path: Path, change: Callable[[str], str]

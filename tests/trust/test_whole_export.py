@@ -161,6 +161,7 @@ def test_no_process_that_a_test_starts_can_reach_another_machine(
     assert len(log.read_text().splitlines()) == 3
 
 
+@pytest.mark.long
 def test_the_main_job_runs_where_there_is_no_network_at_all(design: Path, tmp_path: Path) -> None:
     """In a network of its own, which has not even a loop."""
     apart = ["unshare", "--net", "--"]
