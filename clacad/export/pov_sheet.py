@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 
 from clacad.export.pov_text import GAP, NotForPov, matrix, number
 from clacad.lattice import Circle
-from clacad.sheet import Body, Face, Window
+from clacad.sheet import Body, Face, Window, lens_height_and_normal
 from clacad.surface import Quadric
 
 Floats = NDArray[np.float64]
+
+SAMPLES = 33
+"""Points along a side of a cell, and from its middle to its border, on which heights are sampled."""
 
 GLASS = "texture { pigment { rgbt <1, 1, 1, 1> } finish { ambient 0 diffuse 0 emission 0 specular 0 reflection 0 } }"
 BLACK = "texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emission 0 } }"
@@ -86,17 +89,15 @@ def _web(body: Body) -> Span | None:
 
 def _layers(window: Window, body: Body, k: int, units: float) -> Iterator[str]:
     """A slab or a plano sheet: its structured faces and the block between them."""
-    from clacad.trace.layout import lay_out
-
-    plan = next(one for one, own in zip(lay_out(window).bodies, window.bodies, strict=True) if own is body)
     hair = GAP * min(window.lattice.pitch)
     ends = []
-    for face, own, side in ((body.front, plan.front, 1.0), (body.back, plan.back, -1.0)):
+    for face, side in ((body.front, 1.0), (body.back, -1.0)):
         if face.array is None:
             ends.append(face.vertex[2])
             continue
-        inner = plan.level + (own.high if side > 0.0 else own.low) + side * 50.0 * hair
-        outer = plan.level + (own.low if side > 0.0 else own.high) - side * 50.0 * hair
+        heights = _heights(window, face)
+        inner, outer = (heights.high, heights.low) if side > 0.0 else (heights.low, heights.high)
+        inner, outer = inner + side * 50.0 * hair, outer - side * 50.0 * hair
         ends.append(inner + side * hair)
         yield from _layer(window, body, face, f"Layer{k}{'a' if side > 0.0 else 'b'}", (outer, inner), units)
     if not ends[0] < ends[1]:
@@ -133,6 +134,20 @@ def _layer(
         yield from _declared(window, f"{name}Land", [rim], units, depth)
         yield from _all_cells(window, f"{name}Land", face.array, units, BLACK)
         yield from _beside(window, face.array, units, paint, BLACK)
+
+
+def _heights(window: Window, face: Face) -> Span:
+    """Heights between which a face lies, lens and land; sampled over the cell and its border, with room."""
+    tile = window.lattice.tile()
+    if face.array is None:
+        return Span(face.vertex[2], face.vertex[2])
+    along = np.linspace(0.0, 1.0, SAMPLES)[:, None, None]
+    rim = (tile * (1.0 - along) + np.roll(tile, -1, axis=0) * along).reshape(-1, 2)
+    points = (rim[None] * np.linspace(0.0, 1.0, SAMPLES)[:, None, None]).reshape(-1, 2)
+    z, _ = lens_height_and_normal(face, points[:, 0], points[:, 1])
+    z = np.append(z[np.isfinite(z)], [] if face.land is None or isnan(face.land) else [face.land])
+    room = 0.01 * float(np.ptp(z))
+    return Span(float(z.min()) - room, float(z.max()) + room)
 
 
 def _glass(body: Body) -> str:
@@ -297,11 +312,9 @@ def _beside(window: Window, array: int, units: float, span: Span, look: str) -> 
 
 def _honeycomb(window: Window, units: float) -> Iterator[str]:
     """Black walls between the arrays: each cell's border, sheared to its partner's, less the channel."""
-    from clacad.trace.layout import lay_out
-
     assert window.baffle is not None
-    first, second = lay_out(window).bodies[:2]
-    span = Span(first.level + first.high, second.level + second.low)
+    first, second = window.bodies[:2]
+    span = Span(_heights(window, first.back).high, _heights(window, second.front).low)
     rise = span.high - span.low
     run = np.subtract(window.shifts[1], window.shifts[0]) / rise
     room = 0.01 * rise
