@@ -440,7 +440,7 @@ def test_a_movie_has_its_frames_in_order(tmp_path):
     data["animation"] = {
         "frames": 4,
         "fps": 10,
-        "move": [{"key": "object.ball.at.0", "from": -0.3, "to": 0.3}],
+        "move": [{"key": "object.ball.at.0", "from": -0.1, "to": 0.1}],
     }
     movie = Scene.from_dict(data, folder=str(ROOT))
     for name in ("m.webp", "m.gif", "m.png"):
