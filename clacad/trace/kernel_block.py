@@ -67,6 +67,9 @@ ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSE
 
 BEHIND_START = -8 * 2.0**-52
 
+WAITING = 32
+"""Rays that wait before they are walked: enough to keep the walk's code near, few enough to keep theirs near."""
+
 LAUNCHED = (X, Y, Z, DX, DY, DZ, PATH, GOOD, CI, CJ)
 ARRIVED = (*LAUNCHED, CI0, CJ0)
 
@@ -755,7 +758,12 @@ def trace_chunk(
     surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
-    s, carried, waiting, count = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), np.empty_like(chosen), 0
+    s, carried, waiting = (
+        np.zeros((SCRATCH, BLOCK)),
+        np.empty(BLOCK),
+        np.empty(WAITING + BLOCK, dtype=np.intp),
+    )
+    count, walked = 0, 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
@@ -766,11 +774,13 @@ def trace_chunk(
         _store(bodies, lat, faces, s, block, array, position, direction, fate, path, cell, order, surface)
         _share(indices, bodies, s, block, len(faces), turns)
         count = _queue(s, block, waiting, count)
-    _walk(
-        tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path, cell,
-        order, surface, hits, turns,
-    )  # fmt: skip
-    return count
+        if count >= WAITING or first + BLOCK >= len(chosen):
+            _walk(
+                tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path,
+                cell, order, surface, hits, turns,
+            )  # fmt: skip
+            walked, count = walked + count, 0
+    return walked
 
 
 @owning
@@ -781,7 +791,8 @@ def trace_chunk_single(
     cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
 ) -> int:  # fmt: skip
     """`trace_chunk` with the straight path in single precision, from the plane of the launch on."""
-    wide, waiting, count = np.zeros((SCRATCH, BLOCK)), np.empty_like(chosen), 0
+    wide, waiting = np.zeros((SCRATCH, BLOCK)), np.empty(WAITING + BLOCK, dtype=np.intp)
+    count, walked = 0, 0
     carried: Singles = np.empty(BLOCK, dtype=np.float32)
     s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
     for first in range(0, len(chosen), BLOCK):
@@ -800,11 +811,13 @@ def trace_chunk_single(
             _copy(s[row], wide[row], m)
         _store(bodies, lat, faces, wide, block, array, position, direction, fate, path, cell, order, surface)
         count = _queue(wide, block, waiting, count)
-    _walk(
-        tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path, cell,
-        order, surface, hits, turns,
-    )  # fmt: skip
-    return count
+        if count >= WAITING or first + BLOCK >= len(chosen):
+            _walk(
+                tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path,
+                cell, order, surface, hits, turns,
+            )  # fmt: skip
+            walked, count = walked + count, 0
+    return walked
 
 
 @exact
