@@ -60,7 +60,11 @@ def read_text(name: str, what: str = "design") -> str:
 def _nearest_file(name: str) -> str:
     folder, base = os.path.split(name)
     try:
-        listed = sorted(entry for entry in os.listdir(folder or ".") if entry.endswith((".toml", ".json")))
+        listed = sorted(
+            entry
+            for entry in os.listdir(folder or ".")
+            if entry.endswith((".toml", ".json")) and entry != base
+        )
     except (OSError, ValueError):
         return ""
     close = get_close_matches(base, listed, n=1, cutoff=0.6) or get_close_matches(base + ".toml", listed, n=1)
