@@ -506,7 +506,7 @@ def test_a_picture_that_is_stopped_leaves_nothing_and_stops_at_once(name, tmp_pa
 
 def test_progress_tells_the_share_of_the_rays_that_are_done():
     told = []
-    view_through(scene(FLOOR, camera={"pixels": [300, 300], "samples": 9}), threads=1,
+    view_through(scene(FLOOR, camera={"pixels": [256, 256], "samples": 4}), threads=1,
                  progress=lambda stage, share: told.append(share))  # fmt: skip
     assert len(told) > 3
     assert told == sorted(told)
