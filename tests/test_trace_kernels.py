@@ -72,7 +72,11 @@ def test_single_precision_shows_the_same_light_to_a_microradian(name):
     rays = Rays(*beam(window, 20_000, 5))
     double, single = (trace(window, rays, path="numba", precision=p) for p in ("float64", "float32"))
     assert (double.fate == single.fate).mean() > 0.999
-    lit = (double.fate == single.fate) & (double.fate <= Fate.GHOST) & (double.order == single.order).all(axis=1)
+    lit = (
+        (double.fate == single.fate)
+        & (double.fate <= Fate.GHOST)
+        & (double.order == single.order).all(axis=1)
+    )
     assert lit.sum() > 1000
     apart = np.linalg.norm(double.direction - single.direction, axis=1)[lit]
     assert 1e-9 < np.median(apart) < 1e-6, "rounded to 24 bits, not to 53"
