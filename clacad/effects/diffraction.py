@@ -31,6 +31,9 @@ LOBES = 64
 
 Floats = NDArray[np.float64]
 
+COST = 7.0
+"""Time of the compiled trace with it over without: slit and angle are drawn for every ray, outside the kernel."""
+
 
 def effect(window: Window, setting: Setting) -> Effect:
     """Turn emerging rays."""
@@ -104,11 +107,11 @@ def bound(situation: Situation) -> Bound:
     """λ over the lit width (first zero of the slit), for the mean lit width of the rays that pass."""
     lines = situation.wavelengths
     if not lines:
-        return Bound(0.0, 0.0, "neither design nor scene has a wavelength: not bounded", 1.3, known=False)
+        return Bound(0.0, 0.0, "neither design nor scene has a wavelength: not bounded", COST, known=False)
     window = situation.window
     passing = situation.probe.fate <= Fate.GHOST
     if not passing.any():
-        return Bound(0.0, 0.0, "no light passes the sheet", 1.3)
+        return Bound(0.0, 0.0, "no light passes the sheet", COST)
     cells = thin_cells(window)
     widths = lit_widths(cells, situation.rays.direction[passing], situation.probe.order[passing])
     mean = widths.mean(axis=0)
@@ -118,4 +121,4 @@ def bound(situation: Situation) -> Bound:
         f"lit slits of {mean[0] * window.unit * 1e3:.3g} by {mean[1] * window.unit * 1e3:.3g} mm spread "
         f"{wave * 1e9:.0f} nm light by {angle:.2g} rad"
     )
-    return Bound(angle, 0.0, why, 1.3)
+    return Bound(angle, 0.0, why, COST)
