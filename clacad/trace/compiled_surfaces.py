@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clacad.rays import Rays
-from clacad.trace.kernel_block import trace_chunk, trace_chunk_single
+from clacad.trace.kernel_chunk import trace_chunk, trace_chunk_single
 from clacad.trace.layout import Layout
 from clacad.trace.ledger import Ledger, Rows
 from clacad.trace.mesh_layout import NO_TILES, Tiles

@@ -25,7 +25,7 @@ from oracle.windows import PITCH, biconvex, slab
 from clacad.mesh import tessellate
 from clacad.rays import Rays
 from clacad.trace import trace
-from clacad.trace.kernel_block import trace_chunk
+from clacad.trace.kernel_chunk import trace_chunk
 from clacad.trace.layout import lay_out
 from clacad.trace.ledger import Ledger
 from clacad.trace.mesh_layout import NO_TILES, lay_out_mesh
