@@ -108,6 +108,7 @@ def test_no_tilt_of_60_leaves_an_open_edge(keys, tilt):
     assert _closed_at(np.geomspace(1e-9, 20.0, 60), keys, tilt) >= 52
 
 
+@pytest.mark.long
 def test_60_tilts_of_a_turned_sheet_leave_no_open_edge():
     keys, tilt = {"eta": (-1.0, -0.5), "thickness": 0.0012}, lambda a: (45.0, a, 10.0)
     assert _closed_at(np.geomspace(1e-9, 20.0, 60), keys, tilt) >= 52

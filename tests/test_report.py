@@ -174,6 +174,7 @@ def test_a_check_that_did_not_run_is_never_green(report, made, short, tmp_path):
     assert "Not passed" in text
 
 
+@pytest.mark.long
 def test_the_same_report_gives_the_same_bytes(page, made, tmp_path):
     """Measured, pictured and drawn anew from the design."""
     html, numbers = write_report(verify(Design.from_dict(TEXT), rays=2048), tmp_path)

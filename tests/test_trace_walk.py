@@ -41,7 +41,7 @@ def disagreements(window, number, seed):
 
 @pytest.mark.parametrize("name", WINDOWS)
 def test_the_walk_ends_where_a_march_in_small_steps_ends(name):
-    assert disagreements(WINDOWS[name], 40, 20) == []
+    assert disagreements(WINDOWS[name], 20, 20) == []
 
 
 @pytest.mark.long

@@ -117,7 +117,7 @@ def attempts(tmp_path: Path, cause: int) -> Iterator[dict[str, Any]]:
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="places of flushed files are read from /proc")
 @pytest.mark.parametrize(
-    "cause", [28, pytest.param(5, marks=pytest.mark.long)], ids=["disk full", "disk broken"]
+    "cause", [pytest.param(c, marks=pytest.mark.long) for c in (28, 5)], ids=["disk full", "disk broken"]
 )
 def test_whichever_write_flush_or_rename_fails_the_set_is_the_old_or_the_new(
     tmp_path: Path, cause: int
