@@ -22,7 +22,7 @@ from clacad.export import threemf
 from clacad.export.closed import crowded_edges, measure
 from clacad.export.errors import FileDisagrees, UnreadableFile
 from clacad.export.glb import write_glb
-from clacad.export.ply import write_ply
+from clacad.export.ply import read_ply, write_ply
 from clacad.export.readers import read_mesh
 from clacad.export.stl import check_stl_facets, facet_normals, stl_bytes, write_stl
 from clacad.export.threemf import write_threemf
@@ -481,3 +481,16 @@ def test_mangled_bytes_give_a_mesh_or_a_refusal_and_nothing_else(
         return
     for corners in mesh.chunks():
         assert np.isfinite(corners).all()
+
+
+@pytest.mark.parametrize("encoding", ["binary", "ascii"])
+def test_numbers_that_others_write_beside_a_face_are_skipped(tmp_path, encoding):
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box()
+    box.face_attributes["stl"] = np.arange(len(box.faces), dtype=np.uint16)
+    path = tmp_path / "box.ply"
+    path.write_bytes(trimesh.exchange.ply.export_ply(box, encoding=encoding, include_attributes=True))
+    assert b"property ushort stl" in path.read_bytes()
+    (part,) = read_ply(path).parts
+    np.testing.assert_array_equal(part.triangles, box.faces)
+    np.testing.assert_allclose(part.vertices, box.vertices, atol=1e-7)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,10 +98,11 @@ class _Element:
     count: int
     scalars: list[tuple[str, str]]
     lists: list[tuple[str, str, str]]
+    before: int = 0  # plain numbers that stand before the list in each row
 
 
 def read_ply(path: Path) -> FileMesh:
-    """Read a PLY file of triangles: ASCII or binary, with or without normals.
+    """Read a PLY file of triangles: ASCII or binary, with or without normals; other numbers of a face are skipped.
 
     Raises
     ------
@@ -117,6 +118,8 @@ def read_ply(path: Path) -> FileMesh:
     by_name = {element.name: element for element in elements}
     if [e.name for e in elements][:2] != ["vertex", "face"] or len(elements) != 2:
         raise UnreadableFile(f"{path.name}: its elements are {sorted(by_name)}; vertex and face are read")
+    if elements[0].lists or len(elements[1].lists) != 1:
+        raise UnreadableFile(f"{path.name}: faces must have one list and vertices plain numbers")
     body = data[end.end() :]
     if form == "ascii":
         vertices, triangles = _ascii_body(path, bytes(body), *elements)
@@ -141,6 +144,7 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
                 elements.append(_Element(words[1], int(words[2]), [], []))
             elif words[:2] == ["property", "list"]:
                 elements[-1].lists.append((words[4], _TYPES[words[2]], _TYPES[words[3]]))
+                elements[-1].before = len(elements[-1].scalars)
             elif words[0] == "property":
                 elements[-1].scalars.append((words[2], _TYPES[words[1]]))
             else:
@@ -161,11 +165,11 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
 def _binary_body(
     path: Path, body: NDArray[np.uint8], order: str, vertex: _Element, face: _Element
 ) -> tuple[Floats, Ints]:
-    if vertex.lists or len(face.lists) != 1 or face.scalars:
-        raise UnreadableFile(f"{path.name}: faces must be one list and vertices plain numbers")
     row = np.dtype([(name, order + kind) for name, kind in vertex.scalars])
     _, count_kind, index_kind = face.lists[0]
-    triangle = np.dtype([("count", order + count_kind), ("corners", order + index_kind, 3)])
+    fields: list[Any] = [(f"scalar {k}", order + kind) for k, (_, kind) in enumerate(face.scalars)]
+    fields[face.before : face.before] = [("count", order + count_kind), ("corners", order + index_kind, 3)]
+    triangle = np.dtype(fields)
     need = row.itemsize * vertex.count + triangle.itemsize * face.count
     if need != len(body):
         raise UnreadableFile(
@@ -184,12 +188,12 @@ def _ascii_body(path: Path, body: bytes, vertex: _Element, face: _Element) -> tu
         numbers = np.array(body.split(), dtype=np.float64)
     except ValueError as error:
         raise UnreadableFile(f"{path.name}: a word in the data that is no number") from error
-    width = len(vertex.scalars)
-    if len(numbers) != width * vertex.count + 4 * face.count:
+    width, row = len(vertex.scalars), 4 + len(face.scalars)
+    if len(numbers) != width * vertex.count + row * face.count:
         raise UnreadableFile(
             f"{path.name}: {len(numbers)} numbers are not what its header promises for triangles"
         )
-    faces = numbers[width * vertex.count :].reshape(-1, 4)
+    faces = numbers[width * vertex.count :].reshape(-1, row)[:, face.before : face.before + 4]
     if (faces[:, 0] != 3).any() or not (np.abs(faces) < 1 << 31).all():
         raise UnreadableFile(f"{path.name}: a face that is not a triangle")
     return numbers[: width * vertex.count].reshape(-1, width), faces[:, 1:].astype(np.int64)
