@@ -48,6 +48,7 @@ def test_the_grid_named_is_within_the_target_and_the_next_coarser_is_not(a, b, a
     assert floor.quads_for(0.999 * floor.floor) is None
 
 
+@pytest.mark.long
 def test_a_file_exported_for_a_target_is_found_within_it_by_verification(tmp_path, capsys):
     # verification gathers the file's own triangles and traces them by another search
     out = tmp_path / "x"

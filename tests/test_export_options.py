@@ -208,6 +208,7 @@ def test_a_body_without_border_is_not_engraved_and_says_why(tmp_path: Path) -> N
         export(small("tilted-biconvex"), tmp_path / "x", ("marked",))
 
 
+@pytest.mark.long
 def test_marked_bodies_are_files_that_read_back(tmp_path: Path) -> None:
     manifest = export(small("plano", "body.border=2", count=(2, 2)), tmp_path / "x", ("marked",))
     assert [entry["name"] for entry in manifest.files] == [

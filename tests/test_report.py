@@ -300,6 +300,7 @@ def test_headings_and_controls_have_names_and_the_page_can_be_walked_by_keyboard
     assert anchors <= {a["id"] for _, a in found.tags if "id" in a}
 
 
+@pytest.mark.long
 def test_the_paper_version_says_the_same_and_is_the_same_every_time(made, short, tmp_path, monkeypatch):
     pytest.importorskip("typst")
     paper = importlib.import_module("clacad.report.paper")

@@ -39,6 +39,11 @@ def exact(function: Function) -> Function:
     return cast(Function, njit(_nrt=False, **_PLAIN)(function))
 
 
+def inlined(function: Function) -> Function:
+    """Compile like `exact`, into its callers: handing over a dozen arrays costs more than what it does."""
+    return cast(Function, njit(_nrt=False, forceinline=True, **_PLAIN)(function))
+
+
 def fused(function: Function) -> Function:
     """Compile with multiply-adds fused: for plain arithmetic only, never around an exact product."""
     return cast(Function, njit(_nrt=True, fastmath={"contract"}, **_PLAIN)(function))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clacad.trace import packing as slot
 from clacad.trace.column import ABOVE, BACK, FRONT
-from clacad.trace.compiled import exact
+from clacad.trace.compiled import exact, inlined
 from clacad.trace.kernel_column import DISTANCE, KIND, PLACE, kept
 from clacad.trace.kernel_scalar import height, lens_roots, less_steps, to_lens, to_sheet, upward
 from clacad.trace.layout import Floats
@@ -31,7 +31,7 @@ COLUMNS = 4
 """Cells looked at before a ray is left to the complete search."""
 
 
-@exact
+@inlined
 def quick_change(
     faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float, x: float, y: float,
     z: float, L: float, M: float, N: float, stage: int, event: Floats,
@@ -82,7 +82,7 @@ def quick_change(
     return False
 
 
-@exact
+@inlined
 def _border(lat: Floats, u: float, v: float, L: float, M: float) -> tuple[float, float, float]:
     """Distance to the border that a ray in a cell meets first, and the step (i, j) to the cell beyond."""
     border, ti, tj = inf, 0.0, 0.0
@@ -98,7 +98,7 @@ def _border(lat: Floats, u: float, v: float, L: float, M: float) -> tuple[float,
     return border, ti, tj
 
 
-@exact
+@inlined
 def _crossing(
     faces: Floats, row: int, u: float, v: float, z: float, L: float, M: float, N: float, since: float, border: float,
     clear: float,

@@ -11,7 +11,7 @@ from clacad.rays import NO_CELL, Fate
 from clacad.surface import ULP
 from clacad.trace import packing as slot
 from clacad.trace.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
-from clacad.trace.compiled import exact
+from clacad.trace.compiled import exact, inlined
 from clacad.trace.kernel_column import (
     DISTANCE,
     KIND,
@@ -63,7 +63,7 @@ TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED
 GOES_ON = 255
 
 
-@exact
+@inlined
 def walk_ray(
     tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
     i: float, j: float, x: float, y: float, z: float, L: float, M: float, N: float, carried: float,
@@ -140,7 +140,7 @@ def _next_change(
         first_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes)
 
 
-@exact
+@inlined
 def _through_body(
     tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, b: int, gap: float, w: Floats,
     left: Floats, event: Floats, work: Floats, causes: Ints, row: int, hits: Floats, turns: Floats,
