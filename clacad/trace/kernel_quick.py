@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clacad.trace import packing as slot
 from clacad.trace.column import ABOVE, BACK, FRONT
-from clacad.trace.compiled import exact, inlined
+from clacad.trace.compiled import inlined
 from clacad.trace.kernel_column import DISTANCE, KIND, PLACE, kept
 from clacad.trace.kernel_scalar import height, lens_roots, less_steps, to_lens, to_sheet, upward
 from clacad.trace.layout import Floats

@@ -86,7 +86,16 @@ def light_checks(
     law, exact = _fits(design, window, gathered, rays, present)
     forecasts = np.array([forecast_rms(window, d) for d in off])
     evidence = MeshEvidence(
-        found, gathered.cells, np.array(rms), law_rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost}, gathered
+        found,
+        gathered.cells,
+        np.array(rms),
+        law_rms,
+        forecasts,
+        off[0].slope_rms,
+        law,
+        exact,
+        {"lost": lost},
+        gathered,
     )
     checks = [_file_rms(design, evidence, lost, str(main), common)]
     checks += _file_fit(design, evidence, common)
