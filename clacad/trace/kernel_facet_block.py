@@ -73,10 +73,8 @@ def _half_bin(u: float, v: float, nx: float, ny: float, first: float, split: flo
 def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
     """Load the planes over the half bins the rays are in; NaN where there is no such facet."""
     for i in range(m):
-        f = tiles.half[int(s[HALF, i])]
-        k = max(f, 0)
-        s[GX, i], s[GY, i] = tiles.plane[k, side, 0], tiles.plane[k, side, 1]
-        s[GZ, i] = tiles.plane[k, side, 2] if f >= 0 and tiles.part[k, side] == LENS else np.nan
+        h = int(s[HALF, i])
+        s[GX, i], s[GY, i], s[GZ, i] = tiles.lens[h, side, 0], tiles.lens[h, side, 1], tiles.lens[h, side, 2]
 
 
 @fused

@@ -51,6 +51,8 @@ class Tiles(NamedTuple):
     half : (2 bins,) ints
         Facets that are just one half of a bin: 2 b below its diagonal, 2 b + 1 beyond; −1 for none.
         Diagonals rise (SPLIT = −1) or fall (+1).
+    lens : (2 bins, 2, 3)
+        Planes of those facets where they belong to the lens, NaN elsewhere.
     normal : (m, 2, 3, 3) or (0, 2, 3, 3)
         Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
     corner : (t, 3, 3), corner_normal : (t, 3, 3) or (0, 3, 3), tree : (bodies, 3) ints, box : (nodes, 6)
@@ -67,6 +69,7 @@ class Tiles(NamedTuple):
     start: Ints
     member: Ints
     half: Ints
+    lens: Floats
     normal: Floats
     corner: Floats
     corner_normal: Floats
@@ -77,7 +80,8 @@ class Tiles(NamedTuple):
 NO_TILES = Tiles(
     np.zeros((0, TILE_NUMBERS)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3, 3)),
     np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2, 3)), np.zeros((0, 2), dtype=np.uint8),
-    np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 2, 3, 3)),
+    np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64),
+    np.zeros((0, 2, 3)), np.zeros((0, 2, 3, 3)),
     np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 6)),
 )  # fmt: skip
 
@@ -271,16 +275,19 @@ def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
         beside.append(np.where(near >= 0, near + facets, -1))
         facets += len(tile.corners)
     planes = [np.stack([_planes(t.corners, t.heights[..., s]) for s in (0, 1)], axis=1) for t in tiles]
+    plane = np.ascontiguousarray(np.concatenate(planes))
+    part, half = np.concatenate([t.part for t in tiles]).astype(np.uint8), np.concatenate(halves)
     return NO_TILES._replace(
         table=np.array(table),
         of=of,
         weight=np.concatenate([_weights(t.corners) for t in tiles]),
         beside=np.concatenate(beside),
-        plane=np.ascontiguousarray(np.concatenate(planes)),
-        part=np.concatenate([t.part for t in tiles]).astype(np.uint8),
+        plane=plane,
+        part=part,
         start=_chained(starts[1:]),
         member=np.concatenate(members),
-        half=np.concatenate(halves),
+        half=half,
+        lens=np.where(((half >= 0)[:, None] & (part[half] == LENS))[..., None], plane[half], np.nan),
         normal=np.ascontiguousarray(np.concatenate([t.normal for t in tiles])),
     )
 
