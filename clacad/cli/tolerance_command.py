@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.cli.console import Progress, say, show_json, show_text, table
-from clacad.cli.design_commands import load_design
+from clacad.cli.design_commands import load_counted
 
 if TYPE_CHECKING:
     from clacad.tolerance import Study, Sweep
@@ -35,7 +35,7 @@ def run_tolerance(
     from clacad.tolerance import Farm, tolerance, write_study
     from clacad.tolerance.write import TOLERANCES, study_document
 
-    design = load_design(path, overrides)
+    design = load_counted(path, overrides)
     kept = _kept(where, TOLERANCES)
     again = kept is not None and kept.exists()
     progress = Progress(quiet=quiet)
@@ -61,7 +61,7 @@ def run_sweep(
     from clacad.tolerance import Farm, parse_vary, sweep, write_sweep
     from clacad.tolerance.write import SWEEP
 
-    design = load_design(path, overrides)
+    design = load_counted(path, overrides)
     axes = [parse_vary(text) for text in vary]
     kept = _kept(where, SWEEP)
     again = kept is not None and kept.exists()

@@ -65,6 +65,7 @@ def test_a_call_that_cannot_be_understood_is_2(
 @pytest.mark.parametrize("line", [
     "export DESIGN -o OUT", "export DESIGN -o OUT --dry-run", "export DESIGN -o OUT --format baffle,table,mask", "check DESIGN",
     "check DESIGN --json", "verify DESIGN", "verify DESIGN -o OUT", "accuracy DESIGN", "effects DESIGN",
+    "tolerance DESIGN", "sweep DESIGN --vary law.eta.0=-0.25:-4:3",
     "trace DESIGN RAYS -o OUT/o.npz", "trace DESIGN RAYS -o OUT/o.npz --rung mesh",
 ])  # fmt: skip
 def test_too_many_lenslets_are_3_at_once_with_the_number_and_two_ways_out(
