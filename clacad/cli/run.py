@@ -135,7 +135,10 @@ def _usage(error: Exception) -> int:
     """Click's own errors: exits, aborts and misuse."""
     name = type(error).__name__
     if name == "Exit":
-        return int(getattr(error, "exit_code", 0))
+        status = int(getattr(error, "exit_code", 0))
+        if status == INTERRUPTED:
+            _say("interrupted")
+        return status
     if name == "Abort":
         _say("interrupted")
         return INTERRUPTED
