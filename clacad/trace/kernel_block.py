@@ -54,8 +54,6 @@ from clacad.trace.mesh_layout import Tiles
 
 Ints = NDArray[np.int64]
 Rows = NDArray[np.intp]
-Bytes = NDArray[np.uint8]
-Cells = NDArray[np.int32]
 Singles = NDArray[Any]  # float32: every pass takes either precision
 
 

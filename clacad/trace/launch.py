@@ -12,9 +12,6 @@ from clacad.compensated import pair, pair_product, pair_sum, two_product, two_su
 from clacad.trace.layout import BodyPlan, Floats, Ints, Layout, Mask, relocate, sheet_position
 from clacad.trace.sequence import unit
 
-FAR_CELLS = 2.0**52
-"""Cells from the origin beyond which a float64 no longer names a cell."""
-
 
 class Extent(Protocol):
     """Room that something takes: a box seen from above, and heights `low` … `high` over a sheet-frame level."""
