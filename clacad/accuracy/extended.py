@@ -7,9 +7,10 @@ face a ray meets is a question of geometry, not of rounding.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, localcontext
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.integer]
 Vector = tuple[Decimal, Decimal, Decimal]
 DIGITS = 50
+Compared = TypeVar("Compared")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +58,8 @@ def direction_errors(
         rounding).
     """
     errors = np.full(len(position), np.nan)
-    with localcontext() as context:
-        context.prec = DIGITS
-        for k in range(len(position)):
-            steps = _steps(window, cell[k], order[k])
-            exact = _through(steps, _vector(position[k]), _unit(_vector(direction[k])))
-            if exact is not None:
-                errors[k] = _angle(_unit(_vector(found[k])), exact)
+    for k, error in _compared(_angle, window, position, direction, found, cell, order):
+        errors[k] = error
     return errors
 
 
@@ -74,14 +71,30 @@ def direction_differences(
     The difference is taken in 50 digits and then rounded, so it is good to 16 digits of itself. NaN as there.
     """
     found_less = np.full((len(position), 3), np.nan)
+    for k, less in _compared(_subtracted, window, position, direction, found, cell, order):
+        found_less[k] = [float(v) for v in less]
+    return found_less
+
+
+def _compared(
+    compare: Callable[[Vector, Vector], Compared],
+    window: Window,
+    position: Floats,
+    direction: Floats,
+    found: Floats,
+    cell: Ints,
+    order: Ints,
+) -> list[tuple[int, Compared]]:
+    """Rows that meet every face, each with `compare(direction found, exact direction)` taken in DIGITS digits."""
+    rows = []
     with localcontext() as context:
         context.prec = DIGITS
         for k in range(len(position)):
             steps = _steps(window, cell[k], order[k])
             exact = _through(steps, _vector(position[k]), _unit(_vector(direction[k])))
             if exact is not None:
-                found_less[k] = [float(v) for v in _subtracted(_unit(_vector(found[k])), exact)]
-    return found_less
+                rows.append((k, compare(_unit(_vector(found[k])), exact)))
+    return rows
 
 
 def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:

@@ -8,7 +8,6 @@ taken from traces, and the optimum (or the finest grid worth tracing) is traced 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from math import hypot, isfinite, sqrt
 from typing import Any
@@ -251,11 +250,3 @@ def _facets(window: Window, quads: float) -> float:
     """Facets of the optical faces of the whole sheet."""
     faces = sum(face.array is not None for face in window.faces)
     return 2.0 * quads * quads * faces * window.lattice.cell_count
-
-
-def of_format(found: Sequence[Floor], format: str, normals: str) -> Floor | None:
-    """Floor that binds a format read by its facets or its vertex normals; None where it has none."""
-    for one in found:
-        if format in one.formats.split(", ") and one.normals in (normals, ""):
-            return one
-    return None

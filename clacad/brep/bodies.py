@@ -19,8 +19,6 @@ from clacad.cell_complex.refusal import CannotBuild
 from clacad.lattice import Lattice, Outline
 from clacad.sheet import Body, Face, Window
 
-ACROSS = np.array([1.0, 0.0, 0.0])
-
 
 @dataclass(frozen=True, eq=False)
 class Layer:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from clacad.export.atomic import write_file
 from clacad.render.picture import Picture
-from clacad.scene import Scene
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -246,10 +245,3 @@ def _mp4_writer() -> Any:
         stream.close()
 
     return write
-
-
-def still_name(scene: Scene) -> str:
-    """File name of a scene's picture."""
-    from clacad.export.atomic import safe_name
-
-    return f"{safe_name(scene.name)}.png"

@@ -58,8 +58,6 @@ MEASURES: Mapping[str, str] = {
 }  # fmt: skip
 """Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others follow."""
 
-SIGNED = tuple(name for name in MEASURES if "_x" in name or "_y" in name)
-
 
 @dataclass(frozen=True, eq=False)
 class Bench:
