@@ -7,9 +7,19 @@ import sys
 
 def main() -> None:
     """Run the command line and leave with its status."""
-    from clacad.cli.run import main as run
+    try:
+        import signal
 
-    sys.exit(run())
+        from clacad.cli.run import main as run
+
+        status = run()
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all is done and said: nothing is left to interrupt
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)
+    except KeyboardInterrupt:  # while the lines above were read
+        sys.stderr.write("clacad: interrupted\n")
+        status = 130
+    sys.exit(status)
 
 
 if __name__ == "__main__":

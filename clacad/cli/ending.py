@@ -11,8 +11,11 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Any
+
+SENTENCE = "clacad: interrupted\n"
 
 PATIENCE = 0.5
 """Seconds that the ordinary way has."""
@@ -23,27 +26,56 @@ ENDING = tuple(
 
 
 class Ending:
-    """Whether the command was told to end."""
+    """Whether the command was told to end; who says so first says it alone.
+
+    Plain attributes: a lock taken in a signal handler could be one that the main thread holds.
+    """
 
     def __init__(self) -> None:
-        self.asked = threading.Event()
+        self.asked = False
         self.over = threading.Event()
+        self._heard = False
+        self._untold = threading.Lock()
+
+    def heard(self, *_: object) -> None:
+        """Handle a signal: the first is raised, later ones would only break off the cleaning up after it."""
+        self.asked = True
+        if not self._heard:
+            self._heard = True
+            raise KeyboardInterrupt
+
+    def tell(self, write: Callable[[str], object]) -> None:
+        """Say that the command was interrupted, unless that was said."""
+        if self._untold.acquire(blocking=False):
+            with suppress(OSError, ValueError):
+                write(SENTENCE)
 
     def watch(self, wake: int, status: int) -> None:
         """Wait for signals, one byte each, until the other end is closed."""
         with os.fdopen(wake, "rb", buffering=0) as stream:
             while told := stream.read(1):
                 if told[0] in ENDING:
-                    self.asked.set()
+                    self.asked = True
                     if not self.over.wait(PATIENCE):
-                        _leave(status)
+                        self._leave(status)
+
+    def _leave(self, status: int) -> None:
+        """End now: private folders and workers first, a publication under way is let finish."""
+        atomic, worker = (sys.modules.get(f"clacad.export.{name}") for name in ("atomic", "worker"))
+        if worker is not None:
+            worker.end_all()
+        if atomic is not None:
+            atomic.abandon_all()
+        self.tell(lambda text: os.write(2, text.encode()))
+        os._exit(status)
 
 
 @contextmanager
 def ended_in_time(status: int) -> Iterator[Ending]:
-    """Within the block a signal ends the process with `status` after PATIENCE, should nothing else end it.
+    """Within the block a signal raises KeyboardInterrupt, and ends the process with `status` should that not do it.
 
-    Only in the main thread, where signals can be heard; elsewhere nothing is watched.
+    Only in the main thread, where signals can be heard; elsewhere nothing is watched. A signal that is ignored
+    (as by nohup), or that somebody else handles, is left alone.
     """
     ending = Ending()
     if threading.current_thread() is not threading.main_thread():
@@ -52,23 +84,24 @@ def ended_in_time(status: int) -> Iterator[Ending]:
     wake, tell = os.pipe()
     os.set_blocking(tell, False)
     watcher = threading.Thread(target=ending.watch, args=(wake, status), daemon=True)
-    before = signal.set_wakeup_fd(tell, warn_on_full_buffer=False)
+    before, hook = signal.set_wakeup_fd(tell, warn_on_full_buffer=False), sys.unraisablehook
     watcher.start()
+    taken: dict[int, Any] = {}
     try:
+        sys.unraisablehook = lambda lost: None if _swallowed(lost, ending) else hook(lost)
+        for number in ENDING:
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                taken[number] = signal.signal(number, ending.heard)
         yield ending
     finally:
         ending.over.set()
+        for number, handler in taken.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = hook
         signal.set_wakeup_fd(before)
         os.close(tell)
 
 
-def _leave(status: int) -> None:
-    """End now: private folders and workers first, a publication under way is let finish."""
-    atomic, worker = (sys.modules.get(f"clacad.export.{name}") for name in ("atomic", "worker"))
-    if worker is not None:
-        worker.end_all()
-    if atomic is not None:
-        atomic.abandon_all()
-    with suppress(OSError, ValueError):
-        os.write(2, b"clacad: interrupted\n")
-    os._exit(status)
+def _swallowed(lost: Any, ending: Ending) -> bool:
+    """Tell the interruption that a library could not pass on, which the watcher will carry out."""
+    return ending.asked and issubclass(lost.exc_type, KeyboardInterrupt)

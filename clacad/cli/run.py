@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from clacad import log
+from clacad.cli.ending import SENTENCE, Ending, ended_in_time
 
 OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 
@@ -29,35 +30,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _answered(given)
         log.note("end", status=status, seconds=round(log.seconds(), 3), memory=log.memory())
         return status
+    except KeyboardInterrupt:  # just before signals were taken, or just after they were given back
+        sys.stderr.write(SENTENCE)
+        return INTERRUPTED
     finally:
         log.stop()
 
 
 def _answered(given: list[str]) -> int:
-    from clacad.cli.ending import ended_in_time
-
     with ended_in_time(INTERRUPTED) as ending:
-        status = _status(given)
-        if status == INTERNAL and ending.asked.is_set():  # what a library made of the interruption
-            return INTERRUPTED
+        try:
+            status = _status(given, ending)
+        except KeyboardInterrupt:
+            status = INTERRUPTED
+        if ending.asked and status != OK:  # what a library made of the interruption
+            status = INTERRUPTED
+        if status == INTERRUPTED:
+            ending.tell(sys.stderr.write)
         return status
 
 
-def _status(given: list[str]) -> int:
-    from clacad.export.worker import ended_by_signals
-
+def _status(given: list[str], ending: Ending) -> int:
     try:
         from clacad.cli.app import app
 
-        with ended_by_signals():
-            status = app(given, prog_name="clacad", standalone_mode=False)
-            sys.stdout.flush()
-        if status == INTERRUPTED:  # the command-line library makes a status of Ctrl-C
-            _say("interrupted")
+        status = app(given, prog_name="clacad", standalone_mode=False)
+        sys.stdout.flush()
         return int(status or 0)
-    except KeyboardInterrupt:
-        _say("interrupted")
-        return INTERRUPTED
     except BrokenPipeError:
         return _unread()
     except SystemExit as end:
@@ -65,7 +64,7 @@ def _status(given: list[str]) -> int:
             return _unread()
         raise
     except Exception as error:
-        return _explained(error)
+        return INTERRUPTED if ending.asked else _explained(error)
 
 
 def _unread() -> int:
@@ -135,12 +134,8 @@ def _usage(error: Exception) -> int:
     """Click's own errors: exits, aborts and misuse."""
     name = type(error).__name__
     if name == "Exit":
-        status = int(getattr(error, "exit_code", 0))
-        if status == INTERRUPTED:
-            _say("interrupted")
-        return status
+        return int(getattr(error, "exit_code", 0))
     if name == "Abort":
-        _say("interrupted")
         return INTERRUPTED
     if name == "NoArgsIsHelpError":
         show = getattr(error, "show", None)
