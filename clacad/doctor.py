@@ -219,7 +219,7 @@ def _fonts() -> Iterator[Finding]:
 
 
 def _memory() -> Iterator[Finding]:
-    from clacad.export.forecast import free_memory
+    from clacad.export.limits import free_memory
 
     free = free_memory()
     low = free < LEAST_MEMORY
@@ -247,7 +247,7 @@ def _disk(folder: Path) -> Iterator[Finding]:
     from clacad.export.atomic import Stage, translated
     from clacad.export.errors import CannotWrite
     from clacad.export.exchange import flush
-    from clacad.export.forecast import free_disk
+    from clacad.export.limits import free_disk
 
     if not folder.is_dir():
         yield Finding("disk", "folder", "fail", str(folder), "no such folder")

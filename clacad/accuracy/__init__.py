@@ -48,7 +48,7 @@ def accuracy(
     from clacad.accuracy.floors import floors, probe
     from clacad.accuracy.measure import QUADS, Ladder, exact_rows, mesh_rows, reference
     from clacad.accuracy.step import step_row
-    from clacad.export.forecast import refuse_early
+    from clacad.export.limits import refuse_early
     from clacad.prescription import prescribe
     from clacad.verify.bundle import bundle
 

@@ -23,7 +23,7 @@ def measure_accuracy(
     """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
     from clacad.accuracy import accuracy
     from clacad.accuracy.forecast import TASK, seconds
-    from clacad.export.forecast import refuse_early
+    from clacad.export.limits import refuse_early
 
     design = load_counted(path, overrides)
     limit = None if target is None else parse_angle("--target", target)

@@ -54,7 +54,7 @@ def load_counted(path: Path, overrides: list[str]) -> Design:
     ------
     DesignError, LimitRefused
     """
-    from clacad.export.forecast import refuse_uncountable
+    from clacad.export.limits import refuse_uncountable
 
     design = load_design(path, overrides)
     refuse_uncountable(design)

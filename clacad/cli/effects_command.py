@@ -33,7 +33,7 @@ def show_effects(
 ) -> int:
     """Print the plan, or the plan as JSON."""
     from clacad.effects import plan_effects
-    from clacad.export.forecast import refuse_uncountable
+    from clacad.export.limits import refuse_uncountable
     from clacad.scene import Scene
 
     target = load_target(path, overrides)

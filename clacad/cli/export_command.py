@@ -96,8 +96,8 @@ def _within_target(
     TargetOutOfReach, LimitRefused, BadOption
     """
     from clacad.accuracy.choose import facets_for
-    from clacad.export.forecast import refuse_early
     from clacad.export.formats import known_formats
+    from clacad.export.limits import refuse_early
     from clacad.prescription import prescribe
 
     assert request.target is not None

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad import log
-from clacad.export import forecast as limits
+from clacad.export import limits
 from clacad.export import seconds as cost
 from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
 from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, NotPossible, WorkerDied
+from clacad.export.forecast import Forecast, forecast
 from clacad.export.formats import FORMATS, Job, known_formats
 from clacad.export.manifest import FileRecord, Manifest, carried_over, document
 from clacad.export.request import Request
@@ -44,7 +45,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         window = _prescribed(made)
         meshes = Meshes(window, request.saddle_bevel)
         quads = _quads(meshes, request, formats)
-        rows = limits.forecast(meshes, formats, quads, request.step, request.pcurves)
+        rows = forecast(meshes, formats, quads, request.step, request.pcurves)
         if not request.force:
             limits.refuse_over_limits(meshes, rows, Path(out))
         with Stage(out, overwrite=request.overwrite) as stage:
@@ -70,7 +71,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     return manifest
 
 
-def forecast_rows(design: Design, request: Request) -> list[limits.Forecast]:
+def forecast_rows(design: Design, request: Request) -> list[Forecast]:
     """What an export would cost, format by format; writes nothing.
 
     Raises
@@ -82,7 +83,7 @@ def forecast_rows(design: Design, request: Request) -> list[limits.Forecast]:
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
     meshes = Meshes(_prescribed(made), request.saddle_bevel)
-    return limits.forecast(meshes, formats, _quads(meshes, request, formats), request.step, request.pcurves)
+    return forecast(meshes, formats, _quads(meshes, request, formats), request.step, request.pcurves)
 
 
 def prepare_seconds(formats: Sequence[str], quads: int) -> float:
@@ -90,7 +91,7 @@ def prepare_seconds(formats: Sequence[str], quads: int) -> float:
     return cost.prepare(quads if any(name in limits.MESH_FORMATS for name in formats) else None)
 
 
-def in_all(formats: Sequence[str], rows: Sequence[limits.Forecast]) -> Span:
+def in_all(formats: Sequence[str], rows: Sequence[Forecast]) -> Span:
     """Seconds of a whole export on this machine, from the forecasts of its formats."""
     rates = Rates.here()
     quads = next((row.quads for row in rows if row.quads is not None), limits.QUADS[-1])
@@ -143,7 +144,7 @@ def _job(
 
 
 def _produced(
-    job: Job, formats: tuple[str, ...], rows: Sequence[limits.Forecast]
+    job: Job, formats: tuple[str, ...], rows: Sequence[Forecast]
 ) -> tuple[list[FileRecord], dict[str, ExportError], dict[str, float]]:
     """Make every format; one that fails leaves nothing behind and does not stop the others.
 

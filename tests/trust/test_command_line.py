@@ -140,7 +140,7 @@ def test_a_full_disk_is_4_and_what_fits_is_published(design: Path, small_disk: P
     """The forecast refuses what cannot fit; a disk that others filled meanwhile is found by the write."""
     ballast = small_disk / "ballast"
     ballast.write_bytes(b"\0" * 120_000)
-    blind = "from clacad.export import forecast as f; f.free_disk = lambda folder: 1 << 40"
+    blind = "from clacad.export import limits as f; f.free_disk = lambda folder: 1 << 40"
     ended = clacad(
         "export", design, "-o", small_disk / "out", "--format", "ply,xyz", "--quads", "4", before=blind
     )
