@@ -13,7 +13,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+
+TYPE_CHECKING = False  # as type checkers read it; the module typing would be half of what the package loads
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 
@@ -10,15 +11,18 @@ def main() -> None:
     try:
         import signal
 
+        from clacad.cli.run import INTERRUPTED
         from clacad.cli.run import main as run
 
         status = run()
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all is done and said: nothing is left to interrupt
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.SIG_IGN)
+        if status == INTERRUPTED:  # all is cleaned up; threads of libraries that still compute are not waited for
+            os._exit(status)
     except KeyboardInterrupt:  # while the lines above were read
         sys.stderr.write("clacad: interrupted\n")
-        status = 130
+        os._exit(130)
     sys.exit(status)
 
 
