@@ -3,47 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-HELP = "Design, make and verify generalized confocal lenslet arrays."
-EPILOG = """Same design, same bytes.
-
-Exit status: 0 all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
-4 cannot write; 70 internal; 130 interrupted.
-
-Example: clacad export designs/paper-a-covered.toml -o exports/paper --format step,3mf,stl --cells 10x10"""
-
-GROUPS = {
-    "make": ("new", "check", "export", "schema"),
-    "look": ("trace", "render", "atlas", "effects"),
-    "judge": ("verify", "accuracy", "sweep", "tolerance"),
-    "help": ("explain", "doctor"),
-}
-
-
-class Grouped(TyperGroup):
-    """Lists commands by purpose."""
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write one section a purpose."""
-        width = max((len(name) for name in self.commands), default=0)
-        for title, names in GROUPS.items():
-            rows = [
-                (name.ljust(width), self.commands[name].get_short_help_str(90))
-                for name in names
-                if name in self.commands
-            ]
-            if rows:
-                with formatter.section(title):
-                    formatter.write_dl(rows)
-
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write the epilog line by line, not refilled."""
-        formatter.write("\n" + EPILOG + "\n")
-
+from clacad.cli.options import (
+    EPILOG,
+    HELP,
+    Again,
+    Cells,
+    Design,
+    Grouped,
+    Json,
+    Out,
+    Overwrite,
+    Quiet,
+    Replace,
+    Scheduler,
+    Set,
+    Verbose,
+    Workers,
+    print_version,
+)  # fmt: skip
 
 app = typer.Typer(
     cls=Grouped,
@@ -56,64 +37,12 @@ app = typer.Typer(
 )
 
 
-def _version(value: bool) -> None:
-    if value:
-        from clacad import __version__
-
-        typer.echo(f"clacad {__version__}")
-        raise typer.Exit
-
-
-def _circumstances() -> dict[str, Any]:
-    import os
-    import platform
-    import sys
-
-    from clacad import __version__
-
-    return {
-        "version": __version__, "python": platform.python_version(), "system": f"{platform.system()} {platform.machine()}",
-        "arguments": sys.argv[1:], "folder": os.getcwd(),
-    }  # fmt: skip
-
-
-def _logged(value: bool) -> bool:
-    if value:
-        from clacad import log
-
-        log.start()
-        log.note("start", **_circumstances())
-    return value
-
-
 @app.callback()
 def _main(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")]
+    version: Annotated[bool, typer.Option("--version", callback=print_version, is_eager=True, help="Print the version.")]
     = False,
 ) -> None:  # fmt: skip
     pass
-
-
-Design = Annotated[
-    Path, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON).", show_default=False)
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help='Override one value, e.g. --set "law.eta=[-1.4,-1]". Repeatable.'
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Result on stdout as JSON, everything else on stderr.")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Errors only.")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", callback=_logged, help="Log what is done on stderr, one JSON "
-                                      "object a line, with tracebacks.")]  # fmt: skip
-Out = Annotated[
-    Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.", show_default=False)
-]
-Cells = Annotated[
-    str | None,
-    typer.Option("--cells", metavar="AxB", help="A x B cells of the design, centred; default all."),
-]
 
 
 @app.command()
@@ -121,7 +50,7 @@ def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the design; writes NAME.toml.")],
     template: Annotated[str, typer.Option("--template", metavar="T", help="paper, galilean, slab, plano, hexagonal, "
                                                                           "window.")] = "paper",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: Replace = False,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -173,7 +102,7 @@ def export(
     quads: Annotated[int | None, typer.Option("--quads", metavar="N", min=1, help="Facet grid: N quads per cell side.")] = None,
     step: Annotated[str, typer.Option("--step", help="auto, fused or instanced.")] = "auto",
     cells: Cells = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
+    overwrite: Overwrite = False,
     force: Annotated[bool, typer.Option("--force", help="Pass the limits on facets, bytes and memory.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
     step_schema: Annotated[str, typer.Option("--step-schema", help="STEP: ap242 or ap214.")] = "ap242",
@@ -218,7 +147,7 @@ def verify(
     rays: Annotated[int, typer.Option("--rays", min=64, max=100_000_000, help="Rays of the main bundle.")] = 65536,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Fewest rays that tell errors of this size, "
                                                "and files must be within it, e.g. '0.5 mrad'.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
+    overwrite: Overwrite = False,
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -258,7 +187,7 @@ def trace(
     normals: Annotated[str, typer.Option("--normals", help="Rung mesh: facet or vertex.")] = "facet",
     search: Annotated[str, typer.Option("--search", help="Rung mesh from a file: tree, or embree (extra: "
                                         "clacad[pictures]).")] = "tree",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: Replace = False,
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -284,7 +213,7 @@ def accuracy(
     = None,
     hard: Annotated[bool, typer.Option("--hard", help="Print the stability table instead: named hard cases, error of "
                                        "textbook formulas and of clacad in ulp.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: Replace = False,
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -300,18 +229,6 @@ def accuracy(
     from clacad.cli.accuracy_command import measure_accuracy
 
     return measure_accuracy(design, set or [], rays, target, out, overwrite=overwrite, json=json, quiet=quiet)
-
-
-Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Processes on this machine; default one a core.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler to work on instead, e.g. tcp://host:8786."
-    ),
-]
-Again = Annotated[bool, typer.Option("--overwrite", help="Begin again; replace files of another origin.")]
 
 
 @app.command()
@@ -429,7 +346,7 @@ def render(
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Cheapest rung (of rung mesh: coarsest "
                                                "facets) within this rms direction error, e.g. '0.5 mrad'.")] = None,
     frame: Annotated[int | None, typer.Option("--frame", min=0, help="One frame of an animation, as a still.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: Replace = False,
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -462,7 +379,7 @@ def atlas(
     movies: Annotated[bool, typer.Option("--movies/--no-movies", help="Make the movies.")] = True,
     measure: Annotated[bool, typer.Option("--measure/--no-measure", help="Measure the rows in rendered pictures.")]
     = True,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")] = False,
+    overwrite: Overwrite = False,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
