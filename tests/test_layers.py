@@ -47,6 +47,7 @@ SIDEWAYS = {
     ("export", "effects"): "the plan travels with what is written",
     ("fixture", "feasibility"): "the gap between the bodies",
     ("fixture", "brep"): "the coupon is made of the design's own solids",
+    ("fixture", "mesh"): "letters are sunk into the border's own triangles",
     ("accuracy", "verify"): "both judge by the same bundle of rays",
     ("render", "report"): "pictures carry the plan the report prints",
     ("report", "render"): "a report holds a picture through the sheet",

@@ -161,10 +161,10 @@ def make_land(
     _refuse_outside(window, np.array(list(position.values())).reshape(-1, 2), polygon, scale)
     rim = _rim(polygon, position, touching, scale)
     directed += [(a, b) for _, a, b, cell in rim if cell is None]
-    loops = _loops(directed, position)
+    loops = link_loops(directed, position)
     keys = list(dict.fromkeys(key for loop in loops for key in loop))
     number = {key: n for n, key in enumerate(keys)}
-    return Land(keys, position, _triangulate(loops, number, position), rim)
+    return Land(keys, position, triangulate_loops(loops, number, position), rim)
 
 
 def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:
@@ -223,7 +223,7 @@ def _rim(
     return rim
 
 
-def _loops(directed: list[tuple[Key, Key]], position: dict[Key, tuple[float, float]]) -> list[list[Key]]:
+def link_loops(directed: list[tuple[Key, Key]], position: dict[Key, tuple[float, float]]) -> list[list[Key]]:
     """Link directed segments to closed loops; where loops touch, each keeps to its own land."""
     leaving: dict[Key, list[Key]] = {}
     for a, b in directed:
@@ -261,7 +261,7 @@ def _rightmost(position: dict[Key, tuple[float, float]], before: Key, here: Key,
     return min(choices, key=lambda key: (back - heading(key)) % (2.0 * pi) or 2.0 * pi)
 
 
-def _triangulate(
+def triangulate_loops(
     loops: list[list[Key]], number: dict[Key, int], position: dict[Key, tuple[float, float]]
 ) -> Ints:
     """Triangulate the region on the left of the loops without adding points."""
