@@ -63,6 +63,7 @@ FAMILIES = (
     Family("tiff", Holding("face"), "facet", "heights above the face's plane, float32"),
     Family("png, tiff", Holding("face", "levels"), "facet", "heights in 16 bits"),
     Family("gds", Holding("face", "levels", 64), "facet", "heights in 64 layers"),
+    Family("marked-stl, marked-3mf", None, "", "as stl and 3mf: the lenses are the same facets"),
     Family("step, brep, coupon, marked", None, "", "exact faces; see row step"),
     Family("table, pov", None, "", "the surfaces' own numbers; see row surfaces"),
     Family("sag, xyz", None, "", "exact heights and slopes at points; the reader interpolates"),

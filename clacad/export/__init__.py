@@ -55,7 +55,8 @@ def export(
         Folder; made if missing. Nothing is written outside it.
     formats : sequence of str
         step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
-        `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border).
+        `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
+        marked-stl (the same as meshes, one file a body), marked-3mf (in one file).
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
         cell side whose STL stays within 2 GB and 50 M facets.

@@ -12,6 +12,7 @@ from clacad.export.closed import Measure, crowded_edges, measure
 from clacad.export.errors import FileDisagrees
 from clacad.export.filemesh import CHUNK, FileMesh
 from clacad.export.truth import Integral, distance_to_face, least_extent, whole_extent
+from clacad.fixture.mark import Pocket
 from clacad.mesh.bevel import in_corners
 from clacad.sheet import Window
 
@@ -44,7 +45,9 @@ class Promise:
     bevel : float
         Width of the bevels at saddles, design units; the corners of the cells are then not compared.
     added : float
-        Volume that the bevels add, design units cubed.
+        Volume that the bevels add, less what engraved letters take, design units cubed.
+    pockets : tuple of Pocket
+        Where letters are engraved.
     """
 
     facets: int
@@ -53,6 +56,7 @@ class Promise:
     single: bool = False
     bevel: float = 0.0
     added: float = 0.0
+    pockets: tuple[Pocket, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +206,9 @@ def _compare_shape(
                 off[mine] = np.minimum(
                     off[mine], distance_to_face(window, face, points[mine], middle[mine, :2])
                 )
+    for pocket in promise.pockets:
+        floor = pocket.on_floor(facets, slack + promise.merge)
+        off[floor] = np.abs(points[floor, :, 2] - pocket.floor)
     off = off[optical]
     upright = np.abs(n_z[optical])
     at_corners = (off[:, :3].max(axis=1) * upright).max(initial=0.0)

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from clacad.sheet import Window
 
 FIXTURES = ("baffle", "frame", "coupon", "brep", "marked")
+MARKED = ("marked-stl", "marked-3mf")
+LETTER_POINTS = 30
+"""Points of the outline of a letter, about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +101,8 @@ def timed(rows: Sequence[Forecast]) -> list[Forecast]:
 
 def _forecast_one(meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True) -> Forecast:
     window = meshes.window
+    if name in MARKED:
+        return _forecast_marked(meshes, name, quads)
     if name in ("stl", "stl-parts"):
         files = 1 if name == "stl" else len(window.bodies)
         return _forecast_stl(name, meshes.facets(quads), files, quads, exact=True)
@@ -120,6 +125,23 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
         return row
     size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
     return Forecast(name, size, False, None, None, cost.kernel(size), (500_000_000, 2_500_000_000))
+
+
+def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
+    """Price of a mesh format with letters: its own, four facets a point of their outlines, and the kernel's start."""
+    from clacad.fixture.mark import mark_text
+
+    window = meshes.window
+    texts = [mark_text(f"{window.name} {body.name}").replace(" ", "") for body in window.bodies]
+    letters = 4 * LETTER_POINTS * sum(1 + len(text) for text in texts)
+    if name == "marked-stl":
+        plain = _forecast_stl(name, meshes.facets(quads), len(window.bodies), quads, exact=False)
+    else:
+        plain = replace(_forecast_welded(meshes, "3mf", quads), format=name)
+    facets = plain.facets or 1
+    share = (facets + letters) / facets
+    seconds = plain.modelled * share + cost.kernel(0)
+    return replace(plain, bytes=int(plain.bytes * share), facets=facets + letters, modelled=seconds)
 
 
 def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:

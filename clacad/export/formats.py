@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from clacad.export.errors import UnknownFormat
 from clacad.export.exchange import flush
 from clacad.export.fixtures import baffle_records, brep_records, coupon_records, frame_records, marked_records
 from clacad.export.manifest import FileRecord
+from clacad.export.marked import engraved, with_marks
 from clacad.export.request import Request
 from clacad.export.truth import Integral, body_volume, volume_sum
 from clacad.export.worker import Progress, Worker
@@ -81,8 +82,6 @@ def _stl(job: Job) -> list[FileRecord]:
 
 
 def _stl_parts(job: Job) -> list[FileRecord]:
-    from dataclasses import replace
-
     return [
         _one_stl(job, f"{job.stem}.{body.name}.stl", replace(job.window, bodies=(body,)))
         for body in job.window.bodies
@@ -138,6 +137,22 @@ def _threemf(job: Job) -> list[FileRecord]:
     from clacad.export.threemf import write_threemf
 
     return [_indexed(job, "3mf", write_threemf, single=False, instanced=None)]
+
+
+def _marked_stl(job: Job) -> list[FileRecord]:
+    made = engraved(job)
+    parts = [
+        (f"{made.stem}.{body.name}.marked.stl", replace(made.window, bodies=(body,)))
+        for body in made.window.bodies
+    ]
+    return [with_marks(_one_stl(made, name, window), made) for name, window in parts]
+
+
+def _marked_threemf(job: Job) -> list[FileRecord]:
+    from clacad.export.threemf import write_threemf
+
+    made = replace(engraved(job), stem=f"{job.stem}.marked")
+    return [with_marks(_indexed(made, "3mf", write_threemf, single=False, instanced=False), made)]
 
 
 def _ply(job: Job) -> list[FileRecord]:
@@ -315,6 +330,7 @@ FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
+    "marked-stl": _marked_stl, "marked-3mf": _marked_threemf,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""
 

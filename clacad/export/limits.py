@@ -31,8 +31,9 @@ MEMORY_SHARE = 0.8
 QUADS = (64, 32, 16, 8, 4)
 """Facet grids a cell side that "auto" chooses from, finest first."""
 
-MESH_FORMATS = ("stl", "stl-parts", "3mf", "ply", "glb")
-WELDED_FORMATS = ("3mf", "ply", "glb")
+STL_FORMATS = ("stl", "stl-parts", "marked-stl")
+WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
+MESH_FORMATS = STL_FORMATS + WELDED_FORMATS
 MOST_WELDED = 8_000_000
 """Facets up to which a mesh is welded into shared vertices in memory."""
 
@@ -61,7 +62,7 @@ def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> N
     grid = quads if quads is not None else QUADS[-1]
     if any(f in MESH_FORMATS for f in formats) and design.lattice.outline is None:
         faces = 4 if design.pair.form == "biconvex" else 2
-        if "stl" in formats or "stl-parts" in formats:
+        if any(f in STL_FORMATS for f in formats):
             _refuse_facets("stl", grid * grid * cells * faces, grid, (n1, n2))
 
 
@@ -164,7 +165,7 @@ def refuse_over_limits(meshes: Meshes, rows: Sequence[Forecast], folder: Path) -
     window = meshes.window
     memory, disk = free_memory(), free_disk(folder)
     for row in rows:
-        if row.facets is not None and row.quads is not None and row.format in ("stl", "stl-parts"):
+        if row.facets is not None and row.quads is not None and row.format in STL_FORMATS:
             _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
         held = meshes.welded(row.quads or 4, row.format) if row.format in WELDED_FORMATS else 0
         if held > MOST_WELDED:
