@@ -71,15 +71,14 @@ class Ending:
 
 
 @contextmanager
-def ended_in_time(status: int) -> Iterator[Ending]:
+def ended_in_time(ending: Ending, status: int) -> Iterator[None]:
     """Within the block a signal raises KeyboardInterrupt, and ends the process with `status` should that not do it.
 
     Only in the main thread, where signals can be heard; elsewhere nothing is watched. A signal that is ignored
     (as by nohup), or that somebody else handles, is left alone.
     """
-    ending = Ending()
     if threading.current_thread() is not threading.main_thread():
-        yield ending
+        yield
         return
     wake, tell = os.pipe()
     os.set_blocking(tell, False)
@@ -92,7 +91,7 @@ def ended_in_time(status: int) -> Iterator[Ending]:
         for number in ENDING:
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 taken[number] = signal.signal(number, ending.heard)
-        yield ending
+        yield
     finally:
         ending.over.set()
         for number, handler in taken.items():

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from clacad import log
-from clacad.cli.ending import SENTENCE, Ending, ended_in_time
+from clacad.cli.ending import Ending, ended_in_time
 
 OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 
@@ -26,19 +26,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Without the program's name; default sys.argv[1:].
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    ending = Ending()
     try:
-        status = _answered(given)
+        status = _answered(given, ending)
         log.note("end", status=status, seconds=round(log.seconds(), 3), memory=log.memory())
         return status
     except KeyboardInterrupt:  # just before signals were taken, or just after they were given back
-        sys.stderr.write(SENTENCE)
+        ending.tell(sys.stderr.write)
         return INTERRUPTED
     finally:
         log.stop()
 
 
-def _answered(given: list[str]) -> int:
-    with ended_in_time(INTERRUPTED) as ending:
+def _answered(given: list[str], ending: Ending) -> int:
+    with ended_in_time(ending, INTERRUPTED):
         try:
             status = _status(given, ending)
         except KeyboardInterrupt:
