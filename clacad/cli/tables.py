@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import isinf
 from typing import Any
 
 from clacad.cli.console import size, table
@@ -30,7 +31,11 @@ def checks_text(checks: Iterable[Any]) -> str:
 
 def limit_text(check: Any) -> str:
     """The limit as text, with its sense."""
-    return "" if check.limit is None else f"{check.relation} {number(check.limit)} {check.unit}".rstrip()
+    if check.limit is None:
+        return ""
+    if isinstance(check.limit, float) and isinf(check.limit):
+        return "no limit"
+    return f"{check.relation} {number(check.limit)} {check.unit}".rstrip()
 
 
 def number(value: Any) -> str:

@@ -189,17 +189,26 @@ def _second(window: Window) -> float:
 
 
 def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[str, tuple[float, float]]:
-    """Draw the bodies over one cell; extents along z of each, at the middle of its cell."""
+    """Draw the bodies over one cell; extents along z of each, at the middle of its cell.
+
+    A slab is drawn, and its extent taken, over the cells of both its lenses, each face along the middle of its own
+    lens: displaced ones do not face one another.
+    """
     found = {}
     for number, body in enumerate(window.bodies):
-        array = number if len(window.bodies) > 1 else 0
-        x, y = across_cell(window, array)
-        front, back = heights(window, body, x, y)
+        paired = len(window.bodies) > 1
+        x, y = across_cell(window, number if paired else 0)
+        if not paired:
+            other, other_y = across_cell(window, 1)
+            x = np.union1d(x, other)
+            front, back = heights(window, body, x, y)[0], heights(window, body, x, other_y)[1]
+        else:
+            front, back = heights(window, body, x, y)
         for piece in outlines(x, front, back):
             canvas.polygon(at(piece[:, 0], piece[:, 1]), "body")
-        mid = len(x) // 2
-        if isfinite(front[mid]) and isfinite(back[mid]):
-            found[body.name] = (float(front[mid]), float(back[mid]))
+        low, high = (front[len(x) // 2], back[len(x) // 2]) if paired else (np.nanmin(front), np.nanmax(back))
+        if isfinite(low) and isfinite(high):
+            found[body.name] = (float(low), float(high))
     return found
 
 
