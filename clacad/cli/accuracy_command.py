@@ -21,13 +21,11 @@ def measure_accuracy(
     quiet: bool,
 ) -> int:  # fmt: skip
     """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
+    design = load_counted(path, overrides)
     from clacad.accuracy import accuracy
     from clacad.accuracy.forecast import TASK, seconds
-    from clacad.export.limits import refuse_early
 
-    design = load_counted(path, overrides)
     limit = None if target is None else parse_angle("--target", target)
-    refuse_early(design, (), None)  # before anything is forecast of it
     progress = Progress(quiet=quiet)
     try:
         with forecast(TASK, seconds(rays, 1 if design.pair.form == "slab" else 2), quiet=quiet):

@@ -32,12 +32,13 @@ def show_effects(
     quiet: bool,
 ) -> int:
     """Print the plan, or the plan as JSON."""
-    from clacad.effects import plan_effects
+    from clacad.design import Design
     from clacad.export.limits import refuse_uncountable
-    from clacad.scene import Scene
 
     target = load_target(path, overrides)
-    refuse_uncountable(target.design() if isinstance(target, Scene) else target)
+    refuse_uncountable(target if isinstance(target, Design) else target.design())
+    from clacad.effects import plan_effects
+
     try:
         plan = plan_effects(target, exact=exact, force=force, without=without)
     except ValueError as error:

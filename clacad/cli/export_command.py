@@ -45,11 +45,6 @@ def export_design(
     path: Path, overrides: list[str], request: ExportRequest, *, json: bool, quiet: bool
 ) -> int:
     """Export and print what was made; with --dry-run print the forecast only."""
-    from clacad.cli.tables import derived_text, files_text
-    from clacad.export import export
-    from clacad.feasibility import describe, feasibility
-    from clacad.prescription import prescribe
-
     if request.formats == ("pov",):
         from clacad.cli.render_command import export_scene, is_scene
 
@@ -59,6 +54,13 @@ def export_design(
             )
     design = load_design(path, overrides)
     cells = parse_cells(request.cells)
+    if not request.force:
+        _refuse_early(design, request, cells)
+    from clacad.cli.tables import derived_text, files_text
+    from clacad.export import export
+    from clacad.feasibility import describe, feasibility
+    from clacad.prescription import prescribe
+
     schema, bevel = parse_schema(request.step_schema), parse_length(request.saddle_bevel, design)
     if request.target is not None:
         request = _within_target(design, request, cells, quiet=quiet)
@@ -86,6 +88,19 @@ def export_design(
     return 0
 
 
+def _refuse_early(design: Design, request: ExportRequest, cells: tuple[int, int] | None) -> None:
+    """Refuse what is too much by its mere count, before anything is loaded that could make it.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    from clacad.export.limits import refuse_early
+
+    quads = None if request.target is not None else request.quads
+    refuse_early(design if cells is None else design.with_cells(cells), request.formats, quads)
+
+
 def _within_target(
     design: Design, request: ExportRequest, cells: tuple[int, int] | None, *, quiet: bool
 ) -> ExportRequest:
@@ -97,7 +112,6 @@ def _within_target(
     """
     from clacad.accuracy.choose import facets_for
     from clacad.export.formats import known_formats
-    from clacad.export.limits import refuse_early
     from clacad.prescription import prescribe
 
     assert request.target is not None
@@ -108,8 +122,6 @@ def _within_target(
         raise BadOption(f"--normals {request.normals}: it is facet or vertex")
     made = design if cells is None else design.with_cells(cells)
     formats = known_formats(request.formats)
-    if not request.force:
-        refuse_early(made, formats, None)
     chosen = facets_for(
         made, prescribe(made), target, formats, "facet" if request.normals == "facet" else "vertex"
     )

@@ -32,10 +32,10 @@ def run_tolerance(
     quiet: bool,
 ) -> int:  # fmt: skip
     """Make many sheets with the design's tolerances, print contributors and yield, write the tables."""
+    design = load_counted(path, overrides)
     from clacad.tolerance import Farm, tolerance, write_study
     from clacad.tolerance.write import TOLERANCES, study_document
 
-    design = load_counted(path, overrides)
     kept = _kept(where, TOLERANCES)
     again = kept is not None and kept.exists()
     progress = Progress(quiet=quiet)
@@ -58,10 +58,10 @@ def run_sweep(
     quiet: bool,
 ) -> int:  # fmt: skip
     """Build, judge and trace every point of a grid, print the table, write it."""
+    design = load_counted(path, overrides)
     from clacad.tolerance import Farm, parse_vary, sweep, write_sweep
     from clacad.tolerance.write import SWEEP
 
-    design = load_counted(path, overrides)
     axes = [parse_vary(text) for text in vary]
     kept = _kept(where, SWEEP)
     again = kept is not None and kept.exists()

@@ -127,10 +127,11 @@ class RayFile:
 
 def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json: bool, quiet: bool) -> int:
     """Trace every ray of a file; prints how many met which fate."""
+    design = load_counted(path, overrides)
     from clacad.export.atomic import write_file
     from clacad.prescription import prescribe
 
-    window = prescribe(load_counted(path, overrides))
+    window = prescribe(design)
     rays = RayFile(request.rays)
     options = _options(window, request)
     counts: dict[str, int] = {}

@@ -25,12 +25,12 @@ def verify_design(
 
     With a target its error chooses the number of rays, and every file is judged by it.
     """
+    design = load_counted(path, overrides)
     from clacad.cli.tables import checks_text
     from clacad.verify import verify
     from clacad.verify.files import find_files
     from clacad.verify.forecast import seconds, task
 
-    design = load_counted(path, overrides)
     limit = None if target is None else parse_angle("--target", target)
     if limit is not None:
         rays = _rays(design, files, limit, parse_cells(cells))
