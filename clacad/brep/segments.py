@@ -27,6 +27,13 @@ NOISE = 1e-13
 RULED_BELOW = 0.032
 """A wall narrower than this share of its arcs' sagitta is ruled, not plane: 8/250, κL²/250 with κL² = 8 sagittas."""
 
+FLATTEST = 2e-3
+"""Slope at which an arc must leave a straight edge for the wall between them to be plane, however narrow it ends.
+
+Kernels find where a line meets an arc by roots, not by polygons, so no nearness deceives them; only the stretch in
+which the two are closer than 1e-10 must be shorter than a vertex's tolerance of 1e-7, which takes a slope of 1e-3.
+"""
+
 _T = 0.5 - 0.5 * np.cos(np.pi * np.arange(35) / 34)
 
 
@@ -322,8 +329,21 @@ def _wall(curves: tuple[CurveShape, ...], low: int, solid: int, merge: float) ->
     gap = over - under
     if float(gap.min()) < -merge:
         raise ValueError("a wall between two lenslets crosses itself; please report the design")
-    sagitta = max(abs(_sagitta(curve.arcs[0])) for curve in (curves[low], curves[low + 1]))
-    return WallShape(low, low + 1, solid, float(gap.min()) < max(RULED_BELOW * sagitta, 2.0 * merge))
+    arcs = curves[low].arcs[0], curves[low + 1].arcs[0]
+    sagitta = max(abs(_sagitta(arc)) for arc in arcs)
+    narrow = float(gap.min()) < max(RULED_BELOW * sagitta, 2.0 * merge)
+    return WallShape(low, low + 1, solid, narrow and not _opens(arcs, gap, merge))
+
+
+def _opens(arcs: tuple[Arc, Arc], gap: Floats, merge: float) -> bool:
+    """Whether a wall has one straight edge and the other leaves it steeply enough at both ends."""
+    if not any(arc.straight for arc in arcs):
+        return False
+    if any(merge < end < 2.0 * merge for end in (gap[0], gap[-1])):
+        return False
+    length = float(np.linalg.norm(arcs[0].poles[-1] - arcs[0].poles[0]))
+    steep = max(FLATTEST * length, 20.0 * merge)  # ends may be shifted by the merge height: a tenth of it
+    return bool((gap >= steep * _T * (1.0 - _T))[1:-1].all())
 
 
 def _sagitta(arc: Arc) -> float:
