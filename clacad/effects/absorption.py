@@ -15,7 +15,8 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.passes import Block, Crossing, Effect, Losses, Stage, inside_of, unit_rows
+from clacad.effects.block import Block, Crossing, inside_of, unit_rows
+from clacad.effects.passes import Effect, Losses, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Fate

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.effects.block import unit_rows
 from clacad.effects.followed import rules_for
-from clacad.effects.passes import blocks, take_rays, unit_rows
+from clacad.effects.passes import blocks, take_rays
 from clacad.effects.setting import Setting
 from clacad.effects.shine import Light, joined
 from clacad.rays import Fate, Rays

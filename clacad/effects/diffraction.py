@@ -16,8 +16,9 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.effects.block import Block, Crossing
 from clacad.effects.draws import uniform
-from clacad.effects.passes import Block, Crossing, Effect, Stage
+from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import NO_CELL, Fate

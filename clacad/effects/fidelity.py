@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.passes import Rung
+from clacad.effects.block import Rung
 from clacad.effects.situation import Situation
 from clacad.rays import Fate
 from clacad.vignetting import focal_ratio, thin_cells

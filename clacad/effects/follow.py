@@ -249,7 +249,7 @@ class _Walk:
             self.leave(up, number, packet.take(risen))
         met = np.flatnonzero(~(aside | risen))
         if len(met):
-            self.meet(state, packet.take(met), _take(event, met))
+            self.meet(state, packet.take(met), event.take(met))
 
     def absorbed(self, up: bool, number: int, packet: Packet, length: Floats) -> Packet:
         if not self.rules.attenuation:
@@ -267,7 +267,7 @@ class _Walk:
         blocked = packet.gated & np.isfinite(share)
         self.end("opaque", packet.take(blocked))
         on = ~blocked
-        return packet.take(on), _take(event, on)
+        return packet.take(on), event.take(on)
 
     def leave(self, up: bool, number: int, packet: Packet) -> None:
         """From the space over a body to the next body, or out of the sheet."""
@@ -303,12 +303,12 @@ class _Walk:
         land = np.isin(event.kind, (FRONT_LAND, BACK_LAND))
         if layout.window.land.opaque and land.any():
             self.end("opaque", packet.take(land))
-            packet, event = packet.take(~land), _take(event, ~land)
+            packet, event = packet.take(~land), event.take(~land)
         right = (BACK, BACK_LAND) if inside else (FRONT, FRONT_LAND)
         astray = ~np.isin(event.kind, right)
         if not self.rules.walls and astray.any():
             self.end("wall", packet.take(astray))
-            packet, event, astray = packet.take(~astray), _take(event, ~astray), astray[~astray]
+            packet, event, astray = packet.take(~astray), event.take(~astray), astray[~astray]
         if not len(packet):
             return
         normal = self.normals(layout, layout.bodies[number], packet, event)
@@ -318,7 +318,7 @@ class _Walk:
         bad = ~np.isfinite(normal[:, 2])
         if bad.any():  # beyond the equator of a lens, where no face is
             self.end("wall", packet.take(bad))
-            packet, normal, astray, event = packet.take(~bad), normal[~bad], astray[~bad], _take(event, ~bad)
+            packet, normal, astray, event = packet.take(~bad), normal[~bad], astray[~bad], event.take(~bad)
         nudge = np.where((event.kind == WALL)[:, None], NUDGE * layout.halves.max() * normal[:, :2], 0.0)
         self.divide(state, packet, normal, astray, nudge)
 
@@ -438,12 +438,3 @@ def _joined(packets: list[Packet]) -> Packet:
     )  # fmt: skip
     rest = (np.concatenate([getattr(p, f.name) for p in packets]) for f in fields(packets[0])[1:])
     return Packet(beam, *rest)
-
-
-def _take(event: Event, rows: Rows | Mask) -> Event:
-    return Event(
-        event.kind[rows],
-        event.distance[rows],
-        {array: cell[rows] for array, cell in event.cells.items()},
-        {array: start[rows] for array, start in event.starts.items()},
-    )

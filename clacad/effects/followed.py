@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from clacad.effects.block import Block
 from clacad.effects.follow import Rules, follow
-from clacad.effects.passes import Block
 from clacad.effects.setting import Setting
 from clacad.rays import Fate
 from clacad.sheet import Window

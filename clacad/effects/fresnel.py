@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.effects.block import Block, Crossing
 from clacad.effects.interface import deviation, normal_loss, reflected, transmission
-from clacad.effects.passes import Block, Crossing, Effect, Stage, trace_with
+from clacad.effects.passes import Effect, Stage, trace_with
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Fate

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.effects.block import Rung
 from clacad.effects.fidelity import choose_rung
-from clacad.effects.passes import FOLLOWED, NAMES, Rung, module_of
+from clacad.effects.passes import FOLLOWED, NAMES, module_of
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Rays, TraceResult

@@ -22,8 +22,9 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.effects.block import Block, Crossing, crossings, unit_rows
 from clacad.effects.interface import amplitudes, deviation, reflected
-from clacad.effects.passes import Block, Crossing, Effect, Stage, crossings, unit_rows
+from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Fate

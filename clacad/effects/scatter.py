@@ -15,8 +15,9 @@ from math import expm1, hypot, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.effects.block import Block, Crossing, bend, lens_slopes
 from clacad.effects.draws import normal
-from clacad.effects.passes import Block, Crossing, Effect, Stage, bend, lens_slopes
+from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.sheet import Window

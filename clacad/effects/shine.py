@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.passes import Effect, Rung, blocks, take_rays, trace_with
+from clacad.effects.block import Rung
+from clacad.effects.passes import Effect, blocks, take_rays, trace_with
 from clacad.effects.setting import Setting
 from clacad.rays import Fate, Rays, TraceResult
 from clacad.sheet import Window

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.effects.passes import Block, Crossing, Effect, Stage
+from clacad.effects.block import Block, Crossing
+from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
 from clacad.rays import Fate

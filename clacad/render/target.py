@@ -8,8 +8,8 @@ import numpy as np
 
 from clacad.accuracy.choose import facets_for
 from clacad.accuracy.table import MOST_DISAGREEMENT, TargetOutOfReach
+from clacad.effects.block import Rung
 from clacad.effects.fidelity import rms_angle
-from clacad.effects.passes import Rung
 from clacad.effects.situation import Situation
 from clacad.effects.view import of_scene
 from clacad.prescription import prescribe

@@ -44,6 +44,15 @@ class Event:
     cells: dict[int, Ints]
     starts: dict[int, Floats]
 
+    def take(self, rows: NDArray[np.intp] | Mask) -> Event:
+        """The events of chosen rays."""
+        return Event(
+            self.kind[rows],
+            self.distance[rows],
+            {array: cell[rows] for array, cell in self.cells.items()},
+            {array: start[rows] for array, start in self.starts.items()},
+        )
+
 
 class _Grid(NamedTuple):
     """Rays in the cells of one array: base cell, local start, and whole steps walked since."""

@@ -127,7 +127,7 @@ def _through_body(scene: Scene, walkers: Walkers, left: Walkers, gap: Floats) ->
         event = first_change(scene.layout, scene.body, entering.beam, inside=True)
         out = np.isin(event.kind, (BACK, BACK_LAND))
         stuck = np.flatnonzero(~out)
-        _end_at(scene, entering.take(stuck), _take(event, stuck), scene.index)
+        _end_at(scene, entering.take(stuck), event.take(stuck), scene.index)
         leaving = _refract(scene, entering, event, np.flatnonzero(out), 1, scene.index, 1.0)
         entering = _depart(scene, leaving)
     return _joined(entering, passing)
@@ -157,7 +157,7 @@ def _approach(scene: Scene, walkers: Walkers, left: Walkers, gap: Floats) -> tup
     walkers = replace(walkers, path=path)
     enters = going & np.isin(event.kind, (FRONT, FRONT_LAND))
     ends = np.flatnonzero(going & ~enters & ~hole)
-    _end_at(scene, walkers.take(ends), _take(event, ends), 1.0)
+    _end_at(scene, walkers.take(ends), event.take(ends), 1.0)
     entering = _refract(scene, walkers, event, np.flatnonzero(enters), 0, 1.0, scene.index)
     return entering, _pass_hole(scene, walkers, np.flatnonzero(going & hole), event)
 
@@ -168,7 +168,7 @@ def _refract(
     """Refract the rays `rows` at the front (side 0) or back (1) they met; write those that end there."""
     body = scene.body
     face = (body.front, body.back)[side]
-    walkers, event = walkers.take(rows), _take(event, rows)
+    walkers, event = walkers.take(rows), event.take(rows)
     if not len(rows):
         return walkers
     on_lens = np.isin(event.kind, (FRONT, BACK))
@@ -235,7 +235,7 @@ def _depart(scene: Scene, walkers: Walkers) -> Walkers:
     event = first_change(scene.layout, scene.body, walkers.beam, inside=False)
     clear = np.isin(event.kind, (ABOVE, ASIDE))
     back = np.flatnonzero(~clear)
-    _end_at(scene, walkers.take(back), _take(event, back), 1.0)
+    _end_at(scene, walkers.take(back), event.take(back), 1.0)
     return walkers.take(clear)
 
 
@@ -383,15 +383,6 @@ def _miss(scene: Scene, walkers: Walkers) -> None:
     rows = walkers.beam.rows
     scene.ledger.miss(rows)
     scene.ledger.cell[rows] = walkers.first
-
-
-def _take(event: Event, rows: Rows | Mask) -> Event:
-    return Event(
-        event.kind[rows],
-        event.distance[rows],
-        {array: cell[rows] for array, cell in event.cells.items()},
-        {array: start[rows] for array, start in event.starts.items()},
-    )
 
 
 def _joined(a: Walkers, b: Walkers) -> Walkers:
