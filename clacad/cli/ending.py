@@ -56,8 +56,18 @@ class Ending:
             while told := stream.read(1):
                 if told[0] in ENDING:
                     self.asked = True
-                    if not self.over.wait(PATIENCE):
+                    if not self._over_soon(told[0]):
                         self._leave(status)
+
+    def _over_soon(self, number: int) -> bool:
+        """Wait for the ordinary way; call the main thread again if it began to wait just before it could hear."""
+        for _ in range(5):
+            if self.over.wait(PATIENCE / 5):
+                return True
+            main = threading.main_thread().ident
+            if not self._heard and main is not None and hasattr(signal, "pthread_kill"):
+                signal.pthread_kill(main, number)
+        return False
 
     def _leave(self, status: int) -> None:
         """End now: private folders and workers first, a publication under way is let finish."""

@@ -63,6 +63,8 @@ def _status(given: list[str], ending: Ending) -> int:
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):  # the command-line library makes this of it
             return _unread()
+        if ending.asked:
+            return INTERRUPTED
         raise
     except Exception as error:
         return INTERRUPTED if ending.asked else _explained(error)

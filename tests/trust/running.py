@@ -1,13 +1,17 @@
-"""The command line in a process of its own: what it printed, its status, and the processor time it took."""
+"""The command line in a process of its own: what it printed, its status, and what it had to load; small disks."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+import pytest
 
 TESTS = Path(__file__).parents[1]
 ROOT = TESTS.parent
@@ -31,14 +35,30 @@ pitch = 0.5
 count = [2, 2]
 """
 
+HEAVY = {
+    "OCP",
+    "build123d",
+    "numba",
+    "scipy",
+    "matplotlib",
+    "trimesh",
+    "manifold3d",
+    "embreex",
+    "PIL",
+    "jinja2",
+}
+"""Packages that cost seconds, or that work with rays, meshes and solids."""
+
+JUDGES = {"cli", "design", "export", "log", "material", "rates"}
+"""Parts of the package that read a design and count what it asks for; none can build or trace anything."""
+
 DRIVER = """
 import resource, sys
 {before}
 from clacad.cli import main
 status = main(sys.argv[1:])
-used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
 sys.stdout.flush()
-sys.stderr.write("\\nCPU %.3f" % sum(u.ru_utime + u.ru_stime for u in used))
+sys.stderr.write("\\nLOADED " + " ".join(sys.modules))
 sys.exit(status)
 """
 
@@ -50,7 +70,17 @@ class Ended:
     status: int
     out: str
     err: str
-    cpu: float
+    modules: frozenset[str]
+
+    @property
+    def packages(self) -> set[str]:
+        """Top-level names of what was loaded."""
+        return {name.partition(".")[0] for name in self.modules}
+
+    @property
+    def parts(self) -> set[str]:
+        """Parts of the package that were loaded."""
+        return {name.split(".")[1] for name in self.modules if name.startswith("clacad.")}
 
 
 def environment(**changes: str) -> dict[str, str]:
@@ -68,8 +98,10 @@ def clacad(*arguments: object, before: str = "pass", cwd: Path | None = None, **
     done = subprocess.run(
         command(arguments, before), capture_output=True, text=True, cwd=cwd, env=environment(**changes), timeout=120
     )  # fmt: skip
-    err, _, cpu = done.stderr.rpartition("\nCPU ")
-    ended = Ended(done.returncode, done.stdout, err if cpu else done.stderr, float(cpu or "nan"))
+    err, mark, loaded = done.stderr.rpartition("\nLOADED ")
+    ended = Ended(
+        done.returncode, done.stdout, err if mark else done.stderr, frozenset(loaded.split() if mark else ())
+    )
     assert not any(line.startswith("Traceback") for line in talk(ended)), ended.err
     return ended
 
@@ -77,3 +109,17 @@ def clacad(*arguments: object, before: str = "pass", cwd: Path | None = None, **
 def talk(ended: Ended) -> list[str]:
     """Lines of the error stream."""
     return [line for line in ended.err.splitlines() if line.strip()]
+
+
+@contextmanager
+def small_disk(place: Path, kilobytes: int) -> Iterator[Path]:
+    """A disk of its own, of so many kB, at a folder that is made; skips the test where none can be mounted."""
+    place.mkdir()
+    made = os.geteuid() == 0 and shutil.which("mount") is not None and subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", place], capture_output=True).returncode == 0  # fmt: skip
+    if not made:
+        pytest.skip("mounting a small disk needs root and the right to mount")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", place], check=True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 import textwrap
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from trust.running import TINY, clacad, environment, talk
+from trust.running import TINY, clacad, environment, small_disk, talk
 
 FAULTS = textwrap.dedent(
     """
@@ -158,13 +156,6 @@ def test_whichever_write_flush_or_rename_fails_the_set_is_the_old_or_the_new(
 # -- by the system's own limits ----------------------------------------------------------------------
 
 
-@pytest.fixture
-def design(tmp_path: Path) -> Path:
-    path = tmp_path / "tiny.toml"
-    path.write_text(TINY)
-    return path
-
-
 def consistent(out: Path) -> set[str]:
     """Names of the files the manifest vouches for; nothing else may be there."""
     if not out.exists() or not list(out.iterdir()):
@@ -209,14 +200,8 @@ def test_a_file_size_limit_is_raised_until_all_is_written(design: Path, tmp_path
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of 400 kB."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    made = os.geteuid() == 0 and shutil.which("mount") is not None and subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", place], capture_output=True).returncode == 0  # fmt: skip
-    if not made:
-        pytest.skip("mounting a small disk needs root and the right to mount")
-    yield place
-    subprocess.run(["umount", "-l", place], check=True)
+    with small_disk(tmp_path / "disk", 400) as place:
+        yield place
 
 
 def test_a_small_disk_is_emptied_page_by_page_until_all_is_written(design: Path, disk: Path) -> None:
