@@ -55,6 +55,11 @@ def real(value: float) -> str:
     return text[:-1] if text.endswith(".0") else text
 
 
+def weight(value: float) -> str:
+    """Write a weight; its 13 places move no point of a patch further than the rounding of its poles does."""
+    return f"{value:.13f}".rstrip("0")
+
+
 @dataclass(frozen=True, slots=True)
 class Colour:
     """An sRGB colour, 0 … 1."""
@@ -74,8 +79,8 @@ class Part21:
         self._lines: list[str] = []
         self._pending = 0
         self._next = 1
-        # Twelve digits beyond the pitch: a hundred times finer than the 1e-9 pitch the faces are checked to.
-        self._places = max(6, 12 + ceil(-log10(pitch)))
+        # Eleven digits beyond the pitch: a hundred times finer than the 1e-9 pitch the faces are checked to.
+        self._places = max(6, 11 + ceil(-log10(pitch)))
         self._styles: dict[Colour, int] = {}
         identifier, application, protocol, year = SCHEMAS[schema]
         self._raw(
@@ -140,7 +145,7 @@ class Part21:
         self.flush()
 
     def coordinate(self, value: float) -> str:
-        """Write a length, rounded to 1e-12 of the pitch."""
+        """Write a length, rounded to 1e-11 of the pitch or finer."""
         text = f"{value:.{self._places}f}".rstrip("0")
         return "0." if text == "-0." else text
 

@@ -7,7 +7,7 @@ one line and walls in one plane share its entity. Lengths in mm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from clacad.brep.conics import Arc, Patch
 from clacad.brep.edges import Plane, Surface
 from clacad.brep.pattern import Floats
 from clacad.brep.shell import Loop, Role
-from clacad.export.step_part21 import Part21, quoted, real
+from clacad.export.step_part21 import Part21, quoted, real, weight
 
 _KEPT = 200_000
 
@@ -179,7 +179,7 @@ class TextWriter:
         """Everything but the poles of a curve, the same for all instances of its class."""
         found = self._kept.get(id(arc))
         if found is None:
-            found = self._kept[id(arc)] = (arc, _curve_text(arc.weights))
+            found = self._kept[id(arc)] = (arc, _curve_text(arc.weights, weight))
         text = found[1]
         assert isinstance(text, tuple)
         return text
@@ -192,7 +192,7 @@ class TextWriter:
             points = [
                 part.add(f"CARTESIAN_POINT('',({real(u)},{real(v)}))") for u, v in parameters.poles.tolist()
             ]
-            before, after = _curve_text(parameters.weights)
+            before, after = _curve_text(parameters.weights, real)
             curve = part.add(f"{before}{','.join(f'#{p}' for p in points)}{after}")
             number = part.add(f"DEFINITIONAL_REPRESENTATION('',(#{curve}),#{part.parameter_space})")
             found = self._kept[id(parameters)] = (parameters, number)
@@ -244,7 +244,7 @@ def _knots(degree: int) -> tuple[str, str]:
     return f"({degree + 1},{degree + 1})", "(0.,1.)"
 
 
-def _curve_text(weights: Floats) -> tuple[str, str]:
+def _curve_text(weights: Floats, written: Callable[[float], str]) -> tuple[str, str]:
     degree = len(weights) - 1
     many, knots = _knots(degree)
     if np.ptp(weights) == 0.0:
@@ -252,7 +252,7 @@ def _curve_text(weights: Floats) -> tuple[str, str]:
             f"B_SPLINE_CURVE_WITH_KNOTS('',{degree},(",
             f"),.UNSPECIFIED.,.F.,.F.,{many},{knots},.UNSPECIFIED.)",
         )
-    listed = ",".join(real(weight) for weight in weights)
+    listed = ",".join([written(value) for value in weights])
     return (
         f"(BOUNDED_CURVE()B_SPLINE_CURVE({degree},(",
         f"),.UNSPECIFIED.,.F.,.F.)B_SPLINE_CURVE_WITH_KNOTS({many},{knots},.UNSPECIFIED.)CURVE()"
@@ -269,7 +269,7 @@ def _patch_text(weights: Floats) -> tuple[str, str]:
             f"B_SPLINE_SURFACE_WITH_KNOTS('',{m - 1},{n - 1},(",
             f"),.UNSPECIFIED.,.F.,.F.,.F.,{many_u},{many_v},{knots},{knots},.UNSPECIFIED.)",
         )
-    listed = ",".join(f"({','.join(real(weight) for weight in row)})" for row in weights)
+    listed = ",".join([f"({','.join([weight(value) for value in row])})" for row in weights])
     return (
         f"(BOUNDED_SURFACE()B_SPLINE_SURFACE({m - 1},{n - 1},(",
         f"),.UNSPECIFIED.,.F.,.F.,.F.)B_SPLINE_SURFACE_WITH_KNOTS({many_u},{many_v},{knots},{knots},.UNSPECIFIED.)"
