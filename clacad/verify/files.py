@@ -203,18 +203,20 @@ def unit_of(subject: Subject, mesh: FileMesh) -> float | None:
     return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
 
 
-def present_bodies(window: Window, subject: Subject, height: float) -> tuple[str, ...]:
-    """Names of the bodies a file holds: as the manifest says, else told from its height (design units)."""
+def held_bodies(window: Window, subject: Subject, height: float) -> tuple[tuple[str, ...], ...]:
+    """What a file may hold, names of bodies: as the manifest says, else told from its height (design units); several
+    where two bodies are as high as each other.
+    """
     names = tuple(body.name for body in window.bodies)
     listed = subject.entry.get("bodies")
     if isinstance(listed, list):
-        return tuple(name for name in names if name in listed)
+        return (tuple(name for name in names if name in listed),)
     whole = window.z_range[1] - window.z_range[0]
     if len(names) == 1 or abs(height / whole - 1.0) <= SAME_EXTENT:
-        return names
+        return (names,)
     tall = {body.name: -np.subtract(*body_range(window, body)) for body in window.bodies}
-    near = [name for name, h in tall.items() if abs(height / h - 1.0) <= SAME_EXTENT]
-    return (near[0],) if len(near) == 1 else names
+    near = tuple((name,) for name, h in tall.items() if abs(height / h - 1.0) <= SAME_EXTENT)
+    return near or (names,)
 
 
 def register(

@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.export.compare import rounding
 from clacad.export.truth import distance_to_face
 from clacad.feasibility import body_range
+from clacad.fixture.mark import pockets
 from clacad.mesh.bevel import in_corners
 from clacad.sheet import Body, Face, Window, lens_height
 from clacad.verify.bundle import central_cell
@@ -57,6 +59,8 @@ class Gathered:
         Largest distance of the middle of any facet of the whole file from the exact face under it, design units.
     farthest_cell : (i, j) or None
         Where that is.
+    engraved : float
+        Volume of the letters engraved where the design has room for them (length³): their floors' area times depth.
     """
 
     cells: tuple[Cell, ...]
@@ -66,6 +70,7 @@ class Gathered:
     degenerate: int = 0
     farthest: float = 0.0
     farthest_cell: Cell | None = None
+    engraved: float = 0.0
 
     def corners(self, body: int, side: int, cell: int) -> Floats:
         """Facets (k, 3, 3) of one side of one body over one of the chosen cells."""
@@ -78,13 +83,15 @@ class Gatherer:
 
     A facet belongs to the body whose height range holds its centroid, to the front if its outward normal
     points to −z and to the back if to +z, and to the cell its centroid lies over, in the grid of that face's
-    own array. Where a file states bevels at saddles, facets there belong to none.
+    own array. Where a file states bevels at saddles, facets there belong to none; nor do the floors of letters
+    engraved in the border, at the depth and in the room that the design has for them.
     """
 
     def __init__(self, window: Window, cells: Iterable[Cell], bevel: float = 0.0) -> None:
         self.window, self._bevel = window, bevel
         self.result = Gathered(tuple(cells))
         self._levels = levels(window)
+        self._pockets, self._room = pockets(window), rounding(window, single=True)
         index = np.array(self.result.cells, dtype=np.int64)
         self._first = index.min(axis=0)
         self._table = np.full(tuple(np.ptp(index, axis=0) + 1), -1, dtype=np.int64)
@@ -103,6 +110,10 @@ class Gatherer:
         middle = corners.mean(axis=1)
         if self._bevel > 0.0:  # bevels at saddles are no optical faces
             optical &= ~in_corners(self.window, middle, self._bevel)
+        for pocket in self._pockets:
+            floor = optical & (normal[:, 2] < 0.0) & pocket.on_floor(corners, self._room)
+            self.result.engraved -= 0.5 * float(normal[floor, 2].sum()) * (pocket.floor - pocket.land)
+            optical &= ~floor
         body = np.searchsorted(self._levels, middle[:, 2])
         back = normal[:, 2] > 0.0
         for number, piece in enumerate(self.window.bodies):

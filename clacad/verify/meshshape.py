@@ -86,9 +86,13 @@ def volume_check(
         f"it encloses {found.volume:.9g}; the design {exact:.9g}, of which the facets cut off {-chord:.4g} "
         f"(difference {difference:.4g})"
     )
+    detail = {"volume": found.volume, "exact": exact, "chord": chord, "stated": stated.get("volume")}
+    if gathered.engraved:
+        sentence += f"; letters engraved in the border take {gathered.engraved:.4g}"
+        detail["engraved"] = gathered.engraved
     return judge(
-        "volume", abs(difference - chord), room, sentence, source="forecast ± 2 % of the chord error",
-        detail={"volume": found.volume, "exact": exact, "chord": chord, "stated": stated.get("volume")}, **common,
+        "volume", abs(difference + gathered.engraved - chord), room, sentence,
+        source="forecast ± 2 % of the chord error", detail=detail, **common,
     )  # fmt: skip
 
 

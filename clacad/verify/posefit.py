@@ -21,7 +21,7 @@ from clacad.verify.files import (
     CannotRegister,
     Subject,
     fitting_window,
-    present_bodies,
+    held_bodies,
 )
 from clacad.verify.gather import levels
 from clacad.verify.sides import Floats, off_faces
@@ -208,11 +208,15 @@ def all_trials(
         if made is None:
             continue
         window, cut = made
-        present = present_bodies(window, subject, float(size[2]))
         points, looks = corners[few] @ axes.T * factor, facing[few] @ axes.T
         middle = axes @ centre * factor
-        onto = _onto(window, spans, present, middle)
-        for move in _moves(window, onto, cut, axes):
+        places = [
+            (present, onto, move)
+            for present in held_bodies(window, subject, float(size[2]))
+            for onto in [_onto(window, spans, present, middle)]
+            for move in _moves(window, onto, cut, axes)
+        ]
+        for present, onto, move in places:
             off = off_faces(window, points + move, looks, present, between)
             yield Trial(
                 name,

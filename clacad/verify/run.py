@@ -22,8 +22,8 @@ from clacad.verify.files import (
     Delivery,
     Subject,
     find_files,
+    held_bodies,
     integrity,
-    present_bodies,
     same_design,
     unit_of,
     written_window,
@@ -346,7 +346,7 @@ def _judge_triangles(
         note = ""
         metres = unit_of(subject, mesh) if subject.entry else None
         if window is not None and metres is not None:
-            present = present_bodies(window, subject, 0.0)
+            present = held_bodies(window, subject, 0.0)[0]
             found, evidence = judge_mesh(
                 design,
                 window,
