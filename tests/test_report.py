@@ -8,7 +8,6 @@ import importlib
 import json
 import re
 import sys
-import time
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -350,12 +349,10 @@ def test_progress_is_told_from_beginning_to_end(report, tmp_path, short):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "seconds"), [("window-100mm", 60.0), ("paper-base", 20.0)])
-def test_a_whole_report_takes_no_longer_than_promised(name, seconds, tmp_path):
-    """Processor time, so that what else the machine does counts for nothing; kernels compiled by the first report."""
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ["window-100mm", "paper-base"])
+def test_a_whole_report_is_small_whatever_the_count_of_lenslets(name, tmp_path):
+    """How long it takes is in tests/benchmarks/report.md."""
     design = load(Path(__file__).parents[1] / "designs" / f"{name}.toml")
-    write_report(verify(design, rays=2048), tmp_path / "first")
-    began = time.process_time()
-    html, _ = write_report(verify(design), tmp_path / "second")
-    assert time.process_time() - began < seconds
+    html, _ = write_report(verify(design), tmp_path)
     assert html.stat().st_size < 5_000_000
