@@ -223,17 +223,12 @@ class Columns:
         for f, face in enumerate(self.cell.faces):
             if face.pattern is None:
                 continue
-            rims = shared if self._one_rim else {}
+            rims = shared if self.cell.one_rim else {}
             self._zone_faces(f, face, centre, owner, zone, rims)
             if self.cell.island:
                 outer = [use for side in borders for use in self._all_runs(side, f)]
                 inner = [use for side in zone for use in self._all_runs(Sided(side.segment, 1, True), f)]
                 self._land_face(f, face, owner, [outer, reverse(inner)])
-
-    @property
-    def _one_rim(self) -> bool:
-        """Whether front and back end in one common rim (a lens without land)."""
-        return self.cell.front.level is None and self.cell.back.level is None
 
     def _zone_faces(self, f: int, face: CellFace, centre: Floats, owner: int, zone: list[Sided],
                     rims: dict[int, Rim]) -> None:  # fmt: skip
@@ -260,7 +255,7 @@ class Columns:
             self._lands[f] = self.shells.writer.surface(plane, np.zeros(3))
         bare = [[LoopEdge(use.edge, use.forward) for use in loop] for loop in loops]
         bare = bare if face.side < 0 else [reverse(loop) for loop in bare]
-        self.shells.face(owner, self._lands[f], face.side < 0, bare, "land")
+        self.shells.face(owner, self._lands[f], face.side < 0, bare, "plane" if face.optical else "land")
 
     def _loop(self, f: int, face: CellFace, items: tuple[tuple[str, int, int], ...], region: Region,
               centre: Floats, zone: list[Sided], rims: dict[int, Rim]) -> Loop:  # fmt: skip
@@ -320,7 +315,7 @@ class Columns:
             shift = max(abs(heights[n] - arc.poles[0, 2]), abs(heights[after] - arc.poles[-1, 2]))
             key = (f, number, n, heights[n], heights[after])
             meets = self._rim_arcs.setdefault(key, arc.with_ends(heights[n], heights[after]))
-            tolerance = 1.2 * shift + TOLERANCE
+            tolerance = 1.2 * max(shift, self.cell.misfit) + TOLERANCE
             edges.append(self.shells.edge(vertices[n], vertices[after], meets, centre, tolerance))
         return edges, vertices
 

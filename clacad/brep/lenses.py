@@ -36,6 +36,9 @@ STEEPEST = 0.02
 HIGHEST_DEGREE = 15
 """Degree of a fitted patch in each direction beyond which it is refused."""
 
+HIGHEST_ARC = 20
+"""Degree of an arc of a fitted patch over a slanting segment; kernels hold up to 25."""
+
 
 class Lens(Protocol):
     """What the shell builder asks of a lens face."""
@@ -118,7 +121,7 @@ class FittedLens:
         """Curve of the fitted patch over a straight segment: polynomial, exact on the patch."""
         m, n = self.poles.shape
         along_x, along_y = abs(end[1] - start[1]) < 1e-15, abs(end[0] - start[0]) < 1e-15
-        degree = m - 1 if along_x else n - 1 if along_y else m + n - 2
+        degree = m - 1 if along_x else n - 1 if along_y else min(m + n - 2, HIGHEST_ARC)
         t = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
         xy = start + t[:, None] * (end - start)
         z = np.linalg.solve(bernstein(degree, t), self.height(xy[:, 0], xy[:, 1]))
@@ -126,9 +129,13 @@ class FittedLens:
         return Arc(np.column_stack([start + share * (end - start), z]), np.ones(degree + 1))
 
     def parameters(self, arc: Arc) -> Arc:
-        """Straight line in the parameters (x and y are linear in the arc's parameter)."""
+        """The arc seen from above: the patch's parameters are linear in x and y, so nothing is fitted."""
         low, span = np.array(self.low), np.array(self.high) - np.array(self.low)
-        return line((arc.poles[0, :2] - low) / span, (arc.poles[-1, :2] - low) / span)
+        poles = (arc.poles[:, :2] - low) / span
+        steps = np.diff(poles, axis=0)
+        if np.abs(steps - steps.mean(axis=0)).max() <= 1e-13:  # over a straight segment, evenly
+            return line(poles[0], poles[-1])
+        return Arc(poles, arc.weights)
 
     @property
     def patch(self) -> Patch:

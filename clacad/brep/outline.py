@@ -17,7 +17,7 @@ from clacad.brep.conics import line, ruled_wall
 from clacad.brep.edges import Plane
 from clacad.brep.nodes import Touch
 from clacad.brep.path import Path
-from clacad.brep.pattern import Floats
+from clacad.brep.pattern import Floats, encloses, signed_area
 from clacad.brep.shell import FlatEdge, Loop, LoopEdge, Shells, reverse
 
 
@@ -269,8 +269,13 @@ def flat_faces(shells: Shells, f: int, face: CellFace, key: str) -> None:
     up, across = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     surface = shells.writer.surface(Plane(np.array([0.0, 0.0, face.level]), up, across), np.zeros(3))
     for loops in pieces.values():
-        for loop, points, owner in (item for item in loops if _area(item[1]) > 0.0):
-            within = [hole for hole, place, _ in loops if _area(place) <= 0.0 and _encloses(points, place)]
+        for loop, points, owner in (item for item in loops if signed_area(item[1]) > 0.0):
+            # the middle of an edge stands for a hole: corners may touch
+            within = [
+                hole
+                for hole, place, _ in loops
+                if signed_area(place) <= 0.0 and encloses(points, 0.5 * (place[0] + place[1]))
+            ]
             bounds = [loop, *within] if face.side < 0 else [reverse(bound) for bound in (loop, *within)]
             shells.face(owner, surface, face.side < 0, bounds, "land" if key == "outside" else "plane")
 
@@ -308,18 +313,3 @@ def _next_way(arrived: FlatEdge, ways: list[FlatEdge]) -> int:
     behind = np.arctan2(-arrived.way_in[1], -arrived.way_in[0])
     turns = [(behind - np.arctan2(way.way_out[1], way.way_out[0])) % (2.0 * np.pi) for way in ways]
     return int(np.argmin([turn if turn > 1e-9 else 2.0 * np.pi for turn in turns]))
-
-
-def _area(points: Floats) -> float:
-    x, y = points[:, 0], points[:, 1]
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-
-
-def _encloses(points: Floats, hole: Floats) -> bool:
-    """Whether a polygon encloses a hole (its middle edge point stands for it: corners may touch)."""
-    place = 0.5 * (hole[0] + hole[1])
-    x, y = points[:, 0] - place[0], points[:, 1] - place[1]
-    x2, y2 = np.roll(x, -1), np.roll(y, -1)
-    crosses = (y > 0.0) != (y2 > 0.0)
-    run = np.where(crosses, y2 - y, 1.0)
-    return bool(np.count_nonzero(crosses & (x - y * (x2 - x) / run > 0.0)) % 2)

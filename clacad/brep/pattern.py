@@ -104,24 +104,33 @@ def divided_pattern(zone: Floats, conic: Floats, proud: Proud, rest: Kind) -> Pa
     ends: list[tuple[int, float]] = []
     runs: list[tuple[Run, ...]] = []
     for k in range(m):
-        runs.append(_runs_of_side(zone, k, conic, proud, rest, ends))
+        runs.append(side_runs(zone, k, _conic_roots(zone, k, conic), proud, rest, ends))
     if not ends:
         return _undivided(zone, runs, conic, proud, rest)
     chains = _chains(zone, conic, proud, ends)
-    regions = _walk(runs, chains, "lens") + _walk(runs, chains, rest)
+    regions = walk(runs, chains, "lens") + walk(runs, chains, rest)
     return Pattern(
         zone, tuple(runs), tuple(chains), tuple(r for r in regions if r.kind != "none"), tuple(ends)
     )
 
 
-def _runs_of_side(
-    zone: Floats, k: int, conic: Floats, proud: Proud, rest: Kind, ends: list[tuple[int, float]]
+def _conic_roots(zone: Floats, k: int, conic: Floats) -> list[float]:
+    """Parameters at which a conic meets side k of the zone, ascending; any real ones."""
+    a, b = zone[k], zone[(k + 1) % len(zone)]
+    p, d = np.append(a, 1.0), np.append(b - a, 0.0)
+    return _quadratic(float(d @ conic @ d), float(p @ conic @ d), float(p @ conic @ p))
+
+
+def side_runs(
+    zone: Floats, k: int, roots: list[float], proud: Proud, rest: Kind, ends: list[tuple[int, float]]
 ) -> tuple[Run, ...]:
+    """Stretches of side k of a zone, cut at the roots (ascending parameters) between which nothing changes.
+
+    `ends` takes the (side, parameter) of every root that parts two kinds.
+    """
     m = len(zone)
     a, b = zone[k], zone[(k + 1) % m]
     length = float(np.hypot(*(b - a)))
-    p, d = np.append(a, 1.0), np.append(b - a, 0.0)
-    roots = _quadratic(float(d @ conic @ d), float(p @ conic @ d), float(p @ conic @ p))
     cuts = [t for t in roots if SNAP < t * length < length - SNAP]
     if len(cuts) == 2 and (cuts[1] - cuts[0]) * length < SNAP:
         cuts = []
@@ -279,7 +288,7 @@ def _straight_arcs(
     return arcs
 
 
-def _walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[Region]:
+def walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[Region]:
     """Close the loops of one kind: stretches of sides and rims, each starting where the last one ended."""
     leaving: dict[tuple[str, int], tuple[tuple[str, int, int], tuple[str, int]]] = {}
     for k, side in enumerate(runs):
@@ -309,3 +318,18 @@ def _walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[
                 break
         regions.append(Region(kind, (tuple(loop),)))
     return regions
+
+
+def signed_area(points: Floats) -> float:
+    """Area of a polygon (n, 2), positive where it runs counter-clockwise."""
+    x, y = points[:, 0], points[:, 1]
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def encloses(points: Floats, place: Floats) -> bool:
+    """Whether a polygon (n, 2) encloses a point (2,)."""
+    x, y = points[:, 0] - place[0], points[:, 1] - place[1]
+    x2, y2 = np.roll(x, -1), np.roll(y, -1)
+    crosses = (y > 0.0) != (y2 > 0.0)
+    run = np.where(crosses, y2 - y, 1.0)
+    return bool(np.count_nonzero(crosses & (x - y * (x2 - x) / run > 0.0)) % 2)
