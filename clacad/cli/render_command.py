@@ -183,8 +183,9 @@ def make_atlas(
     overwrite: bool, json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Make the paper's figures and movies, measure their rows; exit 1 when one fails."""
-    from clacad.render.atlas import AtlasRequest
+    from clacad.render.atlas import AtlasRequest, prepare
     from clacad.render.atlas import make_atlas as make
+    from clacad.render.forecast import ATLAS, atlas_seconds
 
     if not scenes.is_dir():
         raise BadRequest(
@@ -193,7 +194,9 @@ def make_atlas(
     chosen = tuple(row.strip().upper() for row in rows.split(",") if row.strip())
     progress = Progress(quiet=quiet)
     request = AtlasRequest(scenes, out, size, samples, movies, movie_size, chosen, measured, overwrite)
-    atlas = make(request, progress)
+    job = prepare(request)
+    with forecast(ATLAS, atlas_seconds(job), quiet=quiet):
+        atlas = make(job, progress)
     progress.done()
     findings = [(row, one) for row, found in atlas.findings.items() for one in found]
     if json:

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import html
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from clacad.export.atomic import Stage, canonical_json, file_hash
-from clacad.render.files import Bytes, animate, facts, labelled, pixels_of, save
+from clacad.render.atlas_page import page_of
+from clacad.render.files import Bytes, animate, facts, label_lines, labelled, pixels_of, save
+from clacad.render.finding import Finding
+from clacad.render.first import section_findings, solid_findings
 from clacad.render.picture import Picture, Progress, checked_frames, view_through
-from clacad.render.rows import FIGURES, MOVIES, Figure, Finding
+from clacad.render.rows import FIGURES, MOVIES, Figure
 from clacad.scene import Scene, load_scene
-from clacad.scene.moves import values_at
-
-NOTE = (
-    "Drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows the view "
-    "flipped left-right. Exact refraction at every lens face, ghosts included; lengths in floor tiles."
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,46 +73,112 @@ class AtlasRequest:
     overwrite: bool = False
 
 
-def make_atlas(request: AtlasRequest, progress: Progress | None = None) -> Atlas:
-    """Make the figures, movies, measurements and the index page.
+@dataclass(frozen=True, eq=False)
+class Movie:
+    """A movie to make: scene file stem, title, frames a second and the still of each frame."""
+
+    stem: str
+    title: str
+    fps: float
+    frames: tuple[Scene, ...]
+
+    def labels(self) -> list[str]:
+        """What each frame shows; all name the same parameters."""
+        turned = any(any(still.design().law_spec.euler) for still in self.frames)
+        return [f"{self.title.split(':')[0]}: {parameters(still, turned)}" for still in self.frames]
+
+
+@dataclass(frozen=True, eq=False)
+class AtlasJob:
+    """Everything that an atlas is made of, read and checked.
+
+    Attributes
+    ----------
+    request : AtlasRequest
+    figures : tuple of Figure
+    stills : mapping from scene file stem to Scene, sized as asked
+    movies : tuple of Movie, frames sized as asked
+    first : (Scene, Scene) or None
+        Of Fig. 1(a) and 1(b).
+    """
+
+    request: AtlasRequest
+    figures: tuple[Figure, ...]
+    stills: dict[str, Scene]
+    movies: tuple[Movie, ...]
+    first: tuple[Scene, Scene] | None
+
+    def load(self, stem: str) -> Scene:
+        """A scene as its file has it."""
+        return load_scene(self.request.scenes / f"{stem}.toml")
+
+
+class NoSuchRow(ValueError):
+    """A row that is none of the paper's figures; exit status 2."""
+
+    exit_status = 2
+
+
+def prepare(request: AtlasRequest) -> AtlasJob:
+    """Read every scene that an atlas needs and check every frame of its movies.
 
     Raises
     ------
+    NoSuchRow
     SceneError
-        A scene is missing or wrong; nothing is written then.
-    CannotWrite, ExportRefused
+        A scene is missing or wrong.
     """
-    tell = progress or (lambda stage, share: None)
+    known = ("F1", *(figure.row for figure in FIGURES))
+    for row in request.rows:
+        if row not in known:
+            raise NoSuchRow(f"there is no row {row}; rows are {', '.join(known)}")
 
     def load(stem: str) -> Scene:
         return load_scene(request.scenes / f"{stem}.toml")
 
-    chosen = [f for f in FIGURES if not request.rows or f.row in request.rows]
-    stills = {stem: load(stem) for figure in chosen for stem, _ in figure.scenes}
-    movies = [
-        (stem, title, load(stem))
-        for stem, title in MOVIES
-        if request.movies and any(title.startswith(f.title.split(":")[0]) for f in chosen)
-    ]
-    frames = {stem: checked_frames(scene) for stem, _, scene in movies}
+    chosen = tuple(f for f in FIGURES if not request.rows or f.row in request.rows)
+    stills = {stem: _sized(load(stem), request.size, request.samples) for f in chosen for stem, _ in f.scenes}
+    movies = []
+    for stem, title in MOVIES:
+        if request.movies and any(title.startswith(f.title.split(":")[0]) for f in chosen):
+            scene = load(stem)
+            frames = tuple(
+                _sized(still, request.movie_size, request.samples) for still in checked_frames(scene)
+            )
+            assert scene.animation is not None  # it has frames
+            movies.append(Movie(stem, title, scene.animation.fps, frames))
+    first = None
+    if not request.rows or "F1" in request.rows:
+        first = load("fig1a"), _sized(load("fig1b"), request.size, max(4, request.samples // 4))
+    return AtlasJob(request, chosen, stills, tuple(movies), first)
+
+
+def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
+    """Make the figures, movies, measurements and the index page.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+    tell = progress or (lambda stage, share: None)
     findings: dict[str, tuple[Finding, ...]] = {}
-    with Stage(request.out, overwrite=request.overwrite) as stage:
-        for figure in chosen:
+    with Stage(job.request.out, overwrite=job.request.overwrite) as stage:
+        if job.first is not None:
+            tell("F1", None)
+            findings |= _first_figure(stage, *job.first, measured=job.request.measured)
+        for figure in job.figures:
             for stem, label in figure.scenes:
                 tell(f"{figure.row}: {label}", None)
-                picture = view_through(_sized(stills[stem], request.size, request.samples), compiled=True)
-                text = f"{figure.row}  {label}"
+                picture = view_through(job.stills[stem], compiled=True)
+                text = f"{figure.row}: {parameters(job.stills[stem])}"
                 save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), facts(picture))
-            if request.measured:
+            if job.request.measured:
                 tell(f"{figure.row}: measuring", None)
-                findings[figure.row] = tuple(figure.check(load))
-        for stem, title, scene in movies:
-            _movie(stage, stem, title, _moments(scene), frames[stem], request, tell)
-        if not request.rows or "F1" in request.rows:
-            tell("F1", None)
-            _first_figure(stage, request, load)
+                findings[figure.row] = tuple(figure.check(job.load))
+        for movie in job.movies:
+            _movie(stage, movie, tell)
         names = _names(stage)
-        page = _page(chosen, findings, [(stem, title) for stem, title, _ in movies], names)
+        page = page_of(job.figures, findings, [(movie.stem, movie.title) for movie in job.movies], names)
         stage.path("index.html").write_text(page, encoding="utf-8")
         stage.path("atlas.json").write_text(canonical_json(_record(findings)), encoding="utf-8")
         stage.publish(manifest_of(stage, "atlas"))
@@ -130,52 +191,61 @@ def _sized(scene: Scene, size: int, samples: int) -> Scene:
     return replace(scene, camera=replace(scene.camera, pixels=pixels, samples=samples))
 
 
-def _moments(scene: Scene) -> list[str]:
-    """What the first moved key is in each frame: "z = 3.5"."""
-    animation = scene.animation
-    assert animation is not None  # it is a movie
-    key = animation.moves[0].key
-    name = NAMES.get(key, key)
-    return [f"{name} = {values_at(animation, k)[key]:.4g}" for k in range(animation.frames)]
+def parameters(scene: Scene, turned: bool = False) -> str:
+    """What a still shows, read from the scene itself: "eta = (-0.25, -1), z = 10".
+
+    Parameters
+    ----------
+    scene : Scene
+    turned : bool
+        Name the three angles even where all are 0.
+    """
+    law = scene.design().law_spec
+    said = [f"eta = ({law.eta[0]:.4g}, {law.eta[1]:.4g})"]
+    if any(law.delta):
+        said.append(f"delta = ({law.delta[0]:.4g}, {law.delta[1]:.4g})")
+    if turned or any(law.euler):
+        said += [
+            f"{name} = {math.degrees(angle):.5g}°"
+            for name, angle in zip(("phi", "theta", "psi"), law.euler, strict=True)
+        ]
+    said += [f"z = {thing.at[2]:.4g}" for thing in scene.objects if thing.id == "knight"]
+    return ", ".join(said)
 
 
-def _movie(
-    stage: Stage, stem: str, title: str, moments: Sequence[str], frames: Sequence[Scene], request: AtlasRequest,
-    tell: Callable[[str, float | None], None],
-) -> None:  # fmt: skip
+def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]) -> None:
+    """Draw a movie, each frame with what its own scene shows."""
+    labels = movie.labels()
+    width = movie.frames[0].camera.pixels[0]
+    lines = max(len(label_lines(label, width)) for label in labels)
     pixels: list[Bytes] = []
     notes: dict[str, str] = {}
-    for k, still in enumerate(frames):
-        tell(f"movie {title}", k / len(frames))
-        sized = _sized(still, request.movie_size, request.samples)
-        picture: Picture = view_through(sized, compiled=True)
-        pixels.append(labelled(pixels_of(picture), f"{title.split(':')[0]}   {moments[k]}"))
+    for k, still in enumerate(movie.frames):
+        tell(f"movie {movie.title}", k / len(movie.frames))
+        picture: Picture = view_through(still, compiled=True)
+        pixels.append(labelled(pixels_of(picture), labels[k], lines))
         notes = facts(picture)
-    animate(stage.path(f"{stem}.webp"), iter(pixels), 25.0, notes)
+    animate(stage.path(f"{movie.stem}.webp"), iter(pixels), movie.fps, notes)
 
 
-NAMES = {
-    "object.knight.at.2": "z", "sheet.set.law.euler.0": "phi", "sheet.set.law.euler.1": "theta",
-    "sheet.set.law.euler.2": "psi",
-}  # fmt: skip
-"""What the text calls a key."""
-
-
-def _first_figure(stage: Stage, request: AtlasRequest, load: Callable[[str], Scene]) -> None:
-    """Figure 1: the section with rays as SVG, and the sheet itself as a picture."""
+def _first_figure(
+    stage: Stage, section: Scene, solids: Scene, *, measured: bool
+) -> dict[str, tuple[Finding, ...]]:
+    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; what both measure."""
     from clacad.render.section import section_svg
     from clacad.render.solid import solid_picture
 
-    section = load("fig1a")
     stage.path("fig1a.svg").write_text(section_svg(section.design()), encoding="utf-8")
-    scene = load("fig1b")
-    image = solid_picture(_sized(scene, request.size, max(4, request.samples // 4)))
-    text = "F1b  the sheet of Fig. 8 at reduced separation, drawn as tinted solids"
-    save(
-        labelled(image, text),
-        stage.path("fig1b.png"),
-        {"Title": scene.name, "clacad:design": scene.design().name},
+    text = (
+        f"F1b: {parameters(solids)}, separation = {solids.design().pair.separation}, "
+        "drawn as tinted solids without refraction"
     )
+    save(
+        labelled(solid_picture(solids), text),
+        stage.path("fig1b.png"),
+        {"Title": solids.name, "clacad:design": solids.design().name},
+    )
+    return {"F1": (*section_findings(section), *solid_findings(solids))} if measured else {}
 
 
 def _names(stage: Stage) -> tuple[str, ...]:
@@ -199,69 +269,3 @@ def _record(findings: dict[str, tuple[Finding, ...]]) -> dict[str, Any]:
         "passed": passed,
         "rows": {row: [one.to_dict() for one in found] for row, found in findings.items()},
     }
-
-
-# -- the page ----------------------------------------------------------------------------------
-
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 76em; margin: 2em auto; padding: 0 1em; color: #222 }
-figure { display: inline-block; margin: 0 1em 1em 0; vertical-align: top } img { max-width: 100%; border: 1px solid #ccc }
-figcaption { font-size: 90%; color: #555 } table { border-collapse: collapse; margin: 0 0 2em }
-td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #ddd } td:first-child, th:first-child { text-align: left }
-.fail { color: #b00; font-weight: bold }
-@media (prefers-color-scheme: dark) { body { background: #181a1c; color: #ddd } td, th { border-color: #444 } }
-"""
-
-
-def _page(
-    figures: Sequence[Figure], findings: dict[str, tuple[Finding, ...]], movies: Sequence[tuple[str, str]],
-    names: Sequence[str],
-) -> str:  # fmt: skip
-    parts = [f"<p>{html.escape(NOTE)}</p>"]
-    if "fig1a.svg" in names:
-        parts.append(
-            "<h2>F1 &ndash; Fig. 1: geometry</h2>"
-            + _img("fig1a.svg", "one telescopelet, to scale, rays traced")
-        )
-        parts.append(_img("fig1b.png", "both arrays, drawn as tinted solids (no refraction)"))
-    for figure in figures:
-        parts.append(
-            f"<h2>{figure.row} &ndash; {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
-        )
-        parts += [_img(f"{stem}.png", label) for stem, label in figure.scenes]
-        parts += [
-            _img(f"{stem}.webp", title)
-            for stem, title in movies
-            if title.startswith(figure.title.split(":")[0])
-        ]
-        if figure.row in findings:
-            parts.append(_table(findings[figure.row]))
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Views through the sheet</title>'
-        f"<style>{STYLE}</style></head>\n<body><h1>Views through generalized confocal lenslet arrays</h1>\n"
-        + "\n".join(parts)
-        + "\n</body></html>\n"
-    )
-
-
-def _img(name: str, label: str) -> str:
-    text = html.escape(label)
-    return f'<figure><img src="{html.escape(name)}" alt="{text}"><figcaption>{text}</figcaption></figure>'
-
-
-def _table(findings: Sequence[Finding]) -> str:
-    rows = "".join(
-        f"<tr><td>{html.escape(one.what)}</td><td>{one.measured:.4g}</td><td>{one.expected:.4g}</td>"
-        f"<td>{one.tolerance:.2g}</td><td{'' if one.passed else ' class=fail'}>{'pass' if one.passed else 'FAIL'}</td></tr>"
-        for one in findings
-    )
-    head = "<tr><th>measured in the picture</th><th>measured</th><th>formula</th><th>tolerance</th><th></th></tr>"
-    return f"<table>{head}{rows}</table>"
-
-
-def small(pixels: Bytes, side: int) -> Bytes:
-    """A picture reduced to a given width by averaging, for pages."""
-    from PIL import Image
-
-    height = max(1, round(side * pixels.shape[0] / pixels.shape[1]))
-    return np.asarray(Image.fromarray(pixels).resize((side, height), Image.Resampling.BOX))

@@ -144,16 +144,48 @@ def _one_text(notes: dict[str, str]) -> str:
     return "\n".join(f"{key}: {value}" for key, value in notes.items())
 
 
-def labelled(pixels: Bytes, text: str) -> Bytes:
-    """A picture with a line of text on a strip below it."""
-    from PIL import Image, ImageDraw, ImageFont
+def labelled(pixels: Bytes, text: str, lines: int = 1) -> Bytes:
+    """A picture with its label on a strip below it, broken into lines that fit.
 
-    height, width = pixels.shape[:2]
-    size = max(10, min(14, width // 32))
-    strip = Image.new("RGB", (width, 2 * size - 2), (255, 255, 255))
-    font = ImageFont.load_default(size)
-    ImageDraw.Draw(strip).text((size // 2, size // 4), text, fill=(40, 40, 40), font=font)
+    Parameters
+    ----------
+    pixels : (h, w, 3) bytes
+    text : str
+    lines : int
+        Lines that the strip has room for at least: frames of a movie must all be as high.
+    """
+    from PIL import Image, ImageDraw
+
+    size, font = _label_font(pixels.shape[1])
+    broken = label_lines(text, pixels.shape[1])
+    pitch = 2 * size - 2 if max(lines, len(broken)) == 1 else round(1.3 * size)
+    height = max(lines, len(broken)) * pitch + (0 if pitch == 2 * size - 2 else size // 2)
+    strip = Image.new("RGB", (pixels.shape[1], height), (255, 255, 255))
+    draw = ImageDraw.Draw(strip)
+    for k, line in enumerate(broken):
+        draw.text((size // 2, size // 4 + k * pitch), line, fill=(40, 40, 40), font=font)
     return np.concatenate([pixels, np.asarray(strip)])
+
+
+def label_lines(text: str, width: int) -> list[str]:
+    """A label broken between words, but not at " = ", so that each line fits below a picture so many pixels wide."""
+    size, font = _label_font(width)
+    lines = [""]
+    for word in text.replace(" = ", "\0=\0").split():
+        longer = f"{lines[-1]} {word}".strip().replace("\0", " ")
+        if lines[-1] and font.getlength(longer) > width - size:
+            lines.append(word.replace("\0", " "))
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _label_font(width: int) -> tuple[int, Any]:
+    """Size and font of a label below a picture so many pixels wide."""
+    from PIL import ImageFont
+
+    size = max(10, min(14, width // 32))
+    return size, ImageFont.load_default(size)
 
 
 def write_movie(

@@ -40,6 +40,12 @@ class ScreenMap:
         Of the rays that were fitted.
     share : float
         Rays fitted over rays on the sheet.
+    direct : float
+        Rays through corresponding lenslets over rays on the sheet.
+    seen : (n, 2) lengths
+        Screen points that rays through corresponding lenslets meet.
+    grain : float, length²
+        Part of the sheet for each ray.
     z : float, length
         Plane of the screen.
     camera_distance : float, length
@@ -49,6 +55,9 @@ class ScreenMap:
     matrix: Floats
     rms: Floats
     share: float
+    direct: float
+    seen: Floats
+    grain: float
     z: float
     camera_distance: float
 
@@ -59,6 +68,12 @@ class ScreenMap:
     def appears_at(self, x: float, y: float) -> Floats:
         """Point (2,) of the sheet at which the screen point (x, y) is seen."""
         return np.asarray(np.linalg.solve(self.matrix, np.array([x, y]) - self.offset))
+
+    def shown(self, x: float, y: float, radius: float) -> float:
+        """Rays that meet the screen within a radius of (x, y), over those that an endless lossless sheet would send there."""
+        near = np.hypot(self.seen[:, 0] - x, self.seen[:, 1] - y) < radius
+        area = np.pi * radius * radius / abs(float(np.linalg.det(self.matrix)))  # on the sheet
+        return float(np.count_nonzero(near) * self.grain / area)
 
 
 def coordinate_scene(scene: Scene, z: float, pixels: int = 400) -> Scene:
@@ -112,7 +127,9 @@ def measure(
     seen = (light[met, :2] - 0.5) * WIDE
     offset, matrix, rms, kept = fitted(x0[met], seen)
     distance = float(-scene.camera.position[2])
-    return ScreenMap(offset, matrix, rms, kept / np.count_nonzero(inside), z, distance)
+    on_sheet, direct = int(np.count_nonzero(inside)), int(np.count_nonzero(met))
+    grain = float(np.prod(np.ptp(x0[inside], axis=0))) / on_sheet
+    return ScreenMap(offset, matrix, rms, kept / on_sheet, direct / on_sheet, seen, grain, z, distance)
 
 
 def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:

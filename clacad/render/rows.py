@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.render.measure import ScreenMap, measure
+from clacad.render.finding import Finding
+from clacad.render.measure import ScreenMap, fitted, measure
 from clacad.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -26,28 +26,6 @@ D = 20.0
 
 RAYS = 230
 """Rays across a measured picture: not a multiple of the lens pitch."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One measured number beside the expected one."""
-
-    what: str
-    measured: float
-    expected: float
-    tolerance: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether it lies within the tolerance."""
-        return abs(self.measured - self.expected) <= self.tolerance
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "what": self.what, "measured": self.measured, "expected": self.expected, "tolerance": self.tolerance,
-            "passed": self.passed,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,27 +59,57 @@ def _turned(scene: Scene, k: int, degrees: float) -> Scene:
     return scene.replace({f"sheet.set.law.euler.{k}": degrees})
 
 
+DIRECT = {"eta_x = -0.25": 0.875, "eta_x = -0.5": 0.875, "eta_x = -1": 0.766, "eta_x = -2": 0.4375,
+          "phi = 45": 0.914, "theta = 0.5": 0.895, "theta = 1": 0.840}  # fmt: skip
+"""Share of the light on the sheet that passes corresponding lenslets: mean of the closed form, share in x times in y."""
+
+
+def _share(what: str, found: ScreenMap) -> Finding:
+    return Finding(f"{what}: share of light through corresponding lenslets", found.direct, DIRECT[what], 0.03)
+
+
 def _squash(load: Loader) -> Iterator[Finding]:
     for ratio in (0.25, 0.5, 1.0, 2.0):
-        found = _map(load(f"fig2-eta-{ratio:g}"), 10.0).matrix
+        found = _map(load(f"fig2-eta-{ratio:g}"), 10.0)
+        label = f"eta_x = -{ratio:g}"
         for axis, name, value in ((0, "x", ratio), (1, "y", 1.0)):
-            what = f"eta_x = -{ratio:g}, z = 10: 1/stretch in {name}"
-            yield Finding(what, float(found[axis, axis]), 1.0 - 10.0 / (D * value), 0.04)
+            what = f"{label}, z = 10: 1/stretch in {name}"
+            yield Finding(what, float(found.matrix[axis, axis]), 1.0 - 10.0 / (D * value), 0.04)
+        yield _sheared(label, found.matrix)
+        yield _share(label, found)
+
+
+def _sheared(label: str, matrix: Floats) -> Finding:
+    """The larger of the two numbers that are 0 where x and y do not mix."""
+    mixed = max((float(matrix[0, 1]), float(matrix[1, 0])), key=abs)
+    return Finding(f"{label}: shear", mixed, 0.0, 0.005)
 
 
 def _distance(load: Loader) -> Iterator[Finding]:
     scene = load("fig3-movie").at(0)
-    for z in (2.0, 8.0, 10.0, 15.0, 38.0):
+    for z in (2.0, 4.0, 5.0, 8.0, 10.0, 15.0, 30.0, 38.0):
         found = _map(scene, z).matrix
         yield Finding(f"z = {z:g}: 1/stretch in x", float(found[0, 0]), 1.0 - 4.0 * z / D, 0.01 + 0.005 * z)
         yield Finding(f"z = {z:g}: 1/stretch in y", float(found[1, 1]), 1.0 - z / D, 0.01 + 0.001 * z)
     for axis, name, pole, near in ((0, "x", 5.0, 1.0), (1, "y", 20.0, 2.0)):
         before, after = (float(_map(scene, pole + step).matrix[axis, axis]) for step in (-near, near))
+        yield Finding(f"z = {pole - near:g}: sign of the stretch in {name}", float(np.sign(before)), 1.0, 0.0)
+        yield Finding(f"z = {pole + near:g}: sign of the stretch in {name}", float(np.sign(after)), -1.0, 0.0)
         crossing = pole - near + 2.0 * near * before / (before - after)
         yield Finding(f"stretch in {name} changes sign at z", crossing, pole, 0.0125 * pole)
-    found = _map(scene, -2.0).matrix
-    yield Finding("z = -2, before the sheet: undistorted in x", float(found[0, 0]), 1.0 - 2.0 / D, 1e-9)
-    yield Finding("z = -2, before the sheet: undistorted in y", float(found[1, 1]), 1.0 - 2.0 / D, 1e-9)
+    yield from _before(scene)
+    touching, leaving = (_map(scene, z) for z in (-0.001, 0.06))  # the sheet fills z = 0 to 0.05
+    jump = float(np.abs(leaving.matrix - touching.matrix).max())
+    yield Finding("largest change of the view from just before the sheet to just behind it", jump, 0.0, 0.01)
+
+
+def _before(scene: Scene) -> Iterator[Finding]:
+    """A piece before the sheet is seen as if there were none."""
+    found = _map(scene, -2.0)
+    for axis, name in ((0, "x"), (1, "y")):
+        what = f"z = -2, before the sheet: undistorted in {name}"
+        yield Finding(what, float(found.matrix[axis, axis]), 1.0 - 2.0 / D, 1e-9)
+    yield _sheared("z = -2, before the sheet", found.matrix)
 
 
 def _offset(load: Loader) -> Iterator[Finding]:
@@ -110,13 +118,10 @@ def _offset(load: Loader) -> Iterator[Finding]:
     ):  # fmt: skip
         found = _map(load(f"fig4-delta-{stem}"), 10.0)
         x, y = found.appears_at(0.0, 0.0)
-        yield Finding(
-            f"delta = ({dx:g}, {dy:g}): axis point at z = 10 appears at x", float(x), 40.0 * dx, 0.015
-        )
-        yield Finding(
-            f"delta = ({dx:g}, {dy:g}): axis point at z = 10 appears at y", float(y), -20.0 * dy, 0.008
-        )
-        yield Finding(f"delta = ({dx:g}, {dy:g}): shear", float(found.matrix[0, 1]), 0.0, 0.005)
+        label = f"delta = ({dx:g}, {dy:g})"
+        yield Finding(f"{label}: axis point at z = 10 appears at x", float(x), 40.0 * dx, 0.015)
+        yield Finding(f"{label}: axis point at z = 10 appears at y", float(y), -20.0 * dy, 0.008)
+        yield _sheared(label, found.matrix)
 
 
 def winding(maps: list[Floats]) -> float:
@@ -131,68 +136,177 @@ def winding(maps: list[Floats]) -> float:
     return total
 
 
+FAR = 1.0e4
+"""Distance, tiles, at which a screen is the horizon to a picture."""
+
+
+def horizon_tilt(matrix: Floats) -> float:
+    """Degrees from x by which the horizon is seen, -90 to 90: the line on the sheet along which Y does not change."""
+    return (math.degrees(math.atan2(-matrix[1, 0], matrix[1, 1])) + 90.0) % 180.0 - 90.0
+
+
 def _roll(load: Loader) -> Iterator[Finding]:
     scene = load("fig5-movie").at(0)
-    for z, expected in ((3.0, 0.0), (10.0, 360.0), (30.0, 0.0)):
-        maps = [_map(_turned(scene, 0, phi), z).matrix for phi in np.linspace(0.0, 180.0, 13)]
+    turned = [_turned(scene, 0, phi) for phi in np.linspace(0.0, 180.0, 13)]
+    for z, expected in ((3.0, 0.0), (10.0, 360.0), (15.0, 360.0), (30.0, 0.0)):
+        maps = [_map(still, z).matrix for still in turned]
         yield Finding(
             f"phi 0 to 180: turn of a piece at z = {z:g}, degrees", abs(winding(maps)), expected, 1e-6
         )
-    far = 1.0e4
-    for phi, expected in ((0.0, 0.0), (26.57, 36.87), (90.0, 0.0), (153.43, -36.87)):
-        found = _map(_turned(scene, 0, phi), far).matrix
-        tilt = math.degrees(math.atan2(-found[1, 0], found[1, 1]))
-        tilt = (tilt + 90.0) % 180.0 - 90.0
-        yield Finding(f"phi = {phi:g}: tilt of the horizon, degrees", abs(tilt), abs(expected), 0.6)
+    horizon = [_map(still, FAR).matrix for still in turned]
+    yield Finding("phi 0 to 180: turn of the horizon, degrees", abs(winding(horizon)), 0.0, 1e-6)
+    for phi, expected in ((0.0, 0.0), (26.57, -36.87), (90.0, 0.0), (153.43, 36.87), (180.0, 0.0)):
+        tilt = horizon_tilt(_map(_turned(scene, 0, phi), FAR).matrix)
+        yield Finding(f"phi = {phi:g}: tilt of the horizon, degrees", tilt, expected, 0.6)
+    most = max(abs(horizon_tilt(matrix)) for matrix in horizon)
+    amplitude = math.degrees(math.atan(0.75))
+    yield Finding("largest tilt of the horizon over 13 angles, degrees", most, amplitude, 1.5)
+    for phi in (26.57, 45.0, 135.0):
+        values = np.sort(np.linalg.eigvals(_map(load(f"fig5-phi-{phi:g}"), 10.0).matrix).real)
+        yield Finding(f"phi = {phi:g}, z = 10: 1/stretch along one direction", float(values[0]), -1.0, 0.04)
+        yield Finding(f"phi = {phi:g}, z = 10: 1/stretch along the other", float(values[1]), 0.5, 0.04)
+    yield _share("phi = 45", _map(load("fig5-phi-45"), 10.0))
 
 
 def _tilt(load: Loader) -> Iterator[Finding]:
     for theta in (0.25, 0.5, 1.0):
-        x, y = _map(load(f"fig6-theta-{theta:g}"), 10.0).appears_at(0.0, 0.0)
+        found = _map(load(f"fig6-theta-{theta:g}"), 10.0)
+        x, y = found.appears_at(0.0, 0.0)
         angle = math.radians(theta)
-        yield Finding(
-            f"theta = {theta:g}: axis point at z = 10 appears at x", float(x), -45.0 * angle, 0.03 * theta
-        )
-        yield Finding(
-            f"theta = {theta:g}: axis point at z = 10 appears at y", float(y), -5.0 * angle, 0.03 * theta
-        )
+        label = f"theta = {theta:g}"
+        yield Finding(f"{label}: axis point at z = 10 appears at x", float(x), -45.0 * angle, 0.03 * theta)
+        yield Finding(f"{label}: axis point at z = 10 appears at y", float(y), -5.0 * angle, 0.03 * theta)
+        if label in DIRECT:
+            yield _share(label, found)
+    few, many = (
+        _shift(load(f"fig6-theta-{theta:g}").replace({"sheet.rung": "law"})) for theta in (0.25, 1.0)
+    )
+    yield Finding(
+        "homogeneous sheet: shift at theta = 1 over four times that at 0.25", many / (4.0 * few), 1.0, 0.002
+    )
+    scene = load("fig6-theta-0.5")
+    plain = _turned(scene, 0, 0.0)
+    x, y = _map(plain, 10.0).appears_at(0.0, 0.0)
+    yield Finding("phi = 0, theta = 0.5: axis point at z = 10 appears at x", float(x), 0.0, 0.005)
+    yield Finding(
+        "phi = 0, theta = 0.5: axis point at z = 10 appears at y, not x", float(y), math.radians(20.0), 0.005
+    )
+    offset = plain.replace(
+        {"sheet.set.law.euler": [0.0, 0.0, 0.0], "sheet.set.law.delta": [0.0, -math.radians(1.0)]}
+    )
+    same = float(_map(offset, 10.0).appears_at(0.0, 0.0)[1])
+    yield Finding("phi = 0, theta = 0.5: y over that of delta_y = -2 theta", float(y) / same, 1.0, 0.01)
+
+
+def _shift(scene: Scene) -> float:
+    """Distance on the sheet at which the axis point at z = 10 is seen."""
+    return float(np.hypot(*_map(scene, 10.0).appears_at(0.0, 0.0)))
 
 
 def _swing(load: Loader) -> Iterator[Finding]:
     start = math.atan2(-5.0, -45.0)
     radius = math.radians(0.5) * math.hypot(45.0, 5.0)
+    movie = load("fig7-movie")
+    assert movie.animation is not None
+    first, last = (_map(movie.at(k), 10.0).matrix for k in (0, movie.animation.frames - 1))
     for psi in (45.0, 90.0, 180.0, 270.0):
         found = _map(load(f"fig7-psi-{psi:g}"), 10.0)
         x, y = found.appears_at(0.0, 0.0)
         yield Finding(f"psi = {psi:g}: distance of the apparent centre", math.hypot(x, y), radius, 0.008)
-        turned = math.degrees(math.atan2(y, x) - start) - psi
-        turned = (turned + 180.0) % 360.0 - 180.0
+        turned = _around(math.degrees(math.atan2(y, x) - start) - psi)
         yield Finding(f"psi = {psi:g}: turn of the apparent centre beyond psi, degrees", turned, 0.0, 1.5)
-    movie = load("fig7-movie")
-    assert movie.animation is not None
-    first, last = (_map(movie.at(k), 10.0).matrix for k in (0, movie.animation.frames - 1))
+        beyond = _around(_mirror(found.matrix) - _mirror(first) - 2.0 * psi)
+        yield Finding(f"psi = {psi:g}: turn of the piece beyond 2 psi, degrees", beyond, 0.0, 0.5)
     yield Finding(
         "psi = 360 against 0: largest change of the map", float(np.abs(first - last).max()), 0.0, 1e-9
     )
 
 
+def _around(degrees: float) -> float:
+    """The angle between -180 and 180."""
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+def _mirror(matrix: Floats) -> float:
+    """Degrees by which a mirrored map is turned: of its part that changes the sense of rotation."""
+    return math.degrees(math.atan2(matrix[1, 0] + matrix[0, 1], matrix[0, 0] - matrix[1, 1]))
+
+
+CENTRES = {3.0: (-0.195, 0.133), 8.0: (0.175, -0.407), 10.0: (0.044, -0.393), 15.0: (-0.361, -0.688),
+           38.0: (0.494, 0.243), 60.0: (0.381, 0.143), FAR: (0.284, 0.065)}  # fmt: skip
+"""Where the axis point at z is seen on the sheet of Fig. 8."""
+
+SEEN, UNSEEN = (3.0, 8.0, 10.0, 38.0, 60.0), (5.0, 5.5, 6.0, 15.0, 18.0, 20.0, 22.0)
+"""Distances at which the axis point is seen on the sheet, and at which the place for it is beside the sheet."""
+
+NEAR = 0.05
+"""Distance from the axis, tiles, that counts as the axis point."""
+
+HALF_SIDE = 0.5
+"""Of the sheet, tiles."""
+
+
 def _vanish(load: Loader) -> Iterator[Finding]:
-    centres = {
-        3.0: (-0.195, 0.133),
-        8.0: (0.175, -0.407),
-        10.0: (0.044, -0.393),
-        38.0: (0.494, 0.243),
-        60.0: (0.381, 0.143),
-    }
     scene = load("fig8-z-60")
-    for z, (x, y) in centres.items():
+    for z, (x, y) in CENTRES.items():
         at = _map(scene, z).appears_at(0.0, 0.0)
-        slack = 0.02 if z < 20.0 else 0.03
-        yield Finding(f"z = {z:g}: apparent centre x", float(at[0]), x, slack)
-        yield Finding(f"z = {z:g}: apparent centre y", float(at[1]), y, slack)
+        slack = 0.02 if z < 12.0 else 0.03
+        label = "horizon" if z == FAR else f"z = {z:g}"
+        yield Finding(f"{label}: apparent centre x", float(at[0]), x, slack)
+        yield Finding(f"{label}: apparent centre y", float(at[1]), y, slack)
+    yield from visibility(scene)
+    for edge in unseen_zones(scene):
+        near = 0.04 * edge
+        before, after = (_reach(_map(scene, edge + step)) for step in (-near, near))
+        crossing = edge - near + 2.0 * near * before / (before - after)
+        yield Finding("the axis point crosses the sheet's edge at z", crossing, edge, 0.04 * edge)
     stretches = np.sort(np.linalg.eigvals(np.linalg.inv(_map(scene, 60.0).matrix)).real)
     yield Finding("z = 60: larger stretch", float(stretches[0]), -0.5, 0.02)
     yield Finding("z = 60: smaller stretch", float(stretches[1]), -0.0909, 0.005)
+    yield from _before(load("fig8-movie").at(0))
+
+
+def visibility(scene: Scene) -> Iterator[Finding]:
+    """Whether the axis point is seen on the sheet of Fig. 8, or nowhere: light from it, counted in the picture."""
+    for z in (*SEEN, *UNSEEN):
+        share = _map(scene, z).shown(0.0, 0.0, NEAR)
+        what, expected, slack = ("seen", 1.0, 0.5) if z in SEEN else ("not seen", 0.0, 0.05)
+        yield Finding(
+            f"z = {z:g}: light from the axis point over what an endless sheet shows: {what}",
+            share,
+            expected,
+            slack,
+        )
+
+
+def _reach(found: ScreenMap) -> float:
+    """How far outside the sheet the axis point is seen; negative where it is seen on it."""
+    return float(np.abs(found.appears_at(0.0, 0.0)).max()) - HALF_SIDE
+
+
+def unseen_zones(scene: Scene) -> list[float]:
+    """Distances z, rising, at which by the law alone the axis point crosses the edge of the sheet.
+
+    Rays through points x₀ leave with the law's slopes, X = x₀ + z · slope; their fit is affine in z.
+    """
+    side = np.linspace(-HALF_SIDE, HALF_SIDE, 9)
+    x0 = np.stack(np.meshgrid(side, side), axis=2).reshape(-1, 2)
+    out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))
+    offset, matrix, _, _ = fitted(x0, out[:, :2] / out[:, 2:])
+
+    def reach(z: float) -> float:
+        return float(np.abs(np.linalg.solve(np.eye(2) + z * matrix, -z * offset)).max()) - HALF_SIDE
+
+    grid = np.arange(0.55, 60.0, 0.1)
+    values = [reach(float(z)) for z in grid]
+    found = []
+    for k in np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1])):
+        low, high = float(grid[k]), float(grid[k + 1])
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if reach(middle) * reach(low) > 0.0 else (low, middle)
+        found.append(low)
+    return found
 
 
 FIGURES: tuple[Figure, ...] = (

@@ -62,7 +62,7 @@ def section_svg(design: Design) -> str:
     parts.append(canvas.line(np.array([plane - 1.2 * half * across, plane + 1.2 * half * across]), "plane"))
     parts.append(canvas.dot(focus))
     parts += _labels(canvas, window, focus, plane, half)
-    parts.append(canvas.caption(_caption(window, directions)))
+    parts += canvas.caption(_caption(design, window, directions))
     return canvas.svg(parts)
 
 
@@ -91,8 +91,8 @@ def _slope(window: Window) -> float:
     return float(offset @ window.thin.rotation[:, 0]) / window.thin.separation + ASIDE
 
 
-def _bundle(window: Window) -> tuple[Floats, Floats]:
-    """Starts and directions of parallel rays that fill the middle of lens 1."""
+def parallel_bundle(window: Window) -> tuple[Floats, Floats]:
+    """Starts and directions (7, 3) of parallel rays that fill the middle of lens 1, lengths of the window."""
     rotation, half = window.thin.rotation, 0.5 * window.lattice.pitch[0]
     direction = rotation[:, 2] + _slope(window) * rotation[:, 0]
     direction = direction / np.linalg.norm(direction)
@@ -102,7 +102,7 @@ def _bundle(window: Window) -> tuple[Floats, Floats]:
 
 
 def _rays(window: Window) -> tuple[list[Floats], Floats]:
-    start, direction = _bundle(window)
+    start, direction = parallel_bundle(window)
     result = trace_sequence(_interfaces(window), Rays(start, direction), record=True)
     assert result.hits is not None
     reach = 0.9 * window.thin.focal_length[0][0]
@@ -129,23 +129,29 @@ def _face_points(window: Window, face: Face, x: Floats) -> Floats:
     return np.asarray(local @ face.rotation.T + np.array(face.vertex) + np.array([*shift, 0.0]))
 
 
-def _caption(window: Window, directions: Floats) -> str:
-    start, direction = _bundle(window)
+def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
+    start, direction = parallel_bundle(window)
     thin = trace(window, Rays(start, direction), rung="thin")
     asked = window.law.refract(direction)
     alive = thin.fate == Fate.ALIVE
     off = np.linalg.norm(np.cross(thin.direction, asked), axis=1)[alive].max(initial=0.0)
     spread = np.linalg.norm(np.cross(directions, asked), axis=1).max()
-    return (
-        f"{window.name}: to scale. Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to "
-        f"{1e3 * spread:.2g} mrad over this bundle."
-    )
+    return [
+        f"{window.name} with {_numbers(design)}, to scale.",
+        f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad over this bundle.",
+    ]
+
+
+def _numbers(design: Design) -> str:
+    """The law in the drawn plane, as the design asks it."""
+    law = design.law_spec
+    return f"η = {law.eta[0]:.4g}, δ = {law.delta[0]:.4g}, θ = {np.degrees(law.euler[1]):.4g}°"
 
 
 def _labels(canvas: _Canvas, window: Window, focus: Floats, plane: Floats, half: float) -> list[str]:
     rotation = window.thin.rotation
     axis, across = rotation[:, 2], rotation[:, 0]
-    (f1, _), _ = window.thin.focal_length
+    (f1, _), (f2, _) = window.thin.focal_length
     lens2 = np.array(window.thin.offset)
     foot = lens2 - (lens2 @ across) * across
     below = -1.35 * half * across
@@ -153,17 +159,29 @@ def _labels(canvas: _Canvas, window: Window, focus: Floats, plane: Floats, half:
         canvas.text(focus + 0.12 * half * across, "F", "start"),
         canvas.arrow(below, plane + below, "f₁"),
         canvas.arrow(plane + below, foot + below, "f₂"),
-        canvas.arrow(foot, lens2, "d") if abs(lens2 @ across) > 1e-3 * half else "",
-        canvas.text(plane + 1.3 * half * across, "common focal plane", "middle"),
+        *_offset(canvas, foot, lens2, axis, f2),
+        canvas.text(plane + 1.3 * half * across, "common focal plane", "end"),
         canvas.line(np.array([[0.0, 0.0, -0.9 * f1], [0.0, 0.0, 0.0]]), "normal"),
         canvas.text(np.array([0.10 * half, 0.0, -0.9 * f1]), "sheet normal", "start"),
     ]
     if rotation[0, 2] != 0.0:
         angle = np.degrees(np.arctan2(rotation[0, 2], rotation[2, 2]))
         found.append(
-            canvas.text(0.5 * f1 * axis + 0.12 * half * across, f"axis at θ = {angle:.3g}°", "start")
+            canvas.text(foot - 0.35 * half * across, f"axis of lens 1, tilted by θ = {angle:.3g}°", "start")
         )
     return found
+
+
+def _offset(canvas: _Canvas, foot: Floats, lens2: Floats, axis: Floats, f2: float) -> list[str]:
+    """The offset d of lens 2 as an arrow from one axis to the other, clear of both lenses and of the rays."""
+    d = lens2 - foot
+    if np.linalg.norm(d) < 1e-9 * f2:
+        return []
+    back = -0.62 * f2 * axis
+    return [
+        canvas.arrow(foot + back, lens2 + back, ""),
+        canvas.text(foot + back + 0.6 * d - 0.06 * f2 * axis, "d", "end"),
+    ]
 
 
 class _Canvas:
@@ -195,15 +213,22 @@ class _Canvas:
 
     def arrow(self, start: Floats, end: Floats, words: str) -> str:
         x, y = self._at(0.5 * (start + end)).split(",")
-        label = f'<text x="{x}" y="{float(y) - 7:.2f}" text-anchor="middle">{escape(words)}</text>'
+        label = (
+            f'<text x="{x}" y="{float(y) - 7:.2f}" text-anchor="middle">{escape(words)}</text>'
+            if words
+            else ""
+        )
         return self.line(np.array([start, end]), "measure") + label
 
-    def caption(self, words: str) -> str:
-        return f'<text class="caption" x="12" y="{self.height + 22:.2f}">{escape(words)}</text>'
+    def caption(self, lines: list[str]) -> list[str]:
+        return [
+            f'<text class="caption" x="12" y="{self.height + 14 + 18 * k:.2f}">{escape(words)}</text>'
+            for k, words in enumerate(lines)
+        ]
 
     def svg(self, parts: list[str]) -> str:
         style = (
-            "text{font:15px system-ui,sans-serif;fill:#333}.caption{font-size:13px}polyline{fill:none}"
+            "text{font:15px system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}.caption{font-size:13px}polyline{fill:none}"
             ".lens{fill:#bcd9ee;fill-opacity:.75;stroke:#3b6f9c}.ray{stroke:#c4483a;stroke-width:1.4}"
             ".axis{stroke:#555;stroke-dasharray:9 3 2 3}.plane{stroke:#2b7a4b;stroke-dasharray:5 4}"
             ".normal{stroke:#999}.measure{stroke:#333;marker-start:url(#a);marker-end:url(#a)}.dot{fill:#c4483a}"
@@ -214,7 +239,7 @@ class _Canvas:
         )
         body = "\n".join(part for part in parts if part)
         return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {self.height + 34:.0f}" '
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH:.0f}" height="{self.height + 44:.0f}" viewBox="0 0 {WIDTH:.0f} {self.height + 44:.0f}" '
             f'role="img" aria-label="cross-section of a lenslet pair with rays">\n<style>{style}</style>{marker}\n'
             f'<rect width="100%" height="100%" fill="#fff"/>\n{body}\n</svg>\n'
         )

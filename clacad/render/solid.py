@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.mesh import tessellate
+from clacad.mesh import Mesh, tessellate
 from clacad.prescription import prescribe
 from clacad.render.camera import aim, offsets, rays
 from clacad.render.files import Bytes, encode
@@ -20,6 +20,7 @@ from clacad.render.stage import MESH, Primitive, set_stage, stage_of
 from clacad.render.tables import Tables, tables
 from clacad.render.tree import grow
 from clacad.scene import Scene
+from clacad.sheet import Window
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ def solid_picture(scene: Scene) -> Bytes:
     """Picture of a scene with its sheet drawn as tinted solids, encoded bytes (h, w, 3)."""
     window = prescribe(scene.design())
     scale = scene.unit_m / window.unit
-    mesh = tessellate(window, quads=QUADS)
+    mesh = sheet_triangles(window)
     corners = np.concatenate([body.vertices[body.triangles] for body in mesh.bodies]) / scale
     background = tables(set_stage(scene))
     glass = tables(stage_of(
@@ -54,6 +55,11 @@ def solid_picture(scene: Scene) -> Bytes:
             _seen(background, glass, position, direction).reshape(len(pixels), count, 3).mean(axis=1)
         )
     return encode(light.reshape(view.height, view.width, 3), scene.camera.exposure, scene.camera.encoding)
+
+
+def sheet_triangles(window: Window) -> Mesh:
+    """The triangles of a sheet as they are drawn."""
+    return tessellate(window, quads=QUADS)
 
 
 def _seen(background: Tables, glass: Tables, position: Floats, direction: Floats) -> Floats:

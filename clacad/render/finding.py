@@ -1,0 +1,28 @@
+"""One measured number beside the number that it ought to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One measured number beside the expected one."""
+
+    what: str
+    measured: float
+    expected: float
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it lies within the tolerance."""
+        return bool(abs(self.measured - self.expected) <= self.tolerance)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "what": self.what, "measured": self.measured, "expected": self.expected, "tolerance": self.tolerance,
+            "passed": self.passed,
+        }  # fmt: skip
