@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filesonly import only_files
 from oracle.plain_mesh import sheet_facets, write_stl
 
 from clacad.design import Design
 from clacad.export.readers import read_mesh
 from clacad.prescription import prescribe
 from clacad.verify import CannotRegister, verify
-from clacad.verify.checks import not_run
 from clacad.verify.deviationmap import deviation_map, plot_deviation
 from clacad.verify.files import find_files
 from clacad.verify.registration import place
@@ -44,26 +44,7 @@ def soup():
 @pytest.fixture(autouse=True)
 def _only_files(monkeypatch):
     """What does not depend on files is tested by itself: here it is done once, and refinement left out."""
-    import importlib
-
-    run = importlib.import_module("clacad.verify.run")
-    monkeypatch.setattr(
-        run, "_convergence", lambda *_: (None, not_run("convergence", "left out", required=False))
-    )
-    for name in ("judge_window", "meridians"):
-        monkeypatch.setattr(run, name, remembered(name, getattr(run, name)))
-
-
-SEEN: dict[str, object] = {}
-
-
-def remembered(name, function):
-    def once(*arguments):
-        if name not in SEEN:
-            SEEN[name] = function(*arguments)
-        return SEEN[name]
-
-    return once
+    only_files(monkeypatch)
 
 
 def found(tmp_path, triangles, design=DESIGN):

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from filesonly import only_files
 from trust.running import TINY
 from trust.spoiling import Change, Floats, Ints, changed, document_of, glb, model_changed, obj
 
@@ -76,28 +77,7 @@ def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 @pytest.fixture(autouse=True)
 def _only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """What does not depend on files is judged elsewhere: here it is done once."""
-    import importlib
-
-    from clacad.verify.checks import not_run
-
-    run = importlib.import_module("clacad.verify.run")
-    nothing = (None, not_run("convergence", "left out", required=False))
-    monkeypatch.setattr(run, "_convergence", lambda *_: nothing)
-    for name in ("judge_window", "meridians"):
-        monkeypatch.setattr(run, name, _once(name, getattr(run, name)))
-
-
-_SEEN: dict[Any, Any] = {}
-
-
-def _once(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    def call(first: Any, *arguments: Any) -> Any:
-        key = name, getattr(first, "name", ""), getattr(first, "form", getattr(first, "pair", ""))
-        if key not in _SEEN:
-            _SEEN[key] = function(first, *arguments)
-        return _SEEN[key]
-
-    return call
+    only_files(monkeypatch)
 
 
 def failed(files: Path, design: Design | None = None) -> set[str]:

@@ -1,0 +1,34 @@
+"""For tests of files: what `verify` says of the design alone is judged elsewhere, here it is worked out once."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from clacad.design import Design
+from clacad.verify.checks import not_run
+
+_SEEN: dict[Any, Any] = {}
+
+
+def only_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave refinement out of `verify`, and trace each design once whatever files it is asked about."""
+    run = importlib.import_module("clacad.verify.run")
+    nothing = (None, not_run("convergence", "left out", required=False))
+    monkeypatch.setattr(run, "_convergence", lambda *_: nothing)
+    for name in ("judge_window", "meridians"):
+        monkeypatch.setattr(run, name, _once(name, getattr(run, name)))
+
+
+def _once(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def call(first: Any, *arguments: Any) -> Any:
+        about = first.sha256 if isinstance(first, Design) else (repr(first.thin), repr(first.lattice))
+        key = name, about, *(given for given in arguments if isinstance(given, int))
+        if key not in _SEEN:
+            _SEEN[key] = function(first, *arguments)
+        return _SEEN[key]
+
+    return call
