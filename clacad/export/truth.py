@@ -50,15 +50,12 @@ def body_volume(window: Window, body: Body, depth: int = DEPTH) -> Integral | No
     if whole is None:
         return None
     land_area = whole - cells * window.lattice.cell_area
-    if body.columnar:
+    if _in_columns(body):
         one = _cell_integral(window, partial(_thickness, window, body), depth)
         land = _land_thickness(body) * max(0.0, land_area)
         return Integral(cells * one.value + land, cells * one.error)
     value = error = 0.0
     for face, sign in ((body.back, 1.0), (body.front, -1.0)):
-        if face.array is None:
-            value += sign * whole * face.vertex[2]
-            continue
         one = _cell_integral(window, partial(_filled, window, face), depth)
         value += sign * (cells * one.value + (face.land or 0.0) * max(0.0, land_area))
         error += cells * one.error
@@ -74,6 +71,11 @@ def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -
             return None
         value, error = value + part.value, error + part.error
     return Integral(value, error)
+
+
+def _in_columns(body: Body) -> bool:
+    """Whether one tiling cuts the body into columns: both faces on one array, or one of them a plane."""
+    return body.columnar or None in (body.front.array, body.back.array)
 
 
 def _footprint_area(window: Window, body: Body) -> float | None:
@@ -108,9 +110,8 @@ def _thickness(window: Window, body: Body, x: Floats, y: Floats) -> Floats:
 
 
 def _land_thickness(body: Body) -> float:
-    if body.front.land is None or body.back.land is None:
-        return 0.0
-    return max(0.0, body.back.land - body.front.land)
+    front, back = (face.vertex[2] if face.array is None else face.land for face in (body.front, body.back))
+    return 0.0 if front is None or back is None else max(0.0, back - front)
 
 
 def _filled(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
@@ -235,7 +236,7 @@ def least_extent(window: Window) -> tuple[float, float, float, float]:
     x, y = (g.ravel() for g in np.meshgrid(*(np.linspace(low[k], high[k], 129) for k in (0, 1))))
     ends = np.array([np.inf, -np.inf, np.inf, -np.inf])
     for body in window.bodies:
-        if not body.columnar:
+        if not _in_columns(body):
             return whole
         front, back = column(window, body, x, y)
         solid = np.isfinite(front) & (front <= back)
