@@ -6,7 +6,8 @@ import ipaddress
 import os
 import signal
 import socket
-from collections.abc import Iterator
+import subprocess
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +46,23 @@ def _local(address: Any) -> bool:
 @pytest.fixture(scope="session", autouse=True)
 def _no_network_for_children(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Refuse the same to every Python that a test starts, and theirs; what was tried anywhere fails the run."""
-    log = tmp_path_factory.mktemp("network") / "tried"
+    log, watch = str(tmp_path_factory.mktemp("network") / "tried"), str(Path(__file__).parent / "offline")
+    begin = subprocess.Popen.__init__
+
+    def watched(self: Any, *arguments: Any, env: Mapping[str, str] | None = None, **options: Any) -> None:
+        """Start a child whose environment was made by hand: what it lacks of ours is added."""
+        if env is not None:
+            path = [entry for entry in (env.get("PYTHONPATH"), watch) if entry]
+            env = {"CLACAD_NETWORK_LOG": log, **env, "PYTHONPATH": os.pathsep.join(path)}
+        begin(self, *arguments, env=env, **options)
+
     patch = pytest.MonkeyPatch()
-    patch.setenv("CLACAD_NETWORK_LOG", str(log))
-    patch.setenv("PYTHONPATH", str(Path(__file__).parent / "offline"), prepend=os.pathsep)
+    patch.setenv("CLACAD_NETWORK_LOG", log)
+    patch.setenv("PYTHONPATH", watch, prepend=os.pathsep)
+    patch.setattr(subprocess.Popen, "__init__", watched)
     yield
     patch.undo()
-    assert not log.exists(), log.read_text()
+    assert not Path(log).exists(), Path(log).read_text()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from trust import golden
-from trust.running import TINY, clacad, command, environment
+from trust.running import ROOT, TINY, clacad, command, environment
 
 from clacad.design import Design
 from clacad.export import export
@@ -159,6 +159,20 @@ def test_no_process_that_a_test_starts_can_reach_another_machine(
     family = subprocess.run([*line, "and a worker"], capture_output=True, text=True, env=environment())
     assert "tests talk to no other machine" in family.stderr
     assert len(log.read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    "own", [{"PYTHONPATH": str(ROOT)}, {"PYTHONPATH": ""}, {}], ids=["another", "none", "unsaid"]
+)
+def test_a_process_whose_environment_a_test_makes_by_hand_is_watched_too(
+    tmp_path: Path, own: dict[str, str]
+) -> None:
+    log = tmp_path / "tried"
+    made = own | {"CLACAD_NETWORK_LOG": str(log)}
+    line = [sys.executable, "-c", TALKATIVE]
+    child = subprocess.run(line, capture_output=True, text=True, env=made, cwd=ROOT)
+    assert "tests talk to no other machine" in child.stdout
+    assert len(log.read_text().splitlines()) == 1
 
 
 @pytest.mark.long
