@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,8 +62,17 @@ def step_record(job: Job) -> FileRecord:
         "saddles": written["saddles"], "wedges": written["wedges"], "merged_steps": written["merged_steps"],
         "volume": found.get("volume"), "volume_exact": None if exact is None else exact.value * cube, "float": "f64",
         "saddle_policy": "exact" if written["saddles"] else None,
+        "fit_error": _stated(written["fit_error"]), "rim_error": _stated(written["rim_error"]),
     }  # fmt: skip
     return job.record(path, "step", facts=facts, checks=checks)
+
+
+def _stated(error: float) -> float | None:
+    """An error of fitted geometry (mm) as the manifest states it: two digits, rounded up; None where all is exact."""
+    if error == 0.0:
+        return None
+    digit = 10.0 ** (floor(log10(error)) - 1)
+    return float(f"{ceil(error / digit) * digit:.2g}")
 
 
 def write(
@@ -132,7 +142,7 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
                 )
         if not found["valid"]:
             raise FileDisagrees(f"{name}: the kernel finds a solid that is not valid")
-        gap = TOLERANCE + 1.2 * written["largest_shift"] + 4.0 * written["fit_error"]
+        gap = TOLERANCE + 1.2 * written["largest_shift"] + 4.0 * (written["fit_error"] + written["rim_error"])
         if not found["tolerance"] <= gap:
             raise FileDisagrees(
                 f"{name}: the kernel had to bridge gaps of {found['tolerance']:.3g} mm between edges and faces; "
@@ -164,7 +174,7 @@ def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Wind
         coarse
         + VOLUME_LIMIT * want
         + exact.error * scale**3
-        + (written["largest_shift"] + written["fit_error"]) * area
+        + (written["largest_shift"] + written["fit_error"] + written["rim_error"]) * area
     )
     if not abs(found["volume"] - want) <= room:
         raise FileDisagrees(
