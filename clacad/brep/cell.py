@@ -19,7 +19,7 @@ from clacad.brep.lenses import (
 )
 from clacad.brep.pattern import Floats, Kind, Pattern, Proud, divided_pattern, plain_pattern
 from clacad.brep.rims import Gap, Graph, Rim, fitted_rim, lens_graph, level_graph
-from clacad.cell_complex.refusal import CannotBuild
+from clacad.cell_complex.refusal import CannotBuild, refuse_buried_land
 from clacad.sheet import Face, Window, optical_tile
 
 UNDERCUT = 1e-6
@@ -143,6 +143,8 @@ def make_cell(window: Window, front: Face | None, back: Face | None, scale: floa
         A lens surface does not reach over its zone and no land or opposite face bounds it; a graph has passed
         the equator (undercut).
     """
+    if front is not None and back is not None:
+        refuse_buried_land(front, back)
     tile, zone = window.lattice.tile() * scale, optical_tile(window) * scale
     corners = tuple(tuple(map(tuple, polygon.tolist())) for polygon in (tile, zone))
     pitch = window.lattice.pitch[0] * scale

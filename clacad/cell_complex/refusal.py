@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from clacad.sheet import Face
+
 CODES: dict[str, str] = {
     "CL130": "a lens surface that ends inside its cell",
     "CL131": "a rim that sticks out of its web",
@@ -33,3 +35,24 @@ class CannotBuild(ValueError):
 
     def __reduce__(self) -> tuple[type[CannotBuild], tuple[str, str]]:
         return CannotBuild, (self.code, str(self).removeprefix(f"{self.code}: "))
+
+
+def refuse_buried_land(front: Face, back: Face) -> None:
+    """Refuse a plano lens whose land lies behind its plane face: there is nothing between its lenslets.
+
+    Raises
+    ------
+    CannotBuild
+        CL134, with the thickness that holds the land.
+    """
+    lens, plane = (front, back) if back.array is None else (back, front)
+    if lens.array is None or plane.array is not None or lens.land is None:
+        return
+    if lens.side * (plane.vertex[2] - lens.land) <= 0.0:
+        depth = lens.side * (lens.land - lens.vertex[2])
+        raise CannotBuild(
+            "CL134",
+            "the land of a plano lens lies behind its plane face, so that nothing joins the lenslets; "
+            f"pair.thickness of more than {depth:.6g} design units holds it (or a smaller lattice.seam_depth; or "
+            "leave out seam, border and outline)",
+        )

@@ -7,7 +7,7 @@ from math import ceil
 
 from clacad.cell_complex import CellComplex, cell_complex
 from clacad.cell_complex.count import saddle_count
-from clacad.cell_complex.refusal import CannotBuild
+from clacad.cell_complex.refusal import CannotBuild, refuse_buried_land
 from clacad.mesh.body import BodyMesh, Tiled, no_plain
 from clacad.mesh.error import facet_errors
 from clacad.mesh.land import make_plain
@@ -116,6 +116,7 @@ class _Parts:
 
 
 def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
+    refuse_buried_land(body.front, body.back)
     step = z_step(window)
     thick = abs(body.back.vertex[2] - body.front.vertex[2])
     if step > COARSEST * thick > 0.0:
