@@ -68,6 +68,28 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     return facts
 
 
+def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_faces: int = 200, points: int = 24
+              ) -> dict[str, Any]:  # fmt: skip
+    """Read a BREP file of the CAD kernel, mm: what `read_step` says by the kernel; there is no text to scan.
+
+    Raises
+    ------
+    UnreadableFile
+        The kernel cannot read it, or finds no face in it.
+    OSError
+        The file cannot be read.
+    """
+    size = os.stat(path).st_size
+    facts = _kernel_facts(path, window, lens_faces, points)
+    counts = {
+        "solids": facts["kernel_solids"],
+        "faces": facts["kernel_faces"],
+        "dangling": 0,
+        "open_edges": 0,
+    }
+    return {"bytes": size, "schema": "BREP", "kernel": True} | counts | facts
+
+
 def _patch_facts(scan: Scan, window: Window) -> dict[str, Any]:
     place, normal, front = patch_points(scan)
     # The text of an assembly holds the geometry of its one cell, whose centre is the origin.
@@ -157,13 +179,15 @@ def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_face
 
 
 def kernel_shape(path: str | os.PathLike[str]) -> Any:
-    """The shape the CAD kernel reads from a STEP file (mm).
+    """The shape the CAD kernel reads from a STEP file, or from a file of its own named .brep (mm).
 
     Raises
     ------
     UnreadableFile
         The kernel cannot read it.
     """
+    if os.fspath(path).lower().endswith(".brep"):
+        return _own_shape(os.fspath(path))
     from OCP.IFSelect import IFSelect_RetDone
     from OCP.Interface import Interface_Static
     from OCP.STEPControl import STEPControl_Reader
@@ -174,6 +198,17 @@ def kernel_shape(path: str | os.PathLike[str]) -> Any:
         raise UnreadableFile(f"{os.fspath(path)}: the CAD kernel cannot read it")
     reader.TransferRoots()
     return reader.OneShape()
+
+
+def _own_shape(path: str) -> Any:
+    from OCP.BRep import BRep_Builder
+    from OCP.BRepTools import BRepTools
+    from OCP.TopoDS import TopoDS_Shape
+
+    shape = TopoDS_Shape()
+    if not BRepTools.Read_s(shape, path, BRep_Builder()) or shape.IsNull():
+        raise UnreadableFile(f"{path}: the CAD kernel cannot read it")
+    return shape
 
 
 def _explored(shape: Any, kind: Any) -> list[Any]:

@@ -86,9 +86,9 @@ def write(
 
 def read(path: str, window: Window) -> dict[str, Any]:
     """Read in the worker, with the kernel where the file is of a size it can take."""
-    from clacad.export.step_read import read_step
+    from clacad.export.step_read import read_brep, read_step
 
-    return read_step(path, window)
+    return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window)
 
 
 class _Counter(io.StringIO):

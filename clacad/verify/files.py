@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 MESH_FORMATS = ("stl-binary", "stl-ascii", "stl", "3mf", "ply", "glb", "obj")
-SOLID_FORMATS = ("step",)
+SOLID_FORMATS = ("step", "brep")
 SUFFIXES: Mapping[str, str] = {
     ".stl": "stl", ".3mf": "3mf", ".ply": "ply", ".glb": "glb", ".obj": "obj", ".step": "step", ".stp": "step",
+    ".brep": "brep",
 }  # fmt: skip
 UNITS: Mapping[str, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 
