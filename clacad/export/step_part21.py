@@ -79,8 +79,8 @@ class Part21:
         self._lines: list[str] = []
         self._pending = 0
         self._next = 1
-        # Eleven digits beyond the pitch: a hundred times finer than the 1e-9 pitch the faces are checked to.
-        self._places = max(6, 11 + ceil(-log10(pitch)))
+        # Twelve digits beyond the pitch: a thousand times finer than the 1e-9 pitch the faces are checked to.
+        self._places = max(6, 12 + ceil(-log10(pitch)))
         self._styles: dict[Colour, int] = {}
         identifier, application, protocol, year = SCHEMAS[schema]
         self._raw(
@@ -145,7 +145,7 @@ class Part21:
         self.flush()
 
     def coordinate(self, value: float) -> str:
-        """Write a length, rounded to 1e-11 of the pitch or finer."""
+        """Write a length, rounded to 1e-12 of the pitch or finer."""
         text = f"{value:.{self._places}f}".rstrip("0")
         return "0." if text == "-0." else text
 
