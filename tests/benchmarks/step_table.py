@@ -2,7 +2,8 @@
 
 Fused and instanced, with and without parameter curves, beside the obvious route by Boolean operations of the CAD
 kernel. Every row runs in a process of its own, so that its peak memory is its own; seconds are processor seconds, those
-of a limit too: a busy machine takes longer, it does not stop a row earlier.
+of a limit too: a busy machine takes longer, it does not stop a row earlier. Rows that are not asked for stay as the
+file has them.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ def main() -> None:
         default=BOOLEAN_SECONDS,
         help="processor seconds a sheet by Booleans may take",
     )
-    parser.add_argument("--into", type=Path, help="Markdown file whose table is replaced")
+    parser.add_argument("--into", type=Path, help="Markdown file whose rows are replaced")
     parser.add_argument("--limit", type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument("--row", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -152,14 +153,26 @@ def main() -> None:
         )
         sys.stdout.write(json.dumps(result))
         return
-    text = HEAD
     sys.stdout.write(HEAD)
     for line in rows(options.designs, options.sizes, options.boolean, options.boolean_limit):
-        text += line
         sys.stdout.write(line)
         sys.stdout.flush()
-    if options.into:
-        replace_between(options.into, MARKS, f"{text}\n{os.cpu_count()} processor cores.\n")
+        if options.into:
+            _put(options.into, line)
+
+
+def _put(path: Path, line: str) -> None:
+    """Put one row into the table of a Markdown file, in the place of the row of the same design, size and route."""
+    old = path.read_text(encoding="utf-8")
+    table = old[old.index(MARKS[0]) : old.index(MARKS[1])]
+    kept = {_key(row): row for row in table.splitlines(keepends=True) if row.startswith("| ")}
+    kept.pop(_key(HEAD), None)
+    kept[_key(line)] = line
+    replace_between(path, MARKS, f"{HEAD}{''.join(kept.values())}\n{os.cpu_count()} processor cores.\n")
+
+
+def _key(row: str) -> tuple[str, ...]:
+    return tuple(cell.strip() for cell in row.split("|")[1:4])
 
 
 def replace_between(path: Path, marks: tuple[str, str], text: str) -> None:
