@@ -17,7 +17,7 @@ from clacad.cli.app import app
 from clacad.export import export
 from clacad.export.errors import NotPossible
 from clacad.export.readers import read_mesh
-from clacad.export.stl import FACET, HEADER
+from clacad.export.stl import FACET, HEADER, write_stl
 from clacad.fixture import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
 from clacad.fixture.letters import CHORD, Engraving, enclosed, polygons
 from clacad.fixture.mark import line_sketch, pockets
@@ -286,6 +286,32 @@ def test_a_slicer_finds_nothing_to_repair(exported) -> None:
         )
         assert all(int(told.get(word, 0)) == 0 for word in repairs), said
         assert float(told["volume"]) == pytest.approx(entry["volume"], rel=1e-4)
+
+
+def test_sliced_through_their_letters_the_layers_show_every_letter(tmp_path: Path) -> None:
+    slicer = shutil.which("slic3r")
+    if slicer is None:
+        pytest.skip("slic3r is not installed: no slicer cut through the letters")
+    window = window_of("plano", ["body.border=6"])  # strokes wider than a slicer closes
+    body = window.bodies[0]
+    drawing = engravings(window, window.name)[body.name]
+    path = tmp_path / "part.stl"
+    write_stl([engraved_mesh(clacad.tessellate(window, quads=2).bodies[0], drawing)], path, 1.0, "part")
+    layers = ["--layer-height", "0.05", "--first-layer-height", "0.05", "--nozzle-diameter", "0.1"]
+    subprocess.run([slicer, *layers, "--export-svg", "-o", str(tmp_path / "x.svg"), str(path)], check=True,
+                   capture_output=True, timeout=120)  # fmt: skip
+    level = mark_place(window, body).centre[2]
+    outer = sum(enclosed(loop) > 0.0 for loop in drawing.loops)
+    seen = 0
+    for layer in re.split(r'<g id="layer', (tmp_path / "x.svg").read_text())[1:]:
+        height = 1e6 * float(re.search(r'slic3r:z="([^"]+)"', layer)[1])
+        if height < level:  # lenses alone reach down there
+            continue
+        inside = height < level + drawing.depth
+        seen += inside
+        assert len(re.findall('type="hole"', layer)) == (outer if inside else 0)
+        assert len(re.findall('type="contour"', layer)) == 1 + (len(drawing.loops) - outer if inside else 0)
+    assert seen == 2
 
 
 def test_without_room_both_formats_say_what_is_missing_and_write_nothing(tmp_path: Path) -> None:
