@@ -119,8 +119,8 @@ def rays(view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:
     points : (n, count, 4)
         From `offsets`.
     """
-    u = ((pixels % view.width)[:, None] + points[..., 0]) / view.width - 0.5
-    v = ((pixels // view.width)[:, None] + points[..., 1]) / view.height - 0.5
+    u = ((pixels % view.width)[:, None] + points[..., 0]) * (1.0 / view.width) - 0.5
+    v = ((pixels // view.width)[:, None] + points[..., 1]) * (1.0 / view.height) - 0.5
     direction = view.ahead + u[..., None] * view.right + v[..., None] * view.down
     direction = direction.reshape(-1, 3)
     position = np.broadcast_to(view.position, direction.shape)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clacad.render.kernel_light import background, painted
 from clacad.render.kernel_solids import distances, to_frame
 from clacad.render.kernel_tree import DEPTH, in_tree
-from clacad.render.tables import BLOCK, BOUND, COLOUR, FLOOR, KIND, MESH, ORIGIN, PATTERN, PIECE, SIZE
+from clacad.render.tables import BLOCK, BOUND, COLOUR, FLOOR, KIND, MESH, ORIGIN, PAINT, PATTERN, PIECE, SIZE
 from clacad.trace.compiled import exact, owning
 
 Floats = NDArray[np.float64]
@@ -127,6 +127,11 @@ def _floor(
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     red, green, blue, left, index = colour[0, :m], colour[1, :m], colour[2, :m], best[:m], which[:m]
     height, side, reach = prim[k, ORIGIN + 1], prim[k, PATTERN], prim[k, SIZE]
+    towards = 0
+    for i in range(m):
+        towards += 1 if (height - y[i]) * v[i] > 0.0 else 0
+    if towards == 0:  # a block of sky, as half of most views is
+        return
     above, below = world[0] + world[1] * max(0.0, world[3]), world[0] + world[1] * max(0.0, -world[3])
     per_side, square = 1.0 / side, reach * reach
     odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
@@ -169,6 +174,11 @@ def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
 def _gather(m: int, pad: Pad) -> int:
     """Put the rays with `near` ≥ 0 into the pad's part; return their number."""
     count, near, chosen = 0, pad.near, pad.some[0]
+    for i in range(m):
+        count += 1 if near[i] >= 0.0 else 0
+    if count == 0:
+        return 0
+    count = 0
     for i in range(m):
         chosen[count] = i
         count += 1 if near[i] >= 0.0 else 0
@@ -217,16 +227,25 @@ def _object(
             closer = (s[q] > 0.0) & (s[q] < least[q])
             least[q] = s[q] if closer else least[q]
             which[q] = k if closer else which[q]
+    best, met, red, green, blue = pad.best, pad.which, pad.colour[0], pad.colour[1], pad.colour[2]
+    luminous, own = world[1] == 0.0, world[0]
     for q in range(count):
         k = which[q]
-        if k >= 0:
-            i = pad.some[0, q]
-            r, g, b = painted(
+        if k < 0:
+            continue
+        i = pad.some[0, q]
+        best[i], met[i] = least[q], k
+        if luminous and prim[k, PAINT] == 0.0:  # the same light everywhere: no call
+            red[i], green[i], blue[i] = (
+                prim[k, COLOUR] * own,
+                prim[k, COLOUR + 1] * own,
+                prim[k, COLOUR + 2] * own,
+            )
+        else:
+            red[i], green[i], blue[i] = painted(
                 world, prim, store, k, facet[q], part[0, q], part[1, q], part[2, q], part[3, q], part[4, q],
                 part[5, q], least[q],
             )  # fmt: skip
-            pad.best[i], pad.which[i] = least[q], k
-            pad.colour[0, i], pad.colour[1, i], pad.colour[2, i] = r, g, b
 
 
 @exact

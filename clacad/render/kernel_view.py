@@ -161,11 +161,11 @@ def _look_out(eye: Eye, pixels: Ints, done: int, step: int, spare: Floats, ray: 
     """Starts and directions of the samples of some pixels; see `camera.rays`."""
     n = len(pixels)
     across, down = spare[0], spare[1]
-    width, height = float(eye.width), float(eye.height)
+    width, per_width, per_height = float(eye.width), 1.0 / float(eye.width), 1.0 / float(eye.height)
     if len(eye.digits) == 0:
         for i in range(n):
             number = float(pixels[i])
-            row = np.floor((number + 0.5) / width)
+            row = np.floor((number + 0.5) * per_width)
             across[i], down[i] = number - row * width + 0.5, row + 0.5
     else:
         unit = 2.0**-52
@@ -181,7 +181,7 @@ def _look_out(eye: Eye, pixels: Ints, done: int, step: int, spare: Floats, ray: 
     px, py, pz, au, av, aw = frame[0, 0], frame[0, 1], frame[0, 2], frame[1, 0], frame[1, 1], frame[1, 2]
     ru, rv, rw, du, dv, dw = frame[2, 0], frame[2, 1], frame[2, 2], frame[3, 0], frame[3, 1], frame[3, 2]
     for i in range(n * step):
-        a, b = across[i] / width - 0.5, down[i] / height - 0.5
+        a, b = across[i] * per_width - 0.5, down[i] * per_height - 0.5
         x[i], y[i], z[i] = px, py, pz
         u[i], v[i], w[i] = au + a * ru + b * du, av + a * rv + b * dv, aw + a * rw + b * dw
 
