@@ -126,16 +126,21 @@ def launch_ray(
 def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
     """Launch a block of rays whose starts and directions are in the scratch rows; see `launch_ray`.
 
-    Rays of insane scale, and those that are not over a cell on the reference plane, lose their mark GOOD.
+    Rays of insane scale, and those that are not over a cell on the reference plane, lose their mark GOOD. Lengths are
+    taken only in a block that has a direction of another length than 1: a root and a division a ray.
     """
     x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
     path, good, xl, yl = s[PATH], s[GOOD], s[GX], s[GY]
     plane, low = body[slot.LEVEL] + body[slot.BODY_LOW], body[slot.BODY_LOW]
+    loose = 0
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]
         square = a * a + b * b + c * c
-        length = 1.0 if abs(square - 1.0) <= UNIT else sqrt(square)
-        per_length, per_c = 1.0 / length, 1.0 / c
+        good[k] = least(least(square - 1.0 / SANE, SANE - square), c)
+        loose |= not abs(square - 1.0) <= UNIT
+    for k in range(m):
+        a, b, c = dx[k], dy[k], dz[k]
+        per_c = 1.0 / c
         top, bottom = two_sum(plane, -z[k])
         step = top * per_c
         rest = (multiply_add(-step, c, top) + bottom) * per_c
@@ -145,14 +150,27 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
         h = step * b
         y[k], e = two_sum(h, y[k])
         yl[k] = e + (multiply_add(step, b, -h) + rest * b)
-        z[k], path[k] = low, step * length
-        dx[k], dy[k], dz[k] = a * per_length, b * per_length, c * per_length
-        good[k] = least(least(square - 1.0 / SANE, SANE - square), c)
+        z[k], path[k] = low, step
+    if loose:
+        _normalise(s, m)
     if lat[slot.HEXAGONAL] == 0.0:
         _cells_of_axis(x, xl, s[CI], lat[slot.PITCH], lat[slot.N1], m)
         _cells_of_axis(y, yl, s[CJ], lat[slot.ROW], lat[slot.N2], m)
     else:
         _hexagons(lat, x, xl, y, yl, s[CI], s[CJ], m)
+
+
+@exact
+def _normalise(s: Floats, m: int) -> None:
+    """Give directions length 1, and what was counted in their lengths its length, where they had another."""
+    dx, dy, dz, path = s[DX], s[DY], s[DZ], s[PATH]
+    for k in range(m):
+        a, b, c = dx[k], dy[k], dz[k]
+        square = a * a + b * b + c * c
+        length = 1.0 if abs(square - 1.0) <= UNIT else sqrt(square)
+        per_length = 1.0 / length
+        path[k] *= length
+        dx[k], dy[k], dz[k] = a * per_length, b * per_length, c * per_length
 
 
 @exact
