@@ -376,9 +376,9 @@ def _rotation(vector: Floats) -> Floats:
 
 
 def best_of(fits: Sequence[Fit]) -> Fit:
-    """The least residual; among equals the least turn."""
+    """The least residual; among equals, to the rounding of a file as it is written, the least turn."""
     least = min(pose.residual for _, pose in fits)
-    level = 1.05 * least + 1e-7 * min(fits[0][0].window.lattice.pitch)
+    level = max(1.05 * least + 1e-7 * min(fits[0][0].window.lattice.pitch), as_written(fits[0][0].window))
     equal = [f for f in fits if f[1].residual <= level]
     return min(equal, key=lambda f: (order_of(f[1].axes), f[1].residual))
 
