@@ -212,6 +212,38 @@ def check_gds(cell: GreyCell, path: Path, placed: int) -> None:
         raise FileDisagrees(f"{path.name}: its records and its polygons do not agree on the layers")
 
 
+def gds_misfit(cell: GreyCell, path: Path, scale: float) -> tuple[float, int]:
+    """Greatest distance of any cell from its place, millimetres, and the number of cells; inf for other cells.
+
+    Raises
+    ------
+    FileDisagrees, UnreadableFile
+        The levels are not those of the face.
+    NotPossible
+        The extra `gds` is not installed.
+    """
+    require_gdstk()
+    import gdstk
+
+    window, face = cell.map.window, cell.map.face
+    check_gds(cell, path, window.lattice.cell_count)
+    assert face.array is not None
+    library: Any = gdstk.read_gds(str(path))
+    (sheet,) = (found for found in library.cells if found.name == cell.map.label.replace("-", "_"))
+    places = [
+        np.asarray(one.origin) + (one.repetition.get_offsets() if one.repetition.size else np.zeros((1, 2)))
+        for one in sheet.references
+        if one.cell_name == "lenslet"
+    ]
+    rows = [window.lattice.centres(window.lattice.row(j)) for j in range(window.lattice.count[1])]
+    want = (np.concatenate(rows) + np.asarray(window.shifts[face.array])) * scale
+    got = np.concatenate([*places, np.zeros((0, 2))]) * 1e-3
+    turned = any(one.rotation or one.x_reflection or one.magnification != 1.0 for one in sheet.references)
+    if got.shape != want.shape or turned:
+        return float("inf"), len(got)
+    return float(np.abs(got - want).max(initial=0.0)), len(got)
+
+
 def layer_counts(path: Path) -> Counter[int]:
     """Number of boundaries on each layer, from the file's bare records.
 

@@ -201,6 +201,25 @@ def check_mask(window: Window, face: Face, svg: Path, dxf: Path, scale: float) -
         raise FileDisagrees(f"{svg.name}: the lens outline leaves its cell")
 
 
+def mask_misfit(window: Window, body: Body, face: Face, path: Path, scale: float) -> tuple[float, int]:
+    """Greatest distance of outline and places of an SVG or DXF mask from the face's, millimetres; the number of lenses.
+
+    Infinite where there are other lenses, or an outline of other corners.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    outline, centres = (_read_svg if path.suffix.lower() == ".svg" else _read_dxf)(path)
+    want = np.array(sorted(_centres(window, face, scale))).reshape(-1, 2)
+    lens = aperture(window, body, face) * scale
+    pairs = ((np.array(sorted(centres)).reshape(-1, 2), want), (np.array(outline).reshape(-1, 2), lens))
+    if any(got.shape != asked.shape for got, asked in pairs):
+        return np.inf, len(centres)
+    apart = np.concatenate([np.abs(got - asked).ravel() for got, asked in pairs])
+    return (float(apart.max(initial=0.0)) if np.isfinite(apart).all() else np.inf), len(centres)
+
+
 Read = tuple[list[tuple[float, float]], list[tuple[float, float]]]
 
 

@@ -30,6 +30,7 @@ from clacad.verify.files import (
 )
 from clacad.verify.gather import Progress
 from clacad.verify.geometry import design_checks
+from clacad.verify.mapfile import format_of, judge_map
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.optics import Optics, confocality_check, law_checks, measure, throughput_check
@@ -327,6 +328,10 @@ def _judge_one(
         return found, FileReport(subject, solid=facts)
     if subject.is_mesh:
         return _judge_triangles(design, window, subject, rays, progress)
+    format = format_of(subject)
+    if format is not None:
+        progress(f"reading {subject.name}", 0.0)
+        return judge_map(whole, subject, format), FileReport(subject, "judged by the numbers in it")
     if subject.entry:
         return [], FileReport(subject, "judged by its bytes alone")
     check = not_run(

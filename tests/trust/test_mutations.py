@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -13,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from filesonly import only_files
+from trust.judging import alone, failed, read, tiny, vouched
 from trust.running import TINY
 from trust.spoiling import Change, Floats, Ints, changed, document_of, glb, model_changed, obj
 
-from clacad.design import Design
-from clacad.export import ExportError, export
+from clacad.export import export
 from clacad.prescription import prescribe
-from clacad.verify import CannotRegister, verify
+from clacad.verify import verify
 
 TEXTS = ("stl-parts", "sag", "tiff", "png", "xyz", "table", "mask")
 MESHES = ["tiny.stl", "tiny.3mf", "tiny.ply", "tiny.glb", "tiny.obj"]
@@ -27,14 +26,6 @@ REPEATED = (
     TINY.replace('"slab"', '"plano"').replace("delta = [0.01, -0.02]", "").replace("-0.5, -1.0", "-0.5, -0.5")
 )
 """Cells that are all alike and not displaced: 3MF and GLB hold one, and where the others stand."""
-
-
-def read(text: str, **changes: Any) -> Design:
-    return Design.from_dict(tomllib.loads(text) | changes)
-
-
-def tiny() -> Design:
-    return read(TINY)
 
 
 @pytest.fixture(scope="session")
@@ -78,32 +69,6 @@ def others(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 def _only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """What does not depend on files is judged elsewhere: here it is done once."""
     only_files(monkeypatch)
-
-
-def failed(files: Path, design: Design | None = None) -> set[str]:
-    """Checks that fail; "refused" where the file is not even recognised as this design's."""
-    try:
-        report = verify(design or tiny(), files, rays=2048)
-    except (CannotRegister, ExportError) as error:
-        return {"refused"} if error.exit_status in (1, 2) else set()
-    assert report.exit_status == int(not report.passed)
-    return {check.id for check in report.checks if check.state == "fail"}
-
-
-def vouched(folder: Path, made: dict[str, bytes], name: str, data: bytes) -> Path:
-    """The changed file in a folder whose manifest vouches for it: only what is in it can tell."""
-    manifest = json.loads(made["manifest.json"])
-    entry = next(e for e in manifest["files"] if e["name"] == name)
-    manifest["files"] = [entry | {"sha256": sha256(data).hexdigest(), "bytes": len(data)}]
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    (folder / name).write_bytes(data)
-    return folder
-
-
-def alone(folder: Path, name: str, data: bytes) -> Path:
-    """The changed file as it comes from elsewhere, without a manifest."""
-    (folder / name).write_bytes(data)
-    return folder / name
 
 
 # -- by the hash: every format -----------------------------------------------------------------------
