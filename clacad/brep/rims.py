@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.brep.conics import Arc, bernstein
-from clacad.brep.pattern import SNAP, Floats, Kind, Pattern
+from clacad.brep.pattern import SNAP, Floats, Kind, Pattern, Proud
 from clacad.brep.regions import cut_pattern
 from clacad.cell_complex.refusal import CannotBuild
 from clacad.cell_complex.rims import trace_zero
@@ -47,14 +47,19 @@ _BETWEEN = 0.5 - 0.5 * np.cos(np.pi * (np.arange(40) + 0.5) / 40)
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """How far one graph lies above another (mm): positive on the side of the lens, zero on the rim."""
+    """How far one graph lies above another (mm): positive on the side of the lens, zero on the rim.
+
+    `within` tells where there is a lens at all; elsewhere the gap counts as closed.
+    """
 
     lower: Graph
     upper: Graph
+    within: Proud | None = None
 
     def value(self, x: Floats, y: Floats) -> Floats:
         """Height of the gap (n,), NaN where a surface is missing."""
-        return np.asarray(self.upper(x, y)[0] - self.lower(x, y)[0])
+        gap = np.asarray(self.upper(x, y)[0] - self.lower(x, y)[0])
+        return gap if self.within is None else np.where((gap > 0.0) & ~self.within(x, y), -gap, gap)
 
     def at(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """Height (n,) and gradient (n, 2) of the gap, and the mean height (n,) of both graphs."""
