@@ -192,6 +192,22 @@ def test_a_run_that_compiled_kernels_is_not_noted(cache, monkeypatch):
     assert Rates.here().tasks == {}
 
 
+def test_a_run_that_compiled_a_kernel_anew_is_not_noted(cache, tmp_path, monkeypatch):
+    # a kernel older than its source is replaced by a new one: as many lie there as before
+    kernel = tmp_path / "clacad-kernel.nbc"
+    kernel.write_bytes(b"old")
+    os.utime(kernel, (1.0, 1.0))
+    monkeypatch.setattr("clacad.doctor.kernel_cache", lambda: (tmp_path, [kernel]))
+    clock = Clock()
+    with forecast("trace", 1.0, quiet=True, clock=clock):
+        clock.now += 60.0
+        kernel.write_bytes(b"new")
+    assert Rates.here().tasks == {}
+    with forecast("trace", 1.0, quiet=True, clock=clock):
+        clock.now += 1.5
+    assert Rates.here().tasks["trace"] == ((1.0, pytest.approx(1.5)),)
+
+
 def test_ranges_are_said_as_a_person_says_them():
     assert span_text(12.3, 20.4) == "12–20 s"
     assert span_text(0.31, 0.62) == "0.31–0.62 s"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from clacad.cli.console import say
 from clacad.rates import Clock, Rates, Span, processor_seconds
@@ -38,7 +39,13 @@ def forecast(task: str, modelled: float, *, quiet: bool, clock: Clock = processo
         rates.note(task, modelled, clock() - began)
 
 
-def _kernels() -> int:
+def _kernels() -> frozenset[tuple[Path, int]]:
+    """Compiled kernels that are kept, of every package, and from when each is."""
     from clacad.doctor import kernel_cache
 
-    return len(kernel_cache()[1])
+    beside = Path(__file__).parent.parent.glob("*/__pycache__/*.nbc")
+    found = set()
+    for kept in {*kernel_cache()[1], *beside}:
+        with suppress(OSError):  # another process replaces it
+            found.add((kept, kept.stat().st_mtime_ns))
+    return frozenset(found)

@@ -11,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from clacad.cli.console import Progress, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
+from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,14 +134,16 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
 
     window = prescribe(design)
     rays = RayFile(request.rays)
-    options = _options(window, request)
     counts: dict[str, int] = {}
     progress = Progress(quiet=quiet)
 
-    def write(private: Path) -> None:
-        _write(private, rays, window, options, counts, progress)
+    with forecast(*_cost(request, rays.count, 2 * len(window.bodies)), quiet=quiet):
+        options = _options(window, request)
 
-    write_file(request.out, write, overwrite=request.overwrite)
+        def write(private: Path) -> None:
+            _write(private, rays, window, options, counts, progress)
+
+        write_file(request.out, write, overwrite=request.overwrite)
     progress.done()
     if json:
         show_json({"rays": rays.count, "fates": counts, "rung": request.rung, "file": str(request.out)})
@@ -148,6 +151,18 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
         rows = [(name, str(n), f"{n / max(1, rays.count):.4%}") for name, n in counts.items() if n]
         show_text(f"{rays.count} rays, rung {request.rung} -> {request.out}\n{table(rows)}", quiet=quiet)
     return 0
+
+
+def _cost(request: TraceRequest, rays: int, faces: int) -> tuple[str, float]:
+    """Task and modelled seconds, for the forecast."""
+    from clacad.trace.forecast import seconds, task
+
+    mesh = request.mesh
+    size = mesh.stat().st_size if mesh is not None and mesh.is_file() else 0
+    return (
+        task(request.rung, request.effects, rays, faces, from_file=mesh is not None),
+        seconds(rays, request.rung, request.effects, faces, size),
+    )
 
 
 def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
