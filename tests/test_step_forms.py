@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from meshwindows import window
 
 import clacad
 from clacad.brep import solids
 from clacad.export.step import read_step, write_step
+from clacad.export.step_record import compare_step
+from clacad.export.truth import body_volume
 from clacad.mesh.volume import exact_volume
 
 FORMS = {
@@ -45,6 +49,33 @@ def test_every_form_reads_back_valid_with_its_integral_and_its_closed_form(tmp_p
     merged = facts["merged_steps"] * facts["merge"] * pitch * scale
     # without parameter curves the kernel integrates along edges it projected itself
     assert found["volume"] == pytest.approx(exact, rel=1e-10 if pcurves else 1e-8, abs=merged)
+
+
+ISLANDS = {"seam": 4e-5, "web": 2e-5, "pitch": 5e-4}
+WEAK = {"seam": 1.6e-6, "web": 8e-7, "pitch": 2e-5}
+
+
+@pytest.mark.parametrize(("form", "tilt", "ruled"), [
+    (ISLANDS, 1e-9, False),
+    (ISLANDS, 2**0.5 * 1e-4, True),  # corners 1.2e-6 mm above the web: between once and twice the merge height
+    (ISLANDS, 0.02, False),
+    (ISLANDS, 20.0, False),
+    (WEAK, 0.3, True),  # an arc that leaves the web at less than 2e-3
+])  # fmt: skip
+def test_walls_of_islands_are_planes_where_the_arc_leaves_the_web_steeply(tmp_path, form, tilt, ruled):
+    pair = window(**form, count=(2, 2), euler=(33.0, tilt, 0.0))
+    sheet = replace(pair, bodies=pair.bodies[1:])
+    exact = exact_volume(sheet, sheet.bodies[0]) * (sheet.unit * 1e3) ** 3
+    for pcurves in (True, False):
+        facts = write_step(sheet, tmp_path / "x.step", mode="fused", pcurves=pcurves)
+        assert ("B_SPLINE_SURFACE(2,1," in (tmp_path / "x.step").read_text()) == ruled
+        found = read_step(tmp_path / "x.step", sheet)
+        assert found["valid"]
+        assert (found["kernel_solids"], found["kernel_faces"]) == (facts["solids"], facts["faces"])
+        if pcurves:
+            assert found["volume"] == pytest.approx(exact, rel=1e-10)
+        integral = body_volume(sheet, sheet.bodies[0])  # what an export holds the file to, either way
+        assert compare_step(facts, found, sheet, integral, "x.step") == ("closed", "shape", "volume")
 
 
 def test_solids_of_the_package_are_parts_like_any_other():

@@ -69,7 +69,7 @@ def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto"
     Returns
     -------
     dict
-        mode, schema, unit, bytes, solids, faces, bodies (per body: name, solids, faces by role), saddles, wedges,
+        mode, schema, pcurves, unit, bytes, solids, faces, bodies (per body: name, solids, faces by role), saddles, wedges,
         merged_steps, merge, largest_shift, fit_error and rim_error (largest distance of fitted lens faces and of fitted
         rims from the true ones, mm; 0 where all are exact), placed (solids counted with their instances).
 
@@ -83,7 +83,8 @@ def write_step(window: Window, path: str | os.PathLike[str], mode: Mode = "auto"
     chosen = chosen_mode(window, mode)
     with open(path, "w", encoding="ascii", newline="\n") as stream:
         facts = _write(window, stream, chosen, schema, pcurves, merge)
-    return {"mode": chosen, "schema": schema, "unit": "mm", "bytes": Path(path).stat().st_size, **facts}
+    size = Path(path).stat().st_size
+    return {"mode": chosen, "schema": schema, "pcurves": pcurves, "unit": "mm", "bytes": size, **facts}
 
 
 def forecast_step(window: Window, mode: Mode = "auto", pcurves: bool = True) -> StepForecast:
