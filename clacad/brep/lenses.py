@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 STEEPEST = 0.02
 """Smallest weight of a patch; it falls from 1 on a flat lens to 0 where a corner of the patch meets the equator."""
 
-HIGHEST_DEGREE = 15
+HIGHEST_DEGREE = 20
 """Degree of a fitted patch in each direction beyond which it is refused."""
 
 LOOSEST = 10.0
@@ -213,7 +213,7 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     Raises
     ------
     ValueError
-        The surface ends inside the rectangle, or degree 15 does not reach the tolerance.
+        The surface ends inside the rectangle, or the highest degree does not reach the tolerance.
     """
     low, high = zone.min(axis=0), zone.max(axis=0)
     fine = np.linspace(0.0, 1.0, 41)
