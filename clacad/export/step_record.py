@@ -172,8 +172,8 @@ def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Wind
     want = exact.value * scale**3
     # The heights themselves are doubles: far from the origin they are coarse.
     coarse = 2.0 * float(np.spacing(max(abs(z) for z in window.z_range) * scale)) * area
-    # Along the borders of the cells a kernel that fits its own curves gains or loses so much of the body's width.
-    fitted = 0.0 if written["pcurves"] else 4.0 * FITTED / (min(window.lattice.pitch) * scale)
+    # A kernel that fits its own curves gains or loses so much along the borders of cells and of islands in them.
+    fitted = 0.0 if written["pcurves"] else 8.0 * FITTED / (min(window.lattice.pitch) * scale)
     room = (
         coarse
         + (VOLUME_LIMIT + fitted) * want
