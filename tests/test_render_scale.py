@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import tracemalloc
 
 import numpy as np
@@ -51,16 +50,11 @@ def test_memory_beyond_the_picture_is_that_of_a_tile_however_large_the_picture()
 
 
 @pytest.mark.parametrize("rung", ["surfaces", "law"])
-def test_a_sheet_of_1e18_lenslets_is_drawn_as_soon_as_one_of_2500(rung):
-    def seconds(count):
-        scene = crowded(count, 60, rung)
-        start = time.process_time()
-        picture = view_through(scene, compiled=False, threads=1)
-        return time.process_time() - start, picture.light
-
-    seconds(50)
-    (few, one), (many, other) = seconds(50), seconds(10**9)
-    assert many < 2.0 * few + 0.5
+def test_a_sheet_of_1e18_lenslets_is_drawn_as_one_of_2500(rung):
+    """Did anything go through the lenslets, this would not end; the rates are in tests/benchmarks/render.md."""
+    one, other = (
+        view_through(crowded(count, 60, rung), compiled=False, threads=1).light for count in (50, 10**9)
+    )
     np.testing.assert_allclose(other, one, atol=1e-9)  # the middle of both is the same
 
 
