@@ -208,7 +208,8 @@ def verify(
     design : Design
         What is asked, and the limits.
     files : path or None
-        A folder with a manifest, or one STL, 3MF, PLY, GLB, OBJ or STEP file; None judges the design alone.
+        A folder with a manifest, or one file: a mesh (STL, 3MF, PLY, GLB, OBJ), a solid (STEP, BREP), or a map, points,
+        a table, a mask or layers as an export names them; None judges the design alone.
     cells : (a, b) or None
         Cells the files hold, where no manifest says.
     rays : int
