@@ -16,13 +16,16 @@ import pytest
 from clacad import load, prescribe
 from clacad.effects import Setting, lit, trace_with
 from clacad.effects.follow import Rules, follow
+from clacad.effects.homogeneous import overlap
 from clacad.effects.interface import amplitudes, coated, deviation, inside_plate, transmission
 from clacad.effects.passes import NAMES
 from clacad.effects.view import cone
 from clacad.material import Material
 from clacad.rays import Fate, Rays
+from clacad.sobol import sobol
 from clacad.surface import Quadric
 from clacad.trace import Interface, trace, trace_sequence
+from clacad.vignetting import clip
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
@@ -524,6 +527,21 @@ def test_homogeneous_light_is_what_thin_lenslets_pass_order_by_order(name):
         near = np.argmin(np.linalg.norm(light.direction - mean, axis=1))
         assert np.linalg.norm(light.direction[near] - mean) < blur
         assert light.flux[near] == pytest.approx(share, abs=6e-3 + blur)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_what_two_zones_share_is_the_area_of_the_clipped_polygon(turn):
+    """Rectangles along the axes and turned ones, near and far apart, against corner-by-corner clipping."""
+    c, s = math.cos(turn), math.sin(turn)
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) @ np.array([[c, s], [-s, c]])
+    moved, fixed = square * [0.3, 0.8], square * [0.5, 0.5]
+    shift = np.concatenate([2.0 * sobol(200, 2) - 1.0, [[0.0, 0.0], [3.0, 0.0], [0.0, -3.0], [0.8, 0.0]]])
+    area = overlap(moved, fixed, shift)
+    assert np.count_nonzero(area == 0.0) > 2
+    for found, one in zip(area, shift, strict=True):
+        x, y = clip(moved + one, fixed).T
+        expected = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        assert found == pytest.approx(expected, abs=1e-14)
 
 
 def test_off_ghosts_are_black_on_ghosts_carry_what_they_carry():

@@ -39,6 +39,8 @@ def _order(
     order: tuple[int, int],
 ) -> Light:  # fmt: skip
     flux = result.flux[rows] * shares(cells, slopes, order)
+    kept = np.flatnonzero(flux > FAINT)  # most rays reach but a few of the orders that some ray reaches
+    rows, flux = rows[kept], flux[kept]
     direction = result.direction[rows]
     if order != (0, 0):
         rotation = window.thin.rotation
@@ -48,9 +50,9 @@ def _order(
                 [turned[:, :2] / turned[:, 2:] + ghost_step(cells, order), np.ones(len(rows))]
             )
         direction = (out / np.sqrt((out * out).sum(axis=1))[:, None]) @ rotation.T
-        flux = np.where(direction[:, 2] > 0.0, flux, 0.0)
-    kept = flux > FAINT
-    return Light(rows[kept], result.position[rows[kept]], direction[kept], flux[kept])
+        ahead = direction[:, 2] > 0.0
+        rows, flux, direction = rows[ahead], flux[ahead], direction[ahead]
+    return Light(rows, result.position[rows], direction, flux)
 
 
 def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
@@ -90,9 +92,25 @@ def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:
     -----
     The border of what they share is made of the parts of each one's sides inside the other, and its area is half
     the sum of x dy − y dx along them: no corner is ever constructed. Sides that coincide are counted once.
+    Of two rectangles along the axes it is the product of what they share on each axis.
     """
-    first = _along_sides(moved, fixed, shift, closed=True)
-    return np.asarray(first + _along_sides(fixed, moved, -shift, closed=False, origin=shift))
+    low, high = fixed.min(axis=0) - moved.max(axis=0), fixed.max(axis=0) - moved.min(axis=0)
+    meet = np.flatnonzero(((shift > low) & (shift < high)).all(axis=1))
+    near, area = shift[meet], np.zeros(len(shift))
+    if _upright(moved) and _upright(fixed):
+        right = np.minimum(moved.max(axis=0) + near, fixed.max(axis=0))
+        area[meet] = (right - np.maximum(moved.min(axis=0) + near, fixed.min(axis=0))).prod(axis=1)
+    else:
+        first = _along_sides(moved, fixed, near, closed=True)
+        area[meet] = first + _along_sides(fixed, moved, -near, closed=False, origin=near)
+    return area
+
+
+def _upright(polygon: Floats) -> bool:
+    """Whether a convex polygon (m, 2) is a rectangle along the axes."""
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    off = np.minimum(polygon - low, high - polygon)
+    return len(polygon) == 4 and bool((np.abs(off) <= 1e-14 * (high - low)).all())
 
 
 def _along_sides(
