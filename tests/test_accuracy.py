@@ -16,7 +16,7 @@ from clacad.accuracy.floors import FAMILIES, Floor, family_floor, probe
 from clacad.accuracy.measure import Ladder
 from clacad.accuracy.plot import plot_svg
 from clacad.accuracy.rounding import EXACT, Holding, rounded
-from clacad.accuracy.step import step_row
+from clacad.accuracy.step import _compared, step_row
 from clacad.cli import main
 from clacad.mesh import tessellate
 from clacad.sheet import lens_height_and_normal
@@ -207,9 +207,42 @@ def test_every_form_is_held_to_fifty_digits_and_to_its_step_file(name):
     )  # fmt: skip
     assert errors.max() < 4e-15
     if name == "tilted":  # a displaced slab: the hard one for a file
-        step, note = step_row(ladder)
+        step, note = step_row(
+            ladder, lambda count: Ladder.raised(window, bundle(window, count, design.check.field).rays)
+        )
         assert note == ""
+        assert step.checked >= 1000  # though the ladder has 400 rays
         assert step.model_max < 1e-11
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.6, 0.93])
+def test_rays_go_to_the_step_file_until_a_thousand_came_through_and_none_goes_twice(design, lost):
+    window = clacad.prescribe(design)
+
+    def ladder(count):
+        return Ladder.raised(window, bundle(window, count, design.check.field).rays)
+
+    seen = []
+
+    def cast(position, direction, indices):
+        first = len(seen)
+        seen.extend(map(tuple, np.hstack([position, direction]).tolist()))
+        rng = np.random.default_rng(first)
+        return [None if rng.random() < lost else ray for ray in direction], 0.5, 0.1
+
+    spot = _compared(ladder(300), ladder, cast, window.with_cells((5, 5)))
+    through = np.isfinite(spot.found[:, 0])
+    assert 1000 <= through.sum() <= 1500
+    assert len(set(seen)) == len(seen) == len(spot.found) == len(spot.truth) == len(spot.asked)
+    assert through.mean() == pytest.approx(1.0 - lost, abs=0.05)
+    assert (spot.reading, spot.seconds) == (0.5, pytest.approx(0.1 * (1 if lost == 0.0 else 2), abs=0.11))
+    # a blind file: some are sent again, and it ends
+    seen.clear()
+    none = _compared(
+        ladder(300), ladder, lambda p, d, i: ([None] * len(p), 0.5, 0.1), window.with_cells((5, 5))
+    )
+    assert len(none.found) <= 20_000
+    assert not np.isfinite(none.found).any()
 
 
 def test_single_precision_is_a_tenth_of_a_microradian_not_a_milliradian(table):

@@ -13,6 +13,7 @@ from clacad.accuracy.table import Row, Table, TargetOutOfReach
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.rays import Rays
 
 __all__ = ["Row", "Table", "TargetOutOfReach", "accuracy"]
 
@@ -56,8 +57,11 @@ def accuracy(
     refuse_early(design, (), None)
     window = prescribe(design)
     report("tracing the truth", 0.0)
-    lit = bundle(window, rays, design.check.field, design.check.field_centre)
-    ladder = Ladder.raised(window, lit.rays)
+
+    def lit(count: int) -> Rays:
+        return bundle(window, count, design.check.field, design.check.field_centre).rays
+
+    ladder = Ladder.raised(window, lit(rays))
     checked = reference(ladder)
     report("law, thin, surfaces", 0.05)
     rows = exact_rows(ladder, checked)
@@ -66,10 +70,10 @@ def accuracy(
         report(f"mesh of {grid} quads a cell side", 0.1 + 0.7 * number / len(grids))
         rows += mesh_rows(ladder, grid)
     report("STEP", 0.8)
-    step, note = step_row(ladder)
+    step, note = step_row(ladder, lambda count: Ladder.raised(window, lit(count)))
     rows += [] if step is None else [step]
     report("floors of the file formats", 0.9)
-    found = floors(probe(window, lit.rays, ladder.truth))
+    found = floors(probe(window, ladder.rays, ladder.truth))
     report("done", 1.0)
     return Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
