@@ -366,6 +366,44 @@ def test_an_engraved_file_that_came_alone_is_known_by_its_shape(exported, tmp_pa
     assert "engraved" not in judged_alone(design, tmp_path / "plain.stl")[1]["volume"].detail
 
 
+def test_an_engraved_step_part_that_came_alone_has_lost_its_letters_and_nothing_else(tmp_path: Path) -> None:
+    design = clacad.load(DESIGNS / "plano.toml", overrides=[*BORDERED, "lattice.count=[3, 3]"])
+    export(design, tmp_path / "x", ("marked",))
+    one = shutil.copy(tmp_path / "x" / "plano.array2.marked.step", tmp_path / "returned.step")
+    checks = {
+        check.id: check for check in verify(design, files=one, rays=1024).checks if check.where == "file"
+    }
+    assert not [check for check in checks.values() if check.state == "fail"]
+    assert "array2" in checks["volume"].sentence
+    letters = engravings(clacad.prescribe(design), design.name)["array2"]
+    assert checks["volume"].detail["engraved"] == pytest.approx(letters.area * letters.depth, rel=5e-3)
+
+
+def test_a_wide_thin_plate_alone_in_its_file_is_as_good_as_its_heights_are(tmp_path: Path) -> None:
+    """Heights share the float32 spacing of the whole pair, coarse for a plate that lies at the origin."""
+    text = """format = 1
+name = "thin"
+unit = "mm"
+[law]
+eta = [-0.5, -1.0]
+[pair]
+form = "biconvex"
+separation = 10
+index = 1.5
+[lattice]
+pitch = 0.5
+count = [4, 4]
+[body]
+border = 4
+"""
+    (tmp_path / "thin.toml").write_text(text)
+    design = clacad.load(tmp_path / "thin.toml")
+    export(design, tmp_path / "x", ("stl-parts",), quads=16)
+    one = shutil.copy(tmp_path / "x" / "thin.array1.stl", tmp_path / "returned.stl")
+    report = verify(design, files=one, rays=1024)
+    assert not [check.id for check in report.checks if check.state == "fail"]
+
+
 def test_an_engraved_part_that_was_moved_is_found_where_it_lies(exported, tmp_path: Path) -> None:
     design, manifest = exported
     data = bytearray((manifest.folder / "plano.array2.marked.stl").read_bytes())

@@ -213,6 +213,25 @@ def test_damaged_files_are_refused_or_found_out(tmp_path):
     assert read_step(tmp_path / "flipped.step", kernel=False)["open_edges"] > 0
 
 
+def test_a_loop_that_its_face_takes_the_other_way_round_is_counted_the_other_way_round(tmp_path):
+    """Other writers store loops reversed; the flag at the bound says so."""
+    path, turned = tmp_path / "x.step", tmp_path / "turned.step"
+    write_step(biconvex(**TILTED), path)
+    text = path.read_text()
+    bound = re.search(r"(=FACE_(?:OUTER_)?BOUND\('',#(\d+)),\.T\.\)", text)
+    flagged = text.replace(bound[0], bound[1] + ",.F.)")
+    turned.write_text(flagged)
+    edges = re.findall(r"#\d+", re.search(rf"#{bound[2]}=EDGE_LOOP\('',(.*)\);", text)[1])
+    assert scan_step(turned).open_edges == len(edges)
+    other = {".T.": ".F.", ".F.": ".T."}
+    for edge in edges:
+        flagged = re.sub(
+            rf"({edge}=ORIENTED_EDGE\(.*),(\.[TF]\.)\)", lambda m: f"{m[1]},{other[m[2]]})", flagged
+        )
+    turned.write_text(flagged)
+    assert scan_step(turned).open_edges == scan_step(path).open_edges == 0
+
+
 def test_a_file_of_another_radius_is_as_far_from_the_design_as_its_sag(tmp_path):
     window, other = biconvex(eta=(-0.25, -1.0)), biconvex(eta=(-0.255, -1.0))
     write_step(other, tmp_path / "x.step")

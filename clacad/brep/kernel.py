@@ -218,6 +218,16 @@ def volume(shape: Any) -> float:
     return float(properties.Mass())
 
 
+def engraved_volume(shape: Any) -> float:
+    """Volume of a solid with engraved faces by the kernel's Gauss-Kronrod quadrature, mm³.
+
+    Its adaptive one, faster, is off by 1e-5 and says it is not where a plane is bordered by many splines.
+    """
+    properties = GProp_GProps()
+    BRepGProp.VolumePropertiesGK_s(shape, properties, QUADRATURE)
+    return float(properties.Mass())
+
+
 def surface_area(shape: Any) -> float:
     """Surface area by the kernel's adaptive quadrature, mm²."""
     properties = GProp_GProps()

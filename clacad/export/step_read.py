@@ -44,7 +44,8 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
         Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges, entities.
         With a window: patch_error, patches (every lens patch, from the text). By the kernel: kernel = True, valid,
         kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance at which it took a vertex or
-        edge for lying on its face, mm), and with a window lens_error, lens_points.
+        edge for lying on its face, mm), and with a window lens_error, lens_points, engraved (volume of letters in the
+        border, mm³: the floors found where the design has room for them, times their depth).
 
     Raises
     ------
@@ -152,7 +153,7 @@ def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_face
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
     from OCP.TopAbs import TopAbs_FACE, TopAbs_SOLID
 
-    from clacad.brep.kernel import is_valid, surface_area, volume
+    from clacad.brep.kernel import engraved_volume, is_valid, surface_area, volume
 
     shape = kernel_shape(path)
     solids = _explored(shape, TopAbs_SOLID)
@@ -175,7 +176,27 @@ def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_face
     }
     if window is not None:
         facts |= _sampled(faces, window, lens_faces, points)
+        facts["engraved"] = _engraved(faces, window)
+        if facts["engraved"]:
+            facts["volume"] = sum(engraved_volume(solid) * many for solid, many in unique.values())
     return facts
+
+
+def _engraved(faces: list[Any], window: Window) -> float:
+    """Volume (mm³) of letters engraved in the borders: area of their floors times depth."""
+    from clacad.brep.kernel import surface_area
+    from clacad.fixture.mark import pockets
+
+    scale = window.unit * 1e3
+    room = pockets(window)
+    if not room:
+        return 0.0
+    corners = np.array([_box(face) for face in faces]) / scale
+    total = 0.0
+    for pocket in room:
+        for number in np.flatnonzero(pocket.on_floor(corners, 1e-6 / scale)):
+            total += surface_area(faces[number]) * (pocket.floor - pocket.land) * scale
+    return total
 
 
 def kernel_shape(path: str | os.PathLike[str]) -> Any:

@@ -108,7 +108,7 @@ class _Graph:
         self.highest = 0
         self.used: Counter[int] = Counter()
         self.uses: dict[int, int] = {}
-        self.edges = 0
+        self.turned: set[int] = set()
 
 
 def scan_step(path: str | os.PathLike[str]) -> Scan:
@@ -152,6 +152,8 @@ def _scanned(path: str | os.PathLike[str]) -> Scan:
         raise UnreadableFile(f"{os.fspath(path)}: has no end statement; the file is cut short")
     if scan.entities["ADVANCED_FACE"] == 0:
         raise UnreadableFile(f"{os.fspath(path)}: holds no face")
+    if graph.turned:
+        _count_turned(path, graph)
     _finish(scan, graph, np.frombuffer(defined, dtype=np.int64), np.frombuffer(referred, dtype=np.int64))
     return scan
 
@@ -170,10 +172,9 @@ def _collect(scan: Scan, graph: _Graph, number: int, kind: str, body: str, refer
             scan.point_ids.append(number)
             scan.point_values.extend(values)
     elif kind == "ORIENTED_EDGE":
-        graph.edges += 1
-        sense = 1 if ".T." in body else 2
-        edge = references[0]
-        graph.uses[edge] = graph.uses.get(edge, 0) + (sense if not graph.uses.get(edge, 0) & sense else 4)
+        _use(graph, references[0], ".T." in body)
+    elif kind in ("FACE_BOUND", "FACE_OUTER_BOUND") and ".F." in body:
+        graph.turned.add(references[0])
     elif kind == "ADVANCED_FACE":
         scan.fronts[references[-1]] = ".F." in body
     elif kind in ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS"):
@@ -185,6 +186,34 @@ def _collect(scan: Scan, graph: _Graph, number: int, kind: str, body: str, refer
     elif kind in ("PRODUCT", "MANIFOLD_SOLID_BREP"):
         scan.names.append(_STRING.findall(body)[0])
     _structure(graph, number, kind, references)
+
+
+def _use(graph: _Graph, edge: int, forward: bool) -> None:
+    """Count one use of an edge: 1 forward, 2 backward, 4 and more a second one the same way."""
+    sense, uses = 1 if forward else 2, graph.uses.get(edge, 0)
+    graph.uses[edge] = uses + (sense if not uses & sense else 4)
+
+
+def _count_turned(path: str | os.PathLike[str], graph: _Graph) -> None:
+    """Count the uses of edges again, those of loops that their face takes the other way round the other way.
+
+    Loops may stand before or after their edges and bounds, so the text is read twice more; few writers need it.
+    """
+    turned: set[int] = set()
+    for number, kind, body in _entities(path):
+        if kind == "EDGE_LOOP" and number in graph.turned:
+            turned.update(int(found) for found in _REFERENCE.findall(body))
+    graph.uses.clear()
+    for number, kind, body in _entities(path):
+        if kind == "ORIENTED_EDGE":
+            _use(graph, int(_REFERENCE.findall(body)[0]), (".T." in body) != (number in turned))
+
+
+def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
+    for statement in statements(path):
+        match = _ENTITY.match(statement)
+        if match is not None:
+            yield int(match.group(1)), match.group(2), _STRING.sub("''", statement[match.end() :])
 
 
 def _structure(graph: _Graph, number: int, kind: str, references: list[int]) -> None:

@@ -57,7 +57,8 @@ def judge_mesh(
     gathered = gatherer.result
     checks = [closed_check(found, gathered, mesh, name), scale_check(design, held, found, name)]
     checks += pieces_check(held, found, mesh, name, stated)
-    checks.append(volume_check(held, chord_volume(window, gathered, 0), found, gathered, name, stated))
+    reach = max(abs(z) for z in window.z_range)
+    checks.append(volume_check(held, reach, chord_volume(window, gathered, 0), found, gathered, name, stated))
     off = [
         deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
         for k in range(len(gathered.cells))

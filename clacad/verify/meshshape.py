@@ -57,13 +57,18 @@ def volume_of(window: Window, body: Body) -> Integral | None:
 
 def volume_check(
     window: Window,
+    reach: float,
     cell_chord: float,
     found: Measure,
     gathered: Gathered,
     name: str,
     stated: Mapping[str, Any],
 ) -> Check:
-    """Enclosed volume against quadrature of the design plus what facets cut off."""
+    """Enclosed volume against quadrature of the design plus what facets cut off.
+
+    `window` is reduced to the bodies of the file; `reach` is the largest |z| of the whole one, whose float32
+    spacing the heights of all its bodies share.
+    """
     common: dict[str, Any] = {"where": "file", "subject": name, "unit": "design unit³"}
     integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
@@ -78,9 +83,9 @@ def volume_check(
     chord = cell_chord * window.lattice.cell_count
     difference = found.volume - exact
     # 2 % of what the facets cut off, and float32 corners: half a spacing on each side of the box, and a plane far
-    # from the origin moved by half a spacing as a whole, which is much of a thin body
+    # from the origin moved by half a spacing as a whole, which is much of a thin body, also where it is alone in its file
     x0, x1, y0, y1 = whole_extent(window)
-    planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * max(abs(z) for z in window.z_range)
+    planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
     room = 0.02 * abs(chord) + 2.0**-24 * (4.0 * exact + planes) + error
     sentence = (
         f"it encloses {found.volume:.9g}; the design {exact:.9g}, of which the facets cut off {-chord:.4g} "

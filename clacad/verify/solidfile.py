@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import ExportError
-from clacad.sheet import Window
+from clacad.feasibility import body_range
+from clacad.sheet import Body, Window
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.gather import Progress
 from clacad.verify.meshshape import volume_of
@@ -137,7 +138,8 @@ def _volume(
 ) -> Check:
     if not found["kernel"]:
         return not_run("volume", "too large for the kernel", required=False, unit="mm³", **common)
-    parts = [volume_of(window, body) for body in window.bodies]
+    bodies = _held(window, found)
+    parts = [volume_of(window, body) for body in bodies]
     if any(p is None for p in parts):
         return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand",
                        required=False, unit="mm³", **common)  # fmt: skip
@@ -150,7 +152,20 @@ def _volume(
     if merged:
         # steps closed on purpose move vertices by less than the merge height of a nanometre or so
         room += 1e-8 * want
+    detail = {"volume": got, "exact": want}
+    whose = "the design" if len(bodies) == len(window.bodies) else " and ".join(body.name for body in bodies)
+    sentence = f"the kernel finds {got:.12g} mm³, quadrature of {whose} {want:.12g} mm³"
+    if engraved := float(found.get("engraved", 0.0)):
+        sentence += f"; letters engraved in the border take {engraved:.6g} mm³"
+        detail["engraved"] = engraved
     return judge(
-        "volume", abs(got - want), room, f"the kernel finds {got:.12g} mm³, quadrature of the design {want:.12g} mm³",
-        unit="mm³", source="1e-9 relative", detail={"volume": got, "exact": want}, **common,
+        "volume", abs(got + engraved - want), room, sentence, unit="mm³", source="1e-9 relative", detail=detail, **common,
     )  # fmt: skip
+
+
+def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
+    """The bodies whose heights the file reaches through; all where it reaches none (it lies elsewhere)."""
+    low, high = (corner[2] / (window.unit * 1e3) for corner in found["box"])
+    middles = [0.5 * sum(body_range(window, body)) for body in window.bodies]
+    held = tuple(body for body, z in zip(window.bodies, middles, strict=True) if low < z < high)
+    return held or window.bodies
