@@ -169,6 +169,27 @@ def test_any_tangle_of_rims_divides_its_zone_into_regions_of_the_right_area(tang
     assert areas["lens"] + areas["land"] == pytest.approx(0.25, rel=1e-9)
 
 
+def test_a_rim_with_a_throat_narrower_than_the_first_grid_stays_one_and_one_that_crosses_itself_is_refused():
+    zone = 0.25 * np.array([(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)])
+
+    def rim(function):
+        return fitted_rim(
+            Gap(lambda x, y: (np.zeros(len(x)), np.zeros((len(x), 2))), function), zone, "land", 5e-11
+        )
+
+    def throat(x, y):  # 0.006 wide
+        return x**3 - y**2 + 1e-5, np.stack([3.0 * x**2, -2.0 * y], 1)
+
+    def saddle(level):
+        return lambda x, y: (x**2 - 0.7 * y**2 + level, np.stack([2.0 * x, -1.4 * y], 1))
+
+    kinds = sorted(region.kind for region in rim(throat).pattern.regions)
+    assert kinds == ["land", "lens"]
+    with pytest.raises(CannotBuild, match="CL132: .*a little more or less thickness"):
+        rim(saddle(0.0))
+    assert rim(saddle(1e-4)).error < 1e-10  # the way out
+
+
 # -- solids ------------------------------------------------------------------------------------------
 
 

@@ -14,6 +14,7 @@ import clacad
 from clacad.brep import describe_body
 from clacad.brep.kernel import KernelWriter, is_valid, volume
 from clacad.cell_complex.build import cell_complex, pieces
+from clacad.cell_complex.refusal import CannotBuild
 from clacad.lattice import Circle, Rectangle
 from clacad.sheet import column
 
@@ -241,18 +242,65 @@ def check_design(path):
         assert all(is_valid(solid) for solid in solids)
 
 
-def test_a_lens_too_steep_for_one_patch_is_refused_in_words():
-    window = biconvex(eta=(-1.0, -1.0), separation=0.4, thickness=0.3)
-    with pytest.raises(ValueError, match="too steep"):
-        describe_body(window, window.bodies[0], KernelWriter())
+def test_a_lens_that_comes_near_its_equator_is_one_exact_patch_of_higher_degree():
+    window = biconvex(
+        eta=(-1.0, -1.0), separation=0.4, thickness=0.3, count=(1, 1)
+    )  # R = 0.2, rim at 76 degrees
+    solids, counts = built(window, window.bodies[0])
+    assert dict(counts.faces) == {"lens": 2}
+    assert is_valid(solids[0])
+    h, r = 0.15, 0.2
+    assert volume(solids[0]) == pytest.approx(2.0 * np.pi * h * h * (3.0 * r - h) / 3.0, rel=1e-8)
 
 
-def test_a_surface_that_ends_inside_its_cell_is_refused_in_words():
-    window = biconvex(eta=(-1.0, -1.0), separation=0.3, thickness=0.3)  # R = 0.15, half diagonal 0.35
-    plane = replace(window.bodies[0].front, array=None, surface=clacad.Quadric(0.0, 0.0, 0.0))
-    body = replace(window.bodies[0], back=plane)
-    with pytest.raises(ValueError, match="ends inside its cell"):
-        describe_body(window, body, KernelWriter())
+def test_a_lens_undercut_at_its_rim_is_refused_and_built_with_less_tilt():
+    undercut = {"eta": (-1.0, -1.0), "separation": 0.4, "thickness": 0.3, "web": 0.25, "count": (1, 1)}
+    window = biconvex(**undercut, euler=(0.0, 40.0, 0.0))
+    with pytest.raises(CannotBuild, match="CL133: .*tilt it less"):
+        built(window, window.bodies[0])
+    window = biconvex(**undercut, euler=(0.0, 10.0, 0.0))
+    solids, _ = built(window, window.bodies[0])
+    assert is_valid(solids[0])
+
+
+def test_a_surface_that_ends_before_its_plane_is_refused_and_built_with_a_longer_radius_or_smaller_pitch():
+    def domed(**changes):
+        """Front lenses on a plane as far away as their radius is long."""
+        sheet = biconvex(
+            **({"eta": (-1.0, -1.0), "separation": 0.3, "thickness": 0.3, "count": (2, 2)} | changes)
+        )
+        front = sheet.bodies[0].front
+        plane = replace(front, array=None, surface=clacad.Quadric(0.0, 0.0, 0.0, -1), vertex=(0.0, 0.0, 0.1))
+        return replace(sheet, bodies=(replace(sheet.bodies[0], back=plane),))
+
+    short = domed()  # R = 0.15, half diagonal 0.35
+    with pytest.raises(CannotBuild, match="CL133: .*passes its equator before it meets .*a longer radius"):
+        built(short, short.bodies[0])
+    for out in ({"separation": 1.0}, {"pitch": 0.2}):
+        sheet = domed(**out)
+        solids, _ = built(sheet, sheet.bodies[0])
+        assert [is_valid(solid) for solid in solids] == [True]
+
+
+def test_a_cell_beyond_the_outline_is_refused_by_solids_and_meshes_alike():
+    web = {"web": 0.03, "thickness": 0.09}
+    for outline in (Rectangle(1.2, 1.6), Circle(1.2)):
+        window = biconvex(**web, outline=outline)
+        for make in (lambda w: built(w, w.bodies[0]), lambda w: clacad.tessellate(w, quads=4)):
+            with pytest.raises(CannotBuild, match="CL136: .*a larger outline or fewer cells"):
+                make(window)
+    for out in ({"outline": Rectangle(1.5, 1.6)}, {"outline": Circle(1.2), "count": (1, 1)}):
+        solids, _ = built(window := biconvex(**web, **out), window.bodies[0])
+        assert [is_valid(solid) for solid in solids] == [True]
+
+
+def test_an_outline_round_lenses_without_land_is_refused_and_a_web_is_the_way_out():
+    window = biconvex(thickness=0.3, outline=Rectangle(2.0, 2.0))
+    with pytest.raises(CannotBuild, match=r"CL134: .*give pair\.web"):
+        built(window, window.bodies[0])
+    window = biconvex(thickness=0.3, web=0.03, outline=Rectangle(2.0, 2.0))
+    solids, _ = built(window, window.bodies[0])
+    assert [is_valid(solid) for solid in solids] == [True]
 
 
 @pytest.mark.parametrize("tilt", np.geomspace(1e-9, 20.0, 10).tolist())

@@ -63,6 +63,30 @@ def test_the_way_out_that_the_message_names_is_one(tmp_path: Path):
     assert read_step(tmp_path / "x.step")["valid"]
 
 
+PLANO = {"pair__form": "plano", "lattice__seam": 0.05, "pair__thickness": 0.004}
+WAYS_OUT = {
+    "thickness": {"pair__thickness": [0.028, 0.036]},
+    "seam_depth": {"pair__thickness": 0.027, "lattice__seam_depth": 0.001},
+    "no seam": {"lattice__seam": 0.0},
+}
+
+
+def test_land_behind_a_plane_face_is_refused_by_solids_and_meshes_with_the_thickness_that_holds_it():
+    window = clacad.prescribe(design(**PLANO))
+    for make in (forecast_step, lambda w: tessellate(w, quads=4)):
+        with pytest.raises(CannotBuild, match=r"thickness of more than 0\.027\d* design units") as caught:
+            make(window)
+        assert caught.value.code == "CL134"
+
+
+@pytest.mark.parametrize("name", WAYS_OUT)
+def test_every_way_out_of_land_behind_a_plane_face_is_one(name, tmp_path: Path):
+    window = clacad.prescribe(design(**(PLANO | WAYS_OUT[name])))
+    write_step(window.with_cells((1, 1)), tmp_path / "x.step")
+    assert read_step(tmp_path / "x.step")["valid"]
+    tessellate(window, quads=6)
+
+
 def test_a_refusal_crosses_processes_and_is_bad_input_of_the_command_line():
     error = CannotBuild("CL131", "no rim")
     again = pickle.loads(pickle.dumps(error))

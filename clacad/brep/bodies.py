@@ -16,7 +16,7 @@ from clacad.brep.segments import Column
 from clacad.brep.shell import MERGE, Shells, Writer
 from clacad.cell_complex.build import cell_complex
 from clacad.cell_complex.refusal import CannotBuild
-from clacad.lattice import Lattice, Outline
+from clacad.lattice import Circle, Lattice, Outline
 from clacad.sheet import Body, Face, Window
 
 
@@ -171,6 +171,8 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
     path = None if outline is None else outline_path(outline, scale, centre)
     tilings = []
     for part in parts:
+        if path is not None and outline is not None:
+            _refuse_beyond(part, lattice, outline, scale, centre)
         tiling = Columns(
             shells, part.cell, lattice, scale, part.shift, part.outside, rim, hollow, part.breaks, path
         )  # fmt: skip
@@ -184,6 +186,28 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
             if face.plane:
                 flat_faces(shells, f, face, "plane")
     return shells
+
+
+def _refuse_beyond(part: Layer, lattice: Lattice, outline: Outline, scale: float, centre: Floats) -> None:
+    """Refuse a cell that the outline does not hold: the outline would cut through a lenslet.
+
+    Raises
+    ------
+    CannotBuild
+        CL136.
+    """
+    cells = lattice.centres(lattice.cells()) * scale + part.shift - centre
+    x, y = np.moveaxis(cells[:, None] + part.cell.tile, -1, 0)
+    if isinstance(outline, Circle):
+        beyond = np.hypot(x, y) - 0.5 * outline.diameter * scale
+    else:
+        beyond = np.maximum(np.abs(x) - 0.5 * outline.width * scale, np.abs(y) - 0.5 * outline.height * scale)
+    if len(cells) and float(beyond.max()) > SNAP:
+        raise CannotBuild(
+            "CL136",
+            f"a cell reaches {float(beyond.max()) / scale:.3g} beyond the outline {outline}; a larger outline or fewer "
+            "cells would hold it",
+        )
 
 
 def single(window: Window) -> Lattice:

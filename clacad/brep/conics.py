@@ -97,6 +97,16 @@ class Patch:
         basis = along[:, :, None] * across[:, None, :] * self.weights
         return np.asarray(np.einsum("kij,ijc->kc", basis, self.poles) / basis.sum(axis=(1, 2))[:, None])
 
+    def elevated(self, degree: int) -> Patch:
+        """Give the same patch written with a higher degree in both directions."""
+        poles, weights = self.poles, self.weights
+        for _ in range(2):  # columns of the net, then its rows
+            arcs = [
+                Arc(p, w).elevated(degree) for p, w in zip(np.moveaxis(poles, 1, 0), weights.T, strict=True)
+            ]
+            poles, weights = np.stack([arc.poles for arc in arcs]), np.stack([arc.weights for arc in arcs])
+        return Patch(poles, weights)
+
 
 def bernstein(degree: int, t: Floats) -> Floats:
     """Bernstein basis at t (k,), as (k, degree + 1)."""

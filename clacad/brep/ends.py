@@ -208,7 +208,9 @@ def _rim_arcs(
     away = np.abs(quadric.height(points[:, 0], points[:, 1]) - z)
     if not (away <= UNDERCUT).all():
         raise CannotBuild(
-            "CL133", "the lens is undercut at its rim (the tilt passes its equator); tilt it less"
+            "CL133",
+            "the lens is undercut at its rim: its surface passes its equator before it meets its land or other face; "
+            "tilt it less, or give it a longer radius",
         )
     following = np.roll(lifted, -1, axis=0) if closed else lifted[1:]
     return tuple(section_arc(quadric, a, b, normal) for a, b in zip(lifted, following))

@@ -33,6 +33,9 @@ Floats = NDArray[np.float64]
 STEEPEST = 0.02
 """Smallest weight of a patch; it falls from 1 on a flat lens to 0 where a corner of the patch meets the equator."""
 
+PATCH_DEGREES = (2, 4, 8)
+"""Degrees in which a quadric's patch is written: raised where a weight would come near 0, with no point moved."""
+
 HIGHEST_DEGREE = 20
 """Degree of a fitted patch in each direction beyond which it is refused."""
 
@@ -66,11 +69,12 @@ class Lens(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class QuadricLens:
-    """A lens face that is a quadric; `u`, `v` is the parameter rectangle its patch covers."""
+    """A lens face that is a quadric; `u`, `v` is the parameter rectangle its patch of a degree covers."""
 
     quadric: PosedQuadric
     u: tuple[float, float]
     v: tuple[float, float]
+    degree: int = 2
 
     def height(self, x: Floats, y: Floats) -> Floats:
         """Heights (mm) over cell-frame points; NaN where there is none."""
@@ -93,8 +97,9 @@ class QuadricLens:
 
     @property
     def patch(self) -> Patch:
-        """The exact 3×3 rational patch."""
-        return quadric_patch(self.quadric, self.u, self.v)
+        """The exact rational patch, 3×3 unless the lens is steep."""
+        patch = quadric_patch(self.quadric, self.u, self.v)
+        return patch if self.degree == 2 else patch.elevated(self.degree)
 
     @property
     def error(self) -> float:
@@ -187,8 +192,11 @@ def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
     low, high = parameters.min(axis=0), parameters.max(axis=0)
     spare = 0.01 * (high - low)
     low, high = low - spare, high + spare
-    lens = QuadricLens(quadric, (float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
-    if float(lens.patch.weights.min()) < STEEPEST:
+    for degree in PATCH_DEGREES:
+        lens = QuadricLens(quadric, (float(low[0]), float(high[0])), (float(low[1]), float(high[1])), degree)
+        if float(lens.patch.weights.min()) >= STEEPEST:
+            break
+    else:
         raise CannotBuild(
             "CL133",
             "the lens is too steep for one rational patch: over its cell it comes near its equator; "

@@ -25,7 +25,7 @@ from clacad.sheet import Face, lens_height_and_normal
 Graph = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Heights (n,) and slopes (n, 2) over points x, y (n,); NaN where there is none."""
 
-FANS = (24, 48, 96)
+FANS = (24, 48, 96, 192)
 """Grids on which the rim is sought; the next finer one where a rim does not end where the sides say it must."""
 
 TURN = 1.1
@@ -135,21 +135,28 @@ def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
     """
     noise = gap.rounding(zone)
     roots = [_side_roots(gap, zone, k, noise) for k in range(len(zone))]
-    found = None
+    blunt: CannotBuild | None = None
     for fan in FANS:
         found = _traced(gap, zone, roots, rest, fan, noise)
-        if found is not None:
-            break
-    if found is None:
-        raise CannotBuild(
-            "CL130",
-            "the lens ends inside its optical zone other than where it meets the other surface; a longer radius or "
-            "less tilt",
-        )
-    pattern, paths = found
+        if found is None:
+            continue
+        try:
+            return _with_arcs(gap, *found, tolerance, noise)
+        except CannotBuild as error:  # too sharp for the points of this grid
+            blunt = error
+    raise blunt or CannotBuild(
+        "CL130",
+        "the lens ends inside its optical zone other than where it meets the other surface; a longer radius or less "
+        "tilt",
+    )
+
+
+def _with_arcs(gap: Gap, pattern: Pattern, paths: list[Floats], tolerance: float, noise: float) -> Rim:
+    """Fit the arcs of every chain of a pattern."""
     arcs, error = [], 0.0
     for chain, path in zip(pattern.chains, paths, strict=True):
         _on_the_rim(gap, path, noise)
+        _along_the_rim(gap, path)
         made, off = _chain_arcs(gap, path, chain.first is None, tolerance, noise)
         arcs.append(made)
         error = max(error, off)
@@ -191,6 +198,23 @@ def _on_the_rim(gap: Gap, path: Floats, noise: float) -> None:
         )
 
 
+def _along_the_rim(gap: Gap, path: Floats) -> None:
+    """Refuse a chain that leaps from one branch of the rim to another, between which a grid has seen nothing."""
+    chord = np.diff(path, axis=0)
+    length = np.hypot(*chord.T)
+    _, slope, _ = gap.at(path[:, 0], path[:, 1])
+    along = np.column_stack([slope[:, 1], -slope[:, 0]]) / np.linalg.norm(slope, axis=1)[:, None]
+    least = np.minimum(np.sum(chord * along[:-1], axis=1), np.sum(chord * along[1:], axis=1))
+    if ((length > 10.0 * SNAP) & (least < 0.3 * length)).any():
+        raise CannotBuild("CL132", _SHARP)
+
+
+_SHARP = (
+    "the rim of the lens turns too sharply, or meets the other surface at too small an angle, for an edge of "
+    f"degree {DEGREES[-1]}; a little more or less thickness (pair.thickness) or web (pair.web) moves it"
+)
+
+
 # -- arcs -------------------------------------------------------------------------------------------
 
 
@@ -202,7 +226,7 @@ def _chain_arcs(gap: Gap, path: Floats, closed: bool, tolerance: float, noise: f
     arcs: list[Arc] = []
     worst = 0.0
     for i, j in zip(at[:-1], at[1:]):
-        made, error = _fitted(gap, points[i], points[j], tolerance, noise, 0)
+        made, error = _fitted(gap, points[i : j + 1], tolerance, noise, 0)
         arcs += made
         worst = max(worst, error)
     return tuple(arcs), worst
@@ -231,29 +255,31 @@ def _divisions(gap: Gap, points: Floats, closed: bool) -> list[int]:
     return [*kept, len(points) - 1]
 
 
-def _fitted(gap: Gap, start: Floats, end: Floats, tolerance: float, noise: float, depth: int
-            ) -> tuple[list[Arc], float]:  # fmt: skip
-    """One arc between two exact points, or more where one does not reach the tolerance."""
-    pencil = _Pencil(gap, start, end)
-    true, closes = pencil.points(_NODES)
+def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) -> tuple[list[Arc], float]:
+    """One arc between the ends of a path of exact points (n, 2), or more where one does not reach the tolerance."""
+    start, end = path[0], path[-1]
     best: tuple[Arc, float] | None = None
-    if closes:
-        reach = max(tolerance, 4.0 * noise / pencil.least_slope)
-        arc, error = _least_degree(true, reach)
-        error = max(error, _distance(arc, pencil))
-        best = arc, error
-        if error <= reach:
-            return [arc], error
-        if depth < DEPTH and float(np.hypot(*(end - start))) > 20.0 * SNAP:
-            middle = true[len(_NODES) // 2, :2]
-            first, low = _fitted(gap, start, middle, tolerance, noise, depth + 1)
-            second, high = _fitted(gap, middle, end, tolerance, noise, depth + 1)
-            return [*first, *second], max(low, high)
+    middle = path[len(path) // 2] if len(path) > 2 else None
+    if float(np.hypot(*(end - start))) > SNAP:
+        pencil = _Pencil(gap, start, end)
+        true, closes = pencil.points(_NODES)
+        if closes:
+            reach = max(tolerance, 4.0 * noise / pencil.least_slope)
+            arc, error = _least_degree(true, reach)
+            best = arc, max(error, _distance(arc, pencil))
+            if best[1] <= reach:
+                return [arc], best[1]
+            middle = true[len(_NODES) // 2, :2] if middle is None else middle
+    if middle is not None and depth < DEPTH and float(np.hypot(*(end - start))) > 20.0 * SNAP:
+        halves = (path[: len(path) // 2 + 1], path[len(path) // 2 :]) if len(path) > 2 else (
+            np.array([start, middle]), np.array([middle, end]))  # fmt: skip
+        first, low = _fitted(gap, halves[0], tolerance, noise, depth + 1)
+        second, high = _fitted(gap, halves[1], tolerance, noise, depth + 1)
+        return [*first, *second], max(low, high)
     if best is None or best[1] > SLACK:
         raise CannotBuild(
             "CL132",
-            "the rim of the lens turns too sharply, or meets the other surface at too small an angle, for an edge of "
-            f"degree {DEGREES[-1]}; a little more or less thickness (pair.thickness) or web (pair.web) moves it",
+            _SHARP,
         )
     return [best[0]], best[1]
 
@@ -277,8 +303,8 @@ def _least_degree(true: Floats, reach: float) -> tuple[Arc, float]:
 
 def _distance(arc: Arc, pencil: _Pencil) -> float:
     """Largest distance of a curve from the rim at parameters it was not fitted at."""
-    true, _ = pencil.points(_BETWEEN)
-    return float(np.linalg.norm(arc.at(_BETWEEN) - true, axis=1).max())
+    true, closes = pencil.points(_BETWEEN)
+    return np.inf if not closes else float(np.linalg.norm(arc.at(_BETWEEN) - true, axis=1).max())
 
 
 class _Pencil:
