@@ -24,6 +24,8 @@ from clacad.render.stage import (
     Stage,
 )
 
+UNTURNED = np.eye(3)
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -78,8 +80,9 @@ def _nearest(
             rows = near[_may_meet(stage.bound[k], origin[near], direction[near])]
             if not len(rows):
                 continue
-            turn = stage.rotation[k]
-            local, ray = (origin[rows] - stage.origin[k]) @ turn, direction[rows] @ turn
+            local, ray = origin[rows] - stage.origin[k], direction[rows]
+            if (stage.rotation[k] != UNTURNED).any():
+                local, ray = local @ stage.rotation[k], ray @ stage.rotation[k]
             if stage.kind[k] == MESH:
                 own = int(stage.piece[k, 0]), int(stage.piece[k, 1]), int(stage.root[k])
                 t, facet = first_triangle(stage.forest, *own, local, ray, distance[rows])
@@ -201,10 +204,13 @@ def _inside(outline: Floats, x: Floats, y: Floats) -> Mask:
 
 def background(stage: Stage, direction: Floats) -> Floats:
     """Light (n, 3) of the sky, linear in elevation, or of the ground below the horizon."""
+    down = (direction[:, 1] < 0.0)[:, None]
+    if (stage.sky[0] == stage.sky[1]).all():
+        return np.where(down, stage.ground, stage.sky[1])
     elevation = np.arctan2(direction[:, 1], np.hypot(direction[:, 0], direction[:, 2])) / (0.5 * np.pi)
     share = np.clip(elevation, 0.0, 1.0)[:, None]
     sky = stage.sky[1] + (stage.sky[0] - stage.sky[1]) * share
-    return np.where((direction[:, 1] < 0.0)[:, None], stage.ground, sky)
+    return np.where(down, stage.ground, sky)
 
 
 def _painted(
