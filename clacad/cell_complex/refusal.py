@@ -7,8 +7,8 @@ from clacad.sheet import Face
 CODES: dict[str, str] = {
     "CL130": "a lens surface that ends inside its cell",
     "CL131": "a rim that sticks out of its web",
-    "CL132": "a rim that is no plane curve, so that no exact edge exists",
-    "CL133": "a lens undercut or too steep for one patch",
+    "CL132": "a rim that turns too sharply for an edge",
+    "CL133": "a lens undercut, or too steep for one patch",
     "CL134": "land that a border, seam or displaced array needs and the body lacks",
     "CL135": "a bevel that the sheet cannot hold",
     "CL136": "a cell beyond the outline",

@@ -104,20 +104,27 @@ MISTAKES: dict[str, Text] = {
         "half the cell's diagonal < radius", "A smaller pitch, a larger separation, or a web or land for the lens to end in.",
     ),
     "CL131": (
-        "The rim of a lens sticks out of the plate that joins the lenses.", "The edge would hang in the air.",
-        "", "A thicker web, or a thicker lens that reaches its neighbours.",
+        "The rim of a lens sticks out of the plate that joins the lenses.",
+        "Just inside the rim there would be air between plate and lens on one vertical line: an overhang that no mould, etch or height "
+        "map can make. (Mesh files fill the space below it.)",
+        "rim heights within ± web/2 of the plate's middle",
+        "A web of the thickness that the message names, or a thicker lens whose rim leaves the cell: pair.thickness = \"auto\".",
     ),
     "CL132": (
-        "The two faces of a lens meet in a rim that is no plane curve.", "A plane curve has an exact edge in CAD; this one would be an approximation.",
-        "", "Thickness that covers the cell (so that there is no rim), or a web.",
+        "The rim in which a lens ends turns too sharply for an edge.",
+        "A rim that is no plane curve is fitted by curves whose error is stated; near a point where the rim crosses itself, or where two "
+        "surfaces all but touch, none comes within 10⁻⁷ mm.",
+        "", "A little more or less thickness or web, which moves the rim.",
     ),
     "CL133": (
-        "A lens is undercut or too steep to be one patch.", "An exact rational patch needs a graph over the sheet.",
-        "n_z > 0 over the cell", "Less tilt, larger radii, a smaller pitch.",
+        "A lens is undercut at its rim, or too steep to be one patch.",
+        "A lens face is a graph over the sheet, and a fitted patch a polynomial.",
+        "n_z > 0 over the lens", "Less tilt, larger radii, a smaller pitch; a conic constant nearer −1.",
     ),
     "CL134": (
-        "A border, a seam or displaced arrays need flat land, and this body has none.", "", "",
-        "Give a web (biconvex) or a seam (plano, slab), or leave out border and outline.",
+        "A border, a seam or displaced arrays need flat land, and this body has none; or the land of a plano lens lies behind its plane face.",
+        "", "plano: thickness > depth of the land",
+        "Give a web (biconvex) or a seam (plano, slab), a thicker plano lens, or leave out border and outline.",
     ),
     "CL135": (
         "The bevel asked for at corners where cells only touch does not fit.", "It would eat more than the lenses have.", "",
