@@ -190,6 +190,20 @@ def test_a_rim_with_a_throat_narrower_than_the_first_grid_stays_one_and_one_that
     assert rim(saddle(1e-4)).error < 1e-10  # the way out
 
 
+def test_a_bump_between_the_points_of_the_first_grid_is_found():
+    # a radius of 0.004 in a cell of 0.5
+    zone = 0.25 * np.array([(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)])
+
+    def bump(x, y):
+        p, q = x - 0.0873, y + 0.0411
+        return 0.004**2 - p**2 - q**2, np.stack([-2.0 * p, -2.0 * q], 1)
+
+    rim = fitted_rim(Gap(lambda x, y: (np.zeros(len(x)), np.zeros((len(x), 2))), bump), zone, "land", 5e-11)
+    assert sorted(region.kind for region in rim.pattern.regions) == ["land", "lens"]
+    points = np.concatenate([arc.at(np.linspace(0.0, 1.0, 9))[:, :2] for arc in rim.arcs[0]])
+    assert np.abs(np.hypot(*(points - [0.0873, -0.0411]).T) - 0.004).max() < 1e-10
+
+
 # -- solids ------------------------------------------------------------------------------------------
 
 

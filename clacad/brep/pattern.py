@@ -194,7 +194,7 @@ def _closed_rim(zone: Floats, conic: Floats) -> tuple[Floats, Floats] | None:
     points = centre + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ root.T
     dense = 2.0 * np.pi * np.arange(64) / 64
     around = centre + np.stack([np.cos(dense), np.sin(dense)], axis=-1) @ root.T
-    return (points, centre) if _inside(zone, around).all() else None
+    return (points, centre) if inside_convex(zone, around).all() else None
 
 
 def _to_circle(conic: Floats) -> tuple[Floats, Floats] | tuple[None, None]:
@@ -212,7 +212,7 @@ def _to_circle(conic: Floats) -> tuple[Floats, Floats] | tuple[None, None]:
     return np.asarray(np.linalg.inv(lower).T), np.asarray(centre)
 
 
-def _inside(zone: Floats, points: Floats) -> NDArray[np.bool_]:
+def inside_convex(zone: Floats, points: Floats) -> NDArray[np.bool_]:
     """Which points (n, 2) lie inside a convex polygon."""
     edge = np.roll(zone, -1, axis=0) - zone
     relative = points[:, None, :] - zone
@@ -269,7 +269,7 @@ def _arcs(zone: Floats, conic: Floats, points: Floats) -> list[tuple[int, int, F
         direction = np.stack([np.cos(inner), np.sin(inner), np.zeros_like(inner)], axis=-1)
         reach = -2.0 * (direction @ tangent) / np.einsum("ki,ij,kj->k", direction, form, direction)
         path = (local[0] + reach[:, None] * direction[:, :2]) @ root.T + centre
-        if _inside(zone, path).all():
+        if inside_convex(zone, path).all():
             arcs.append((i, j, path))
     return arcs
 
@@ -283,7 +283,7 @@ def _straight_arcs(
         for j in range(i + 1, len(points)):
             middle = 0.5 * (points[i] + points[j])
             on_conic = abs(float(np.append(middle, 1.0) @ conic @ np.append(middle, 1.0))) < 1e-9
-            if on_conic and _inside(zone, middle[None] * scale).all():
+            if on_conic and inside_convex(zone, middle[None] * scale).all():
                 arcs.append((i, j, middle[None] * scale))
     return arcs
 

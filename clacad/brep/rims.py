@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.brep.conics import Arc, bernstein
-from clacad.brep.pattern import SNAP, Floats, Kind, Pattern, Proud
+from clacad.brep.pattern import SNAP, Floats, Kind, Pattern, Proud, inside_convex
 from clacad.brep.regions import cut_pattern
 from clacad.cell_complex.refusal import CannotBuild
 from clacad.cell_complex.rims import trace_zero
@@ -138,7 +138,7 @@ def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
     blunt: CannotBuild | None = None
     for fan in FANS:
         found = _traced(gap, zone, roots, rest, fan, noise)
-        if found is None:
+        if found is None or (fan < FANS[-1] and _hidden(gap, zone, found[0])):
             continue
         try:
             return _with_arcs(gap, *found, tolerance, noise)
@@ -161,6 +161,25 @@ def _with_arcs(gap: Gap, pattern: Pattern, paths: list[Floats], tolerance: float
         arcs.append(made)
         error = max(error, off)
     return Rim(pattern, tuple(arcs), error)
+
+
+def _hidden(gap: Gap, zone: Floats, pattern: Pattern) -> bool:
+    """Whether a lens stands out between the points of a grid that saw none."""
+    if any(region.kind == "lens" for region in pattern.regions):
+        return False
+    low, high = zone.min(axis=0), zone.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    largest = -np.inf
+    for _ in range(8):
+        step = np.linspace(-1.0, 1.0, 17)
+        x, y = (grid.ravel() for grid in np.meshgrid(middle[0] + half[0] * step, middle[1] + half[1] * step))
+        value = np.where(inside_convex(zone, np.column_stack([x, y])), gap.value(x, y), np.nan)
+        if np.isnan(value).all():
+            break
+        best = int(np.nanargmax(value))
+        largest = max(largest, float(value[best]))
+        middle, half = np.array([x[best], y[best]]), 0.25 * half
+    return largest > SNAP
 
 
 def _side_roots(gap: Gap, zone: Floats, k: int, noise: float) -> list[float]:
