@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from clacad.design.words import law_words
 from clacad.export.atomic import Stage, canonical_json, file_hash
 from clacad.render.atlas_page import page_of
 from clacad.render.files import Bytes, animate, facts, label_lines, labelled, pixels_of, save
@@ -200,15 +200,7 @@ def parameters(scene: Scene, turned: bool = False) -> str:
     turned : bool
         Name the three angles even where all are 0.
     """
-    law = scene.design().law_spec
-    said = [f"eta = ({law.eta[0]:.4g}, {law.eta[1]:.4g})"]
-    if any(law.delta):
-        said.append(f"delta = ({law.delta[0]:.4g}, {law.delta[1]:.4g})")
-    if turned or any(law.euler):
-        said += [
-            f"{name} = {math.degrees(angle):.5g}°"
-            for name, angle in zip(("phi", "theta", "psi"), law.euler, strict=True)
-        ]
+    said = [law_words(scene.design().law_spec, turned)]
     said += [f"z = {thing.at[2]:.4g}" for thing in scene.objects if thing.id == "knight"]
     return ", ".join(said)
 

@@ -35,7 +35,7 @@ def section_findings(scene: Scene) -> Iterator[Finding]:
     result = trace(window, Rays(start, direction), rung="thin", record=True)
     assert result.hits is not None
     axis, across = window.thin.rotation[:, 2], window.thin.rotation[:, 0]
-    f1, s = window.thin.focal_length[0][0], window.thin.separation
+    ((f1, _), (f2, _)), s = window.thin.focal_length, window.thin.separation
     first, second = result.hits
     share = (f1 - first @ axis) / ((second - first) @ axis)  # where each ray crosses the focal plane
     crossing = (first + share[:, None] * (second - first)) @ across
@@ -58,7 +58,7 @@ def section_findings(scene: Scene) -> Iterator[Finding]:
     out = np.linalg.norm(np.cross(result.direction, result.direction[0]), axis=1).max()
     yield Finding("section: spread of the outgoing directions, rad", float(out), 0.0, 1e-12)
     slope = (result.direction @ across) / (result.direction @ axis)
-    (eta, _), (delta, _) = scene.design().law_spec.eta, scene.design().law_spec.delta
+    eta, delta = -f2 / f1, float(np.array(window.thin.offset) @ across) / f1
     off = np.abs(incident - delta - eta * slope).max()
     yield Finding("section: tan(a1 - theta) - delta - eta tan(a2 - theta), largest", float(off), 0.0, 1e-12)
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.design import Design
+from clacad.design.words import law_words
 from clacad.prescription import prescribe
 from clacad.rays import Fate, Rays
 from clacad.sheet import Face, Window
@@ -137,15 +138,9 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     off = np.linalg.norm(np.cross(thin.direction, asked), axis=1)[alive].max(initial=0.0)
     spread = np.linalg.norm(np.cross(directions, asked), axis=1).max()
     return [
-        f"{window.name} with {_numbers(design)}, to scale.",
+        f"{window.name} with {law_words(design.law_spec)}, to scale.",
         f"Ideal lenses obey the law to {off:.0e} rad, the drawn thick ones to {1e3 * spread:.2g} mrad over this bundle.",
     ]
-
-
-def _numbers(design: Design) -> str:
-    """The law in the drawn plane, as the design asks it."""
-    law = design.law_spec
-    return f"η = {law.eta[0]:.4g}, δ = {law.delta[0]:.4g}, θ = {np.degrees(law.euler[1]):.4g}°"
 
 
 def _labels(canvas: _Canvas, window: Window, focus: Floats, plane: Floats, half: float) -> list[str]:
