@@ -5,8 +5,10 @@ from __future__ import annotations
 import pickle
 import re
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 
+import meshwindows
 import pytest
 
 import clacad
@@ -85,6 +87,23 @@ def test_every_way_out_of_land_behind_a_plane_face_is_one(name, tmp_path: Path):
     write_step(window.with_cells((1, 1)), tmp_path / "x.step")
     assert read_step(tmp_path / "x.step")["valid"]
     tessellate(window, quads=6)
+
+
+def test_displaced_arrays_without_an_outline_are_refused_and_a_border_is_the_way_out(tmp_path: Path):
+    sheet = meshwindows.window(**meshwindows.FORMS["slab, displaced in y"])
+    with pytest.raises(CannotBuild, match=r"CL134: .*give body\.border a width"):
+        write_step(replace(sheet, outline=None), tmp_path / "y.step", "fused")
+    write_step(sheet, tmp_path / "x.step", "fused")  # with the outline that a border gives
+    assert read_step(tmp_path / "x.step")["valid"]
+
+
+def test_the_bevels_that_a_refusal_names_are_made():
+    sheet = meshwindows.window(**meshwindows.FORMS["saddle at every corner"])
+    with pytest.raises(CannotBuild, match="CL135") as caught:
+        tessellate(sheet, quads=4, saddle_bevel=1.0)
+    least, most = re.search(r"takes ([0-9.e-]+) .* to ([0-9.e-]+) ", str(caught.value)).groups()
+    for width in (1.01 * float(least), 0.999 * float(most)):
+        assert tessellate(sheet, quads=16, saddle_bevel=width).bodies[0].bevel_volume > 0.0
 
 
 def test_a_refusal_crosses_processes_and_is_bad_input_of_the_command_line():
