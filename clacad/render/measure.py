@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.prescription import prescribe
+from clacad.rays import Fate
 from clacad.render.camera import aim, rays
 from clacad.render.picture import view_through
-from clacad.render.plan import geometry_alone
+from clacad.render.plan import Passage, geometry_alone
 from clacad.scene import EffectsSpec, Scene, SceneObject
 
 Floats = NDArray[np.float64]
@@ -115,21 +116,38 @@ def measure(
         Fewer than 16 rays come through the sheet.
     """
     plain = coordinate_scene(scene, z, pixels)
-    window = prescribe(plain.design())
-    picture = view_through(
-        plain, passage=geometry_alone(plain, direct=True), threads=threads, compiled=compiled
+    x0, seen, inside = _on_screen(plain, geometry_alone(plain, direct=True), threads, compiled)
+    if len(seen) < 16:
+        raise ValueError(f"{len(seen)} rays come through the sheet: too few to fit")
+    offset, matrix, rms, kept = fitted(x0, seen)
+    distance = float(-scene.camera.position[2])
+    grain = float(np.prod(np.ptp(inside, axis=0))) / len(inside)
+    return ScreenMap(
+        offset, matrix, rms, kept / len(inside), len(seen) / len(inside), seen, grain, z, distance
     )
+
+
+def ghost_shifts(
+    scene: Scene, z: float, pixels: int = 400, threads: int | None = None, compiled: bool | None = None
+) -> Floats:
+    """How far (n, 2) beside the direct view's screen point each ray of a ghost meets the screen; as `measure`."""
+    direct = measure(scene, z, pixels, threads, compiled)
+    plain = coordinate_scene(scene, z, pixels)
+    ghosts = replace(geometry_alone(plain, direct=True), shining=(int(Fate.GHOST),))
+    x0, seen, _ = _on_screen(plain, ghosts, threads, compiled)
+    return np.asarray(seen - direct.offset - x0 @ direct.matrix.T)
+
+
+def _on_screen(
+    plain: Scene, passage: Passage, threads: int | None, compiled: bool | None
+) -> tuple[Floats, Floats, Floats]:
+    """Points of the sheet (n, 2) whose rays meet the screen, where they do (n, 2), and all points of the sheet."""
+    window = prescribe(plain.design())
+    picture = view_through(plain, passage=passage, threads=threads, compiled=compiled)
     x0, inside = sheet_points(plain, window, picture.light.shape[:2])
     light = picture.light.reshape(-1, 3)
     met = inside & (light[:, 2] > 0.5)
-    if np.count_nonzero(met) < 16:
-        raise ValueError(f"{np.count_nonzero(met)} rays come through the sheet: too few to fit")
-    seen = (light[met, :2] - 0.5) * WIDE
-    offset, matrix, rms, kept = fitted(x0[met], seen)
-    distance = float(-scene.camera.position[2])
-    on_sheet, direct = int(np.count_nonzero(inside)), int(np.count_nonzero(met))
-    grain = float(np.prod(np.ptp(x0[inside], axis=0))) / on_sheet
-    return ScreenMap(offset, matrix, rms, kept / on_sheet, direct / on_sheet, seen, grain, z, distance)
+    return x0[met], (light[met, :2] - 0.5) * WIDE, x0[inside]
 
 
 def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[Floats, NDArray[np.bool_]]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.render.finding import Finding
-from clacad.render.measure import ScreenMap, fitted, measure
+from clacad.render.measure import ScreenMap, fitted, ghost_shifts, measure
 from clacad.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -77,6 +77,11 @@ def _squash(load: Loader) -> Iterator[Finding]:
             yield Finding(what, float(found.matrix[axis, axis]), 1.0 - 10.0 / (D * value), 0.04)
         yield _sheared(label, found.matrix)
         yield _share(label, found)
+    for ratio, axis, expected in ((0.25, 1, 2.0), (1.0, 0, 2.0), (2.0, 0, 1.5)):
+        shift = np.abs(ghost_shifts(load(f"fig2-eta-{ratio:g}"), 10.0, RAYS, compiled=True)[:, axis])
+        what = f"eta_x = -{ratio:g}, z = 10: how far beside in {'xy'[axis]} a ghost shows things"
+        first = float(np.median(shift[(shift > 0.5 * expected) & (shift < 1.5 * expected)]))
+        yield Finding(what, first, expected, 0.05)  # z p/(f1 abs(eta))
 
 
 def _sheared(label: str, matrix: Floats) -> Finding:
