@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -136,3 +137,50 @@ def test_whole_commands_killed_at_any_instant(tmp_path: Path, times: int) -> Non
     listed = json.loads((out / "manifest.json").read_text())["files"]
     assert {p.name for p in out.iterdir()} == {e["name"] for e in listed} | {"manifest.json", "run.json"}
     whole(out)
+
+
+def private(out: Path) -> list[Path]:
+    """Folders of reports that are being written, or were when they were killed."""
+    return list(out.glob(".clacad-*")) if out.exists() else []
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_a_whole_report_killed_at_any_instant(design: Path, tmp_path: Path) -> None:
+    """The command itself, nothing of it replaced.
+
+    Every other kill falls among the writing, which takes milliseconds; half of the time an older report is there.
+    Equal designs give equal pages: one that is there is whole.
+    """
+    out, names = tmp_path / "out", {"report.html", "report.json", "run.json"}
+    line = command(["verify", design, "-o", out, "--rays", "256", "-q"])
+    began = time.monotonic()
+    assert subprocess.run(line, capture_output=True, env=environment()).returncode in (0, 1)
+    span = time.monotonic() - began
+    kept = {name: (out / name).read_bytes() for name in names - {"run.json"}}
+    chance, stale = np.random.default_rng(20), 0
+    for turn in range(20):
+        if turn % 4 < 2:
+            shutil.rmtree(out, ignore_errors=True)
+        before = set(private(out))
+        running = subprocess.Popen(
+            line, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=environment()
+        )
+        if turn % 2:
+            while running.poll() is None and not set(private(out)) - before:
+                time.sleep(0.0005)
+            time.sleep(float(chance.uniform(0.0, 0.015)))
+        else:
+            time.sleep(float(chance.uniform(0.0, span)))
+        running.kill()
+        running.wait()
+        stale += bool(set(private(out)) - before)
+        present = {p.name for p in out.iterdir()} - {p.name for p in private(out)} if out.exists() else set()
+        assert present <= names
+        for name in present & set(kept):
+            assert (out / name).read_bytes() == kept[name]
+        if "run.json" in present:
+            assert json.loads((out / "run.json").read_text())
+    assert stale > 2, "hardly a kill fell among the writing"
+    assert clacad("verify", design, "-o", out, "--rays", "256", "-q").status in (0, 1)
+    assert {p.name for p in out.iterdir()} == names
