@@ -28,6 +28,8 @@ MARKS = ("<!-- table -->", "<!-- end of table -->")
 HEAD = ("| design | N × N | route | build s | write s | MB | faces | solids | peak MB |\n"
         "|---|---|---|---|---|---|---|---|---|\n")  # fmt: skip
 SIZES = (10, 50, 100, 200)
+BARE = 100
+"""Largest sheet that is also written without parameter curves."""
 BOOLEAN_SECONDS = 600
 
 
@@ -110,7 +112,7 @@ def rows(designs: list[str], sizes: list[int], booleans: int, limit: int) -> Ite
         design = str(ROOT / "designs" / f"{name}.toml")
         for mode, curves, route in (("fused", True, "fused"), ("fused", False, "fused, no parameter curves"),
                                     ("instanced", True, "instanced")):  # fmt: skip
-            for n in sizes:
+            for n in [n for n in sizes if curves or n <= BARE]:
                 yield _line(name, n, route, _apart(mode, n, design, curves))
     for n in (2, 5, 10):
         if n <= booleans:
