@@ -86,7 +86,10 @@ def judge_map(window: Window, subject: Subject, format: str) -> list[Check]:
     )
     found = Check("readable", "pass", f"{format}, {what}", **common)
     unit = "" if format in ("surface-table", "height-calibration") else "mm"
-    return [found, judge("shape", worst, room, sentence, unit=unit, source="rounding of the format", **common)]
+    return [
+        found,
+        judge("shape", worst, room, sentence, unit=unit, source="rounding of the format", **common),
+    ]
 
 
 def _compared(window: Window, subject: Subject, format: str) -> Misfit:
