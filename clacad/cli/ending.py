@@ -33,15 +33,21 @@ class Ending:
 
     def __init__(self) -> None:
         self.asked = False
+        self.status = 130
         self.over = threading.Event()
         self._heard = False
         self._untold = threading.Lock()
 
     def heard(self, *_: object) -> None:
-        """Handle a signal: the first is raised, later ones would only break off the cleaning up after it."""
+        """Handle a signal: the first is raised, later ones would only break off the cleaning up after it.
+
+        Not through the compiler of kernels: an exception that unwinds it has been seen to end in a segmentation fault.
+        """
         self.asked = True
         if not self._heard:
             self._heard = True
+            if "numba" in sys.modules:
+                self._leave(self.status)
             raise KeyboardInterrupt
 
     def tell(self, write: Callable[[str], object]) -> None:

@@ -48,7 +48,8 @@ def interrupted(running: subprocess.Popen[str], *numbers: int) -> str:
     _, said = running.communicate(timeout=HANG)
     assert (running.returncode, said.count(SENTENCE)) == (130, 1), said
     assert "Traceback" not in said
-    assert "error" not in said
+    assert "internal error" not in said
+    assert '"event": "error"' not in said
     return said
 
 
