@@ -113,6 +113,7 @@ def test_the_floor_of_each_format_is_confirmed_by_a_trace(table):
         assert found == pytest.approx(forecast, rel=0.35), floor.formats
 
 
+@pytest.mark.long
 def test_past_the_optimum_finer_facets_of_a_float32_file_are_worse():
     # the paper's lenslets of half a millimetre: a step of float32 at 50 mm is not small beside their facets
     design = clacad.load("designs/paper-c.toml")

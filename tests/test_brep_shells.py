@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brepwindows import SWEEPS, biconvex, column_volume
+from often import often
 
 import clacad
 from clacad.brep import describe_body
@@ -78,7 +79,9 @@ def test_rims_lands_seams_and_outlines_give_valid_solids_as_many_as_the_complex_
         assert all(is_valid(solid) for solid in solids)
 
 
-@pytest.mark.parametrize("name", ["web", "web untilted", "seam", "seam and rim", "hexagonal web"])
+@pytest.mark.parametrize(
+    "name", often(["web", "web untilted", "seam", "seam and rim", "hexagonal web"], "web", "seam")
+)
 def test_rims_and_lands_lie_where_the_columns_of_the_sheet_have_them(name):
     window = replace(biconvex(**RIMMED[name]), outline=None)
     window = replace(window, lattice=window.with_cells((1, 1)).lattice)

@@ -113,6 +113,7 @@ def _carries_its_marks(parts, spec):
     assert tip.X == pytest.approx(arrow.bounding_box().center().X, abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_coupon_is_one_solid_with_five_scaled_patches():
     coupon = coupon_solid(window_of(border=None, baffle=None, baffle_wall=None))
     assert coupon.is_valid

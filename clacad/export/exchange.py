@@ -103,17 +103,17 @@ def undisturbed() -> Iterator[None]:
     """
     heard: list[int] = []
     aside: dict[int, Any] = {}
-    with BUSY:
+    try:
         if threading.current_thread() is threading.main_thread():
             for name in ("SIGINT", "SIGTERM", "SIGHUP"):
                 number = getattr(signal, name, None)
                 if number is not None and callable(signal.getsignal(number)):
                     aside[number] = signal.signal(number, lambda which, _: heard.append(which))
-        try:
+        with BUSY:  # after the handlers are aside: one of them waits for it to end the process
             yield
-        finally:
-            for number, handler in aside.items():
-                signal.signal(number, handler)
+    finally:
+        for number, handler in aside.items():
+            signal.signal(number, handler)
     for number in heard[:1]:
         signal.raise_signal(number)
 
