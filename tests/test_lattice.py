@@ -30,7 +30,7 @@ def test_the_mean_of_all_centres_is_the_origin(name):
 @pytest.mark.parametrize("name", KINDS)
 def test_a_point_belongs_to_the_nearest_centre(name):
     lattice = KINDS[name]
-    points = np.random.default_rng(1).uniform(-2.0, 2.0, (20_000, 2))
+    points = np.random.default_rng(1).uniform(-2.0, 2.0, (4_000, 2))
     index, x, y = lattice.locate(*points.T)
     around = np.array([(i, j) for i in range(-12, 18) for j in range(-10, 14)])
     nearest = np.linalg.norm(points[:, None] - lattice.centres(around)[None], axis=2).min(axis=1)
