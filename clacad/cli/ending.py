@@ -13,6 +13,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import Any
 
 SENTENCE = "clacad: interrupted\n"
@@ -38,15 +39,16 @@ class Ending:
         self._heard = False
         self._untold = threading.Lock()
 
-    def heard(self, *_: object) -> None:
+    def heard(self, _: int, frame: FrameType | None) -> None:
         """Handle a signal: the first is raised, later ones would only break off the cleaning up after it.
 
-        Not through the compiler of kernels: an exception that unwinds it has been seen to end in a segmentation fault.
+        Not through the compiler of kernels, nor through the loading of a module: an exception that unwinds compiled
+        code which does not expect one has been seen to end in a segmentation fault.
         """
         self.asked = True
         if not self._heard:
             self._heard = True
-            if "numba" in sys.modules:
+            if "numba" in sys.modules or _loading(frame):
                 self._leave(self.status)
             raise KeyboardInterrupt
 
@@ -84,6 +86,15 @@ class Ending:
             atomic.abandon_all()
         self.tell(lambda text: os.write(2, text.encode()))
         os._exit(status)
+
+
+def _loading(frame: FrameType | None) -> bool:
+    """Whether a module is being loaded below this frame."""
+    while frame is not None:
+        if frame.f_globals.get("__name__") in ("importlib._bootstrap", "_frozen_importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager

@@ -163,11 +163,31 @@ def test_the_sentence_is_said_once_whoever_comes_first(monkeypatch: pytest.Monke
     monkeypatch.delitem(sys.modules, "numba", raising=False)  # with it the process would be ended at once
     ending, said = Ending(), []
     with pytest.raises(KeyboardInterrupt):
-        ending.heard()
-    ending.heard()
+        ending.heard(signal.SIGINT, None)
+    ending.heard(signal.SIGINT, None)
     threads = [threading.Thread(target=ending.tell, args=(said.append,)) for _ in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert said == [SENTENCE]
+
+
+def test_the_loading_of_a_module_is_not_unwound(design: Path, tmp_path: Path) -> None:
+    """Compiled code at load time need not expect an exception: the process ends at once, cleaned up, from below it."""
+    (tmp_path / "slowly.py").write_text("import sys, time\nsys.stderr.write('ready\\n')\ntime.sleep(60)\n")
+    work = f"""
+import sys
+sys.path.insert(0, {str(tmp_path)!r})
+import clacad.feasibility
+def work(*_):
+    try:
+        import slowly
+    except BaseException:
+        sys.stderr.write("unwound\\n")
+        raise
+clacad.feasibility.describe = work
+"""
+    running = started(["check", design], before=work)
+    until(running, "ready")
+    assert "unwound" not in interrupted(running, signal.SIGINT)
