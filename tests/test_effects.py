@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -447,6 +448,21 @@ def test_without_polarisers_a_single_interface_gives_fresnels_mean():
     assert passed(setting, fields, after)[0] == pytest.approx(expected, rel=1e-12)
     for field in fields:
         assert abs(float((field @ after.T)[0, 0])) < 1e-15
+
+
+def test_rows_that_did_not_cross_disturb_no_others():
+    """They keep whatever directions they had, also such as no face could send on."""
+    from clacad.effects.polarisation import cross_face
+
+    before, after = through_plane(0.3, 1.5, 1.0)
+    alone = cross_face(np.array([[0.0, 1.0, 0.0]]), before, after, 1.5, 1.0)
+    anywhere = np.random.default_rng(3).normal(size=(500, 2, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=2)[:, :, None]
+    field = np.tile([0.0, 1.0, 0.0], (501, 1))
+    before, after = (np.vstack([one, anywhere[:, k]]) for k, one in enumerate((before, after)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.array_equal(cross_face(field, before, after, 1.5, 1.0)[:1], alone)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 1.0])

@@ -128,7 +128,8 @@ def cross_face(
     if n1 == n2:
         return np.asarray(turned)
     share_s, share_p = reflected(turn, n1, n2, coating, ratio)
-    tau_s, tau_p = np.sqrt(1.0 - share_s), np.sqrt(1.0 - share_p)
+    with np.errstate(invalid="ignore"):  # rows that did not cross, which the caller leaves as they were
+        tau_s, tau_p = np.sqrt(1.0 - share_s), np.sqrt(1.0 - share_p)
     s = np.cross(before, after)
     if coating == "none":
         r_s, r_p = amplitudes(turn, n1, n2)
