@@ -1,4 +1,9 @@
-"""How kernels are compiled: cached on disk, without exceptions for division, without the interpreter's lock."""
+"""How kernels are compiled: cached on disk, without exceptions for division, without the interpreter's lock.
+
+No compiler may fuse a multiply with an add here (``fastmath={"contract"}``). Where it does hangs on what was compiled
+into what, which differs between the run that compiles and those that load its kernels: the last bits of directions
+would, too. It gains nothing measurable, and would break the exact products of `clacad.compensated`.
+"""
 
 from __future__ import annotations
 
@@ -44,13 +49,8 @@ def inlined(function: Function) -> Function:
     return cast(Function, njit(_nrt=False, forceinline=True, **_PLAIN)(function))
 
 
-def fused(function: Function) -> Function:
-    """Compile with multiply-adds fused: for plain arithmetic only, never around an exact product."""
-    return cast(Function, njit(_nrt=True, fastmath={"contract"}, **_PLAIN)(function))
-
-
 def owning(function: Function) -> Function:
-    """Compile like `exact` a function that makes arrays of its own."""
+    """Compile like `exact` a function that makes arrays of its own, or is called by one that does."""
     return cast(Function, njit(_nrt=True, **_PLAIN)(function))
 
 
