@@ -13,7 +13,7 @@ from math import cos, exp, floor, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.trace.compiled import owning
+from clacad.trace.compiled import exact
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -27,7 +27,7 @@ LAND, MID_X, MID_Y, HALF_X, HALF_Y, RADIUS, COLUMNS = 19, 20, 21, 22, 23, 24, 25
 HEXAGONAL, PITCH, ROW, ORIGIN_X, ORIGIN_Y, MARGIN = range(6)
 
 
-@owning
+@exact
 def reflected_share(turn: float, n1: float, n2: float, layer: float) -> float:
     """Share of unpolarised light reflected where a passage turns the ray by 1 − D·D' = turn.
 
@@ -58,7 +58,7 @@ def reflected_share(turn: float, n1: float, n2: float, layer: float) -> float:
     return 0.5 * total
 
 
-@owning
+@exact
 def centred(lattice: Floats, x: float, y: float) -> tuple[float, float]:
     """Give x, y from the centre of the cell they lie in."""
     pitch, row = lattice[PITCH], lattice[ROW]
@@ -77,7 +77,7 @@ def centred(lattice: Floats, x: float, y: float) -> tuple[float, float]:
     return best_x, best_y
 
 
-@owning
+@exact
 def in_lens(lattice: Floats, x: float, y: float) -> bool:
     """Whether a point of the cell frame lies in the optical zone."""
     half = 0.5 * lattice[PITCH] - lattice[MARGIN]
@@ -87,7 +87,7 @@ def in_lens(lattice: Floats, x: float, y: float) -> bool:
     return bool(abs(x) <= half and 0.5 * abs(x) + skew <= half)
 
 
-@owning
+@exact
 def meet(face: Floats, lattice: Floats, ray: Ray) -> tuple[float, float, float, float]:
     """Distance to a face along a ray of the sheet frame and the unit normal there; NaN where there is no lens."""
     x, y, z, u, v, w = ray
@@ -147,7 +147,7 @@ def meet(face: Floats, lattice: Floats, ray: Ray) -> tuple[float, float, float, 
     return np.nan, nx, ny, nz
 
 
-@owning
+@exact
 def through(
     faces: Floats, lattice: Floats, k: int, ray: Ray, n1: float, n2: float, layer: float
 ) -> tuple[float, Ray, float, Ray]:
@@ -176,7 +176,7 @@ def through(
     )
 
 
-@owning
+@exact
 def forward(
     faces: Floats, lattice: Floats, k: int, ray: Ray, flux: float, index: Floats, rates: Floats, layer: float
 ) -> tuple[float, Ray]:
@@ -192,7 +192,7 @@ def forward(
     return flux, ray
 
 
-@owning
+@exact
 def bounce_pass(
     faces: Floats, lattice: Floats, index: Floats, rates: Floats, layer: float, order: int, rows: Rows,
     start: Floats, hits: Floats, turns: Floats, position: Floats, direction: Floats, flux: Floats,

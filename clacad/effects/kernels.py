@@ -11,7 +11,7 @@ from math import exp, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.trace.compiled import exact, owning
+from clacad.trace.compiled import exact
 
 Floats = NDArray[np.float64]
 Fates = NDArray[np.uint8]
@@ -20,7 +20,7 @@ Cells = NDArray[np.int32]
 GHOST, TIR, MISSED = 1, 4, 7  # of clacad.rays.Fate: compiled code reads plain numbers
 
 
-@owning
+@exact
 def crosses(fate: int, last: int, k: int, hits: Floats, start: Floats, row: int) -> bool:
     """Whether a ray went through face k: it met it at another place than the one before, and did not end there."""
     if fate <= GHOST:
@@ -34,7 +34,7 @@ def crosses(fate: int, last: int, k: int, hits: Floats, start: Floats, row: int)
     return False
 
 
-@owning
+@exact
 def let_through(x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float) -> float:
     """Share of unpolarised light that passes a bare face which turns (x, y, z) into (u, v, w)."""
     step = (n2 - n1) * (n2 + n1)
@@ -47,7 +47,7 @@ def let_through(x: float, y: float, z: float, u: float, v: float, w: float, n1: 
     return 1.0 - 0.5 * (s * s + p * p) / (step * step)
 
 
-@owning
+@exact
 def fresnel_share(
     start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, row: int
 ) -> float:
@@ -64,7 +64,7 @@ def fresnel_share(
     return share
 
 
-@owning
+@exact
 def fresnel_pass(
     start: Floats,
     ray: Floats,
@@ -89,7 +89,7 @@ def fresnel_pass(
         flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
 
 
-@owning
+@exact
 def absorbed(hits: Floats, rates: Floats, row: int) -> float:
     """Share of one ray that bodies of these attenuations (b,) let through between its hits (2 b, n, 3)."""
     depth = 0.0
@@ -102,7 +102,7 @@ def absorbed(hits: Floats, rates: Floats, row: int) -> float:
     return exp(-depth)
 
 
-@owning
+@exact
 def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
     """Multiply each ray's flux by exp(−Σ rate · length) over the bodies (b,) that its hits (2 b, n, 3) bound."""
     for row in range(len(flux)):
@@ -126,7 +126,7 @@ def losses_pass(
 Vector = tuple[float, float, float]
 
 
-@owning
+@exact
 def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
     """Unit vector across the ray (x, y, z) in the direction (wx, wy, 0)."""
     along = wx * x + wy * y
@@ -135,7 +135,7 @@ def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
     return a * scale, b * scale, c * scale
 
 
-@owning
+@exact
 def carried(
     a: float, b: float, c: float, x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float
 ) -> Vector:  # fmt: skip
@@ -153,7 +153,7 @@ def carried(
     return own * a - back * x, own * b - back * y, own * c - back * z
 
 
-@owning
+@exact
 def polarisation_pass(
     start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats,
     analyser: Floats, polariser: Floats, flux: Floats,

@@ -219,13 +219,13 @@ def trace_with(
 
 def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) -> tuple[int, str]:
     """Threads for the blocks and the tracer's path, as `trace` would choose them for all rays together."""
-    from clacad.trace import SMALL_JOB
+    from clacad.trace import worth_compiled
 
     threads, path = options.pop("threads", None), options.pop("path", None)
     if rung in ("law", "thin"):
         return 1, "numpy"
     if path is None:
-        path = "numba" if len(rays) * 2 * len(window.bodies) > SMALL_JOB else "numpy"
+        path = "numba" if worth_compiled(len(rays), 2 * len(window.bodies)) else "numpy"
     if path == "numpy":
         return 1, path
     from clacad.trace.compiled_surfaces import thread_count

@@ -35,6 +35,11 @@ SMALL_JOB = 3_000_000
 Rung = Literal["law", "thin", "surfaces", "mesh"]
 
 
+def worth_compiled(rays: int, faces: int) -> bool:
+    """Whether so many rays through so many faces are traced by the compiled kernels if nothing else is asked for."""
+    return rays * faces > SMALL_JOB
+
+
 def trace(
     window: Window,
     rays: Rays,
@@ -105,7 +110,7 @@ def trace(
         return _through_mesh(window, rays, mesh, normals, recorded, threads)
     layout = lay_out(window)
     if single or (
-        rung == "surfaces" and (path == "numba" or (path is None and len(rays) * faces > SMALL_JOB))
+        rung == "surfaces" and (path == "numba" or (path is None and worth_compiled(len(rays), faces)))
     ):
         return _compiled(layout, rays, recorded, threads, single=single)
     ledger = Ledger.opened(rays, recorded)

@@ -50,7 +50,7 @@ def inlined(function: Function) -> Function:
 
 
 def owning(function: Function) -> Function:
-    """Compile like `exact` a function that makes arrays of its own, or is called by one that does."""
+    """Compile like `exact` a function that makes arrays of its own, in expressions too."""
     return cast(Function, njit(_nrt=True, **_PLAIN)(function))
 
 

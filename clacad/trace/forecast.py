@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from clacad.trace import SMALL_JOB
+from clacad.trace import worth_compiled
 
 FIXED = 0.03
 """Archives opened, the result put together."""
@@ -36,7 +36,7 @@ def seconds(rays: int, rung: str, effects: Sequence[str] = (), faces: int = 4, m
     mesh_bytes : int
         Size of the file of triangles, if there is one.
     """
-    plain = rung == "surfaces" and rays * faces <= SMALL_JOB
+    plain = rung == "surfaces" and not worth_compiled(rays, faces)
     fixed = FIXED + (COMPILED if rung in ("surfaces", "mesh") and not plain else 0.0)
     each = PLAIN if plain else PER_RAY.get(rung, PER_RAY["surfaces"])
     return fixed + rays * (each + PER_EFFECT * len(effects)) + PER_BYTE * mesh_bytes
@@ -46,6 +46,6 @@ def task(
     rung: str, effects: Sequence[str] = (), rays: int = 0, faces: int = 4, from_file: bool = False
 ) -> str:
     """Name under which such a trace is noted: what decides how long a ray takes."""
-    plain = rung == "surfaces" and rays * faces <= SMALL_JOB
+    plain = rung == "surfaces" and not worth_compiled(rays, faces)
     parts = ["trace", rung, "numpy" if plain else "", "file" if from_file else "", *sorted(effects)]
     return " ".join(part for part in parts if part)

@@ -67,7 +67,7 @@ def copy_row(one: Floats, other: Floats, m: int) -> None:
         other[k] = one[k]
 
 
-@owning
+@exact
 def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: float, oz: float) -> None:
     """First loop of a face: to the hit. Positions plus (ox, oy, oz) are relative to the vertex, and are after."""
     x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
@@ -91,7 +91,7 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: flo
         path[i] += n1 * ((c - down * q) * inverse)
 
 
-@owning
+@exact
 def _turn_in(face: Floats, s: Floats, m: int, ox: float, oy: float, oz: float) -> None:
     """Positions plus (ox, oy, oz), and directions, from sheet axes to lens axes."""
     x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
@@ -108,7 +108,7 @@ def _turn_in(face: Floats, s: Floats, m: int, ox: float, oy: float, oz: float) -
         dx[i], dy[i], dz[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
 
 
-@owning
+@exact
 def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
     """Back to sheet axes; normals must face up, rays must climb."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
@@ -127,7 +127,7 @@ def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
         good[i] = least(good[i], least(g * gx[i] + h * gy[i] + k * gz[i], up - climb))
 
 
-@owning
+@exact
 def _refract_quadric(
     face: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, hx: float, hy: float
 ) -> None:
@@ -152,7 +152,7 @@ def _refract_quadric(
         good[i] = least(least(good[i], inside), least(gz, up - climb))
 
 
-@owning
+@exact
 def _normals(face: Floats, s: Floats, m: int) -> None:
     """Normals of a quadric at the hits."""
     x, y, z, gx, gy, gz = s[X], s[Y], s[Z], s[GX], s[GY], s[GZ]
@@ -184,7 +184,7 @@ def _meet_biconic(
             s[GOOD, i] = 0.0
 
 
-@owning
+@exact
 def _proud(face: Floats, s: Floats, m: int) -> None:
     """Hits must be on the lens where land could cover it."""
     z, good = s[Z], s[GOOD]
@@ -193,7 +193,7 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
         good[i] = least(good[i], (land - vz - z[i]) * side)
 
 
-@owning
+@exact
 def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
     """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
     x, y, good, real = s[X], s[Y], s[GOOD], s.dtype.type
@@ -210,7 +210,7 @@ def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float
         good[i] = least(least(good[i], half - one), least(half - two, half - three))
 
 
-@owning
+@exact
 def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
     """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
@@ -230,7 +230,7 @@ def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: flo
         good[i] = least(least(good[i], edge - one), least(edge - two, edge - three))
 
 
-@owning
+@exact
 def _carry(
     lat: Floats,
     s: Floats,
@@ -300,7 +300,7 @@ def _carry(
         cj[i] += b - wj
 
 
-@owning
+@exact
 def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
     """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
     x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
@@ -321,7 +321,7 @@ def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
         good[i] = good[i] if inside else 0.0
 
 
-@owning
+@exact
 def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float) -> None:
     """Sheet-frame x and y of points plus (ox, oy)."""
     x, y, ci, cj = s[X], s[Y], s[CI], s[CJ]
@@ -341,7 +341,7 @@ def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, 
         py[i] = ((two * cj[i] - along) * (middle * row) + sy) + (y[i] + oy)
 
 
-@owning
+@exact
 def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
     """Rays must be certainly over the body."""
     px, py, good = s[GX], s[GY], s[GOOD]
@@ -372,7 +372,7 @@ def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
                 s[GOOD, i] = 0.0
 
 
-@owning
+@exact
 def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
     """Do as `_thick` where both faces are quadrics: the hit's place against the other's own half space."""
     x, y, z, good = s[X], s[Y], s[Z], s[GOOD]
@@ -434,7 +434,7 @@ def _cross(
         _proud(face, s, m)
 
 
-@owning
+@exact
 def _climbing(s: Floats, m: int, climb: float) -> None:
     """Rays must climb faster than a face does."""
     dz, good, climb = s[DZ], s[GOOD], s.dtype.type(climb)
@@ -442,7 +442,7 @@ def _climbing(s: Floats, m: int, climb: float) -> None:
         good[i] = least(good[i], dz[i] - climb)
 
 
-@owning
+@exact
 def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
     """The first face must not lie behind the start."""
     path, good, behind = s[PATH], s[GOOD], s.dtype.type(BEHIND_START)
@@ -461,7 +461,7 @@ def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
             s[GOOD, i] = 0.0
 
 
-@owning
+@exact
 def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
     """Multiply SHARE/OVER by the mean of T_s and T_p at an untilted quadric.
 
@@ -479,7 +479,7 @@ def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
         over[i] *= one * two
 
 
-@owning
+@exact
 def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
     """The same at any face whose normals are kept: in what axes does not matter."""
     gx, gy, gz, root, share, over = s[GX], s[GY], s[GZ], s[ROOT], s[SHARE], s[OVER]
@@ -494,7 +494,7 @@ def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
         over[i] *= one * two
 
 
-@owning
+@exact
 def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
     """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
     z, dz, depth, steep = s[Z], s[DZ], s[DEPTH], s[STEEP]

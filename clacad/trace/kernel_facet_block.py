@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.trace import packing as slot
-from clacad.trace.compiled import exact, least, owning
+from clacad.trace.compiled import exact, least
 from clacad.trace.kernel_block_slots import DX, DY, DZ, GOOD, GX, GY, GZ, HALF, PATH, RANGE, X, Y, Z
 from clacad.trace.kernel_facets import facet_normal, locate_facet
 from clacad.trace.layout import Floats
@@ -26,7 +26,7 @@ TRIES = 8
 """Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
 
 
-@owning
+@exact
 def cross_facets(
     tiles: Tiles, tile: int, side: int, face: Floats, s: Floats, m: int, n1: float, n2: float,
     climb: float, ox: float, oy: float, oz: float,
@@ -46,7 +46,7 @@ def cross_facets(
     _refract_facets(s, m, n1, n2, climb)
 
 
-@owning
+@exact
 def _to_level(row: Floats, s: Floats, m: int, level: float) -> None:
     """Carry rays to a level, in thought, and find the half bin there."""
     x, y, z, dx, dy, dz, bins = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[HALF]
@@ -59,7 +59,7 @@ def _to_level(row: Floats, s: Floats, m: int, level: float) -> None:
         )
 
 
-@owning
+@exact
 def _half_bin(u: float, v: float, nx: float, ny: float, first: float, split: float) -> float:
     """Number of the half square over a point given in bins: twice the bin's, plus one beyond the diagonal."""
     i, j = np.floor(u), np.floor(v)
@@ -77,7 +77,7 @@ def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
         s[GX, i], s[GY, i], s[GZ, i] = tiles.lens[h, side, 0], tiles.lens[h, side, 1], tiles.lens[h, side, 2]
 
 
-@owning
+@exact
 def _to_planes(row: Floats, s: Floats, m: int) -> None:
     """Carry rays to their planes, in thought: how far, NaN if the hit lies over another half bin, and that one."""
     x, y, z, dx, dy, dz, bins, far = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[HALF], s[RANGE]
@@ -137,7 +137,7 @@ def _facet_met(
     return -1, np.nan
 
 
-@owning
+@exact
 def _refract_facets(s: Floats, m: int, n1: float, n2: float, climb: float) -> None:
     """Move to the hits and refract there by the normals in GX, GY, GZ."""
     x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
