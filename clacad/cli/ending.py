@@ -18,6 +18,9 @@ from typing import Any
 
 SENTENCE = "clacad: interrupted\n"
 
+INTERRUPTED = 130
+"""Exit status of a command that was told to end."""
+
 PATIENCE = 0.5
 """Seconds that the ordinary way has."""
 
@@ -34,7 +37,6 @@ class Ending:
 
     def __init__(self) -> None:
         self.asked = False
-        self.status = 130
         self.over = threading.Event()
         self._heard = False
         self._untold = threading.Lock()
@@ -49,7 +51,7 @@ class Ending:
         if not self._heard:
             self._heard = True
             if "numba" in sys.modules or _loading(frame):
-                self._leave(self.status)
+                self._leave()
             raise KeyboardInterrupt
 
     def tell(self, write: Callable[[str], object]) -> None:
@@ -58,14 +60,14 @@ class Ending:
             with suppress(OSError, ValueError):
                 write(SENTENCE)
 
-    def watch(self, wake: int, status: int) -> None:
+    def watch(self, wake: int) -> None:
         """Wait for signals, one byte each, until the other end is closed."""
         with os.fdopen(wake, "rb", buffering=0) as stream:
             while told := stream.read(1):
                 if told[0] in ENDING:
                     self.asked = True
                     if not self._over_soon(told[0]):
-                        self._leave(status)
+                        self._leave()
 
     def _over_soon(self, number: int) -> bool:
         """Wait for the ordinary way; call the main thread again if it began to wait just before it could hear."""
@@ -77,7 +79,7 @@ class Ending:
                 signal.pthread_kill(main, number)
         return False
 
-    def _leave(self, status: int) -> None:
+    def _leave(self) -> None:
         """End now: private folders and workers first, a publication under way is let finish."""
         atomic, worker = (sys.modules.get(f"clacad.export.{name}") for name in ("atomic", "worker"))
         if worker is not None:
@@ -85,7 +87,7 @@ class Ending:
         if atomic is not None:
             atomic.abandon_all()
         self.tell(lambda text: os.write(2, text.encode()))
-        os._exit(status)
+        os._exit(INTERRUPTED)
 
 
 def _loading(frame: FrameType | None) -> bool:
@@ -98,8 +100,8 @@ def _loading(frame: FrameType | None) -> bool:
 
 
 @contextmanager
-def ended_in_time(ending: Ending, status: int) -> Iterator[None]:
-    """Within the block a signal raises KeyboardInterrupt, and ends the process with `status` should that not do it.
+def ended_in_time(ending: Ending) -> Iterator[None]:
+    """Within the block a signal raises KeyboardInterrupt, and ends the process with `INTERRUPTED` should that not do it.
 
     Only in the main thread, where signals can be heard; elsewhere nothing is watched. A signal that is ignored
     (as by nohup), or that somebody else handles, is left alone.
@@ -109,7 +111,7 @@ def ended_in_time(ending: Ending, status: int) -> Iterator[None]:
         return
     wake, tell = os.pipe()
     os.set_blocking(tell, False)
-    watcher = threading.Thread(target=ending.watch, args=(wake, status), daemon=True)
+    watcher = threading.Thread(target=ending.watch, args=(wake,), daemon=True)
     before, hook = signal.set_wakeup_fd(tell, warn_on_full_buffer=False), sys.unraisablehook
     watcher.start()
     taken: dict[int, Any] = {}

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from clacad import log
-from clacad.cli.ending import Ending, ended_in_time
+from clacad.cli.ending import INTERRUPTED, Ending, ended_in_time
 
-OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
+OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL = 0, 1, 2, 3, 4, 70
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _answered(given: list[str], ending: Ending) -> int:
-    with ended_in_time(ending, INTERRUPTED):
+    with ended_in_time(ending):
         try:
             status = _status(given, ending)
         except KeyboardInterrupt:

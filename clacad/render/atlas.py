@@ -140,7 +140,7 @@ def prepare(request: AtlasRequest) -> AtlasJob:
     stills = {stem: _sized(load(stem), request.size, request.samples) for f in chosen for stem, _ in f.scenes}
     movies = []
     for stem, title in MOVIES:
-        if request.movies and any(title.startswith(f.title.split(":")[0]) for f in chosen):
+        if request.movies and any(figure.owns(title) for figure in chosen):
             scene = load(stem)
             frames = tuple(
                 _sized(still, request.movie_size, request.samples) for still in checked_frames(scene)

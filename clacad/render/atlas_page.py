@@ -54,11 +54,7 @@ def page_of(
             f"<h2>{html.escape(figure.row)} &ndash; {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
         )
         parts += [_img(f"{stem}.png", label) for stem, label in figure.scenes]
-        parts += [
-            _img(f"{stem}.webp", title)
-            for stem, title in movies
-            if title.startswith(figure.title.split(":")[0])
-        ]
+        parts += [_img(f"{stem}.webp", title) for stem, title in movies if figure.owns(title)]
         if figure.row in findings:
             parts.append(_table(findings[figure.row]))
     return (

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.cell_complex.roots import bisect
 from clacad.render.finding import Finding
 from clacad.render.measure import ScreenMap, fitted, ghost_shifts, measure
 from clacad.scene import Scene
@@ -48,6 +49,10 @@ class Figure:
     scenes: tuple[tuple[str, str], ...]
     check: Callable[[Loader], Iterator[Finding]]
     movie: bool = False
+
+    def owns(self, movie: str) -> bool:
+        """Whether a movie of this title belongs to the figure: both begin with its number."""
+        return movie.startswith(self.title.split(":")[0])
 
 
 def _map(scene: Scene, z: float) -> ScreenMap:
@@ -299,19 +304,13 @@ def unseen_zones(scene: Scene) -> list[float]:
     out = scene.design().law.refract(np.column_stack([x0, np.full(len(x0), D)]))
     offset, matrix, _, _ = fitted(x0, out[:, :2] / out[:, 2:])
 
-    def reach(z: float) -> float:
-        return float(np.abs(np.linalg.solve(np.eye(2) + z * matrix, -z * offset)).max()) - HALF_SIDE
+    def reach(z: Floats) -> Floats:
+        at = [np.linalg.solve(np.eye(2) + one * matrix, -one * offset) for one in z]
+        return np.asarray(np.abs(at).max(axis=1) - HALF_SIDE)
 
     grid = np.arange(0.55, 60.0, 0.1)
-    values = [reach(float(z)) for z in grid]
-    found = []
-    for k in np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1])):
-        low, high = float(grid[k]), float(grid[k + 1])
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if reach(middle) * reach(low) > 0.0 else (low, middle)
-        found.append(low)
-    return found
+    changes = np.flatnonzero(np.diff(np.sign(reach(grid))))
+    return [float(z) for z in bisect(reach, grid[changes], grid[changes + 1])]
 
 
 FIGURES: tuple[Figure, ...] = (
