@@ -165,20 +165,19 @@ def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_face
         key = solid.TShape()
         held = unique.get(key)
         unique[key] = (solid, 1 if held is None else held[1] + 1)
+    engraved = 0.0 if window is None else _engraved(faces, window)
+    measured = engraved_volume if engraved else volume
     facts: dict[str, Any] = {
         "valid": all(is_valid(solid) for solid, _ in unique.values()),
         "kernel_solids": len(solids),
         "kernel_faces": len(faces),
-        "volume": sum(volume(solid) * many for solid, many in unique.values()),
+        "volume": sum(measured(solid) * many for solid, many in unique.values()),
         "area": sum(surface_area(solid) * many for solid, many in unique.values()),
         "box": _box(shape),
         "tolerance": ShapeAnalysis_ShapeTolerance().Tolerance(shape, 1),
     }
     if window is not None:
-        facts |= _sampled(faces, window, lens_faces, points)
-        facts["engraved"] = _engraved(faces, window)
-        if facts["engraved"]:
-            facts["volume"] = sum(engraved_volume(solid) * many for solid, many in unique.values())
+        facts |= _sampled(faces, window, lens_faces, points) | {"engraved": engraved}
     return facts
 
 
