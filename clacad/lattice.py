@@ -21,6 +21,14 @@ Ints = NDArray[np.int64]
 Kind = Literal["square", "rectangular", "hexagonal"]
 
 
+def polygon_area(points: Floats) -> float:
+    """Signed area of a polygon (m, 2), length²; counter-clockwise is positive."""
+    if len(points) < 3:
+        return 0.0
+    x, y = (points - points[0]).T  # shoelace about a corner: no cancellation far from the origin
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
 @dataclass(frozen=True, slots=True)
 class Circle:
     """A round outline of the given diameter (length), centred on the origin."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clacad.lattice import polygon_area
 from clacad.sheet import ThinPair, Window, optical_tile
 
 Floats = NDArray[np.float64]
@@ -68,12 +69,12 @@ def thin_cells(window: Window) -> ThinCells:
     lit = _lit_tile(window)
     zone = _in_lens_plane(pair.rotation, lit)
     image = zone * np.array(focal_ratio(pair))
-    if _area(image) < 0.0:
+    if polygon_area(image) < 0.0:
         image = image[::-1]
     # the middle of cell 2: above `shift`, in the plane through lens 2's centre across the axis
     rest = np.array([[pair.shift[0] - pair.offset[0], pair.shift[1] - pair.offset[1]]])
     centre = np.asarray(pair.offset) @ pair.rotation[:, :2] + _in_lens_plane(pair.rotation, rest)[0]
-    part = abs(_area(lit)) / window.lattice.cell_area
+    part = abs(polygon_area(lit)) / window.lattice.cell_area
     return ThinCells(zone, image, centre, pair.separation, part, pair, window)
 
 
@@ -113,8 +114,8 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
         return np.zeros(len(np.asarray(directions)))
     arrival = cells.separation * cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
-    whole = _area(cells.image)
-    return np.array([cells.part * _area(clip(cells.image + a, target)) / whole for a in arrival])
+    whole = polygon_area(cells.image)
+    return np.array([cells.part * polygon_area(clip(cells.image + a, target)) / whole for a in arrival])
 
 
 def ghost_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
@@ -150,15 +151,6 @@ def ghost_onset(cells: ThinCells) -> tuple[float, float]:
 
 def _half_width(polygon: Floats, axis: int) -> float:
     return 0.5 * float(np.ptp(polygon[:, axis]))
-
-
-def _area(polygon: Floats) -> float:
-    """Signed area of a polygon (m, 2), length²; counter-clockwise is positive."""
-    if len(polygon) < 3:
-        return 0.0
-    moved = polygon - polygon[0]  # shoelace about a corner: no cancellation far from the origin
-    x, y = moved[:, 0], moved[:, 1]
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def clip(subject: Floats, window: Floats) -> Floats:

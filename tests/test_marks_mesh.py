@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slicing import assert_nothing_repaired, slicer_for
 from typer.testing import CliRunner
 
 import clacad
@@ -19,8 +20,9 @@ from clacad.export.errors import NotPossible
 from clacad.export.readers import read_mesh
 from clacad.export.stl import FACET, HEADER, write_stl
 from clacad.fixture import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
-from clacad.fixture.letters import CHORD, Engraving, enclosed, polygons
+from clacad.fixture.letters import CHORD, Engraving, polygons
 from clacad.fixture.mark import line_sketch, pockets
+from clacad.lattice import polygon_area
 from clacad.mesh import check_closed
 from clacad.verify import verify
 from clacad.verify.files import find_files
@@ -100,7 +102,7 @@ def test_an_engraved_mesh_is_one_solid_that_lost_its_letters_and_nothing_of_its_
         assert solid.volume() == pytest.approx(own_volume(single.astype(np.float64)), rel=1e-12)
         # what is gone is area times depth: the depth is good to half a step of heights, corners to half of float32's
         gone = (own_volume(before) - own_volume(after)) * mm**3
-        expected = sum(enclosed(loop) for loop in drawing.loops) * drawing.depth
+        expected = sum(polygon_area(loop) for loop in drawing.loops) * drawing.depth
         reach = float(np.abs(before).max()) * mm
         rim = sum(np.hypot(*np.diff(loop, axis=0, append=loop[:1]).T).sum() for loop in drawing.loops)
         bound = drawing.area * 0.5 * plain.step * mm + drawing.depth * rim * 2.0**-23 * reach
@@ -116,8 +118,8 @@ def test_the_letters_are_those_of_the_step_body_as_deep_and_at_their_place() -> 
         assert drawing.depth == place.depth
         level = place.centre[2] + place.depth
         floors = [f for f in part.faces() if abs(f.center().Z - level) < 1e-6 * place.depth]
-        outer = [loop for loop in drawing.loops if enclosed(loop) > 0.0]
-        inner = [loop for loop in drawing.loops if enclosed(loop) < 0.0]
+        outer = [loop for loop in drawing.loops if polygon_area(loop) > 0.0]
+        inner = [loop for loop in drawing.loops if polygon_area(loop) < 0.0]
         assert len(outer) == len(floors) == len("ab1array1VIEWERSIDE") + 1
         assert len(inner) == sum(len(f.inner_wires()) for f in floors) > 0
         boxes = sorted((b.min.X, b.max.X, b.min.Y, b.max.Y) for b in (f.bounding_box() for f in floors))
@@ -138,9 +140,11 @@ def test_chords_stay_within_their_stated_distance_of_the_curves() -> None:
                 radii
             )
             np.testing.assert_allclose(np.hypot(*(loop / radii).T), 1.0, atol=1e-9)
-            assert enclosed(loop) > 0.0
+            assert polygon_area(loop) > 0.0
     line = line_sketch("S o 8", 20.0, 2.0)
-    coarse, fine = (sum(map(enclosed, polygons(line, chord))) for chord in (2.0 * CHORD, 2.0 * CHORD / 64))
+    coarse, fine = (
+        sum(map(polygon_area, polygons(line, chord))) for chord in (2.0 * CHORD, 2.0 * CHORD / 64)
+    )
     length = sum(np.hypot(*np.diff(p, axis=0, append=p[:1]).T).sum() for p in polygons(line, 2.0 * CHORD))
     assert abs(coarse - fine) < 2.0 * CHORD * length
 
@@ -150,7 +154,7 @@ def test_the_viewer_reads_an_arrow_up_and_then_the_name() -> None:
     loops = engravings(window, "L F")["array1"].loops
     # the viewer stands at -z with +y up and sees +x on the left
     arrow, letter_l, letter_f = sorted(
-        (p for p in loops if enclosed(p) > 0.0), key=lambda p: -p[:, 0].mean()
+        (p for p in loops if polygon_area(p) > 0.0), key=lambda p: -p[:, 0].mean()
     )[:3]
     tip = arrow[arrow[:, 1].argmax()]
     assert abs(tip[0] - 0.5 * (arrow[:, 0].min() + arrow[:, 0].max())) < 1e-9
@@ -265,27 +269,10 @@ def test_other_libraries_read_the_3mf_as_two_closed_parts(exported) -> None:
 
 
 def test_a_slicer_finds_nothing_to_repair(exported) -> None:
-    slicer = next((found for name in ("prusa-slicer", "slic3r") if (found := shutil.which(name))), None)
-    if slicer is None:
-        pytest.skip("neither prusa-slicer nor slic3r is installed: no slicer looked at the engraved bodies")
+    slicer = slicer_for("the engraved bodies")
     _, manifest = exported
     for name in ("plano.array1.marked.stl", "plano.array2.marked.stl"):
-        entry = entry_of(manifest, name)
-        said = subprocess.run([slicer, "--info", str(manifest.folder / name)], check=True, capture_output=True,
-                              text=True, timeout=120).stdout  # fmt: skip
-        told = dict(re.findall(r"^\s*([a-z_]+)\s*[:=]\s*(\S+)", said, re.MULTILINE))
-        assert int(told.get("number_of_facets") or told["facets"]) == entry["triangles"]
-        assert told.get("manifold", "yes") == "yes"
-        repairs = (
-            "degenerate_facets",
-            "edges_fixed",
-            "facets_removed",
-            "facets_added",
-            "facets_reversed",
-            "backwards_edges",
-        )
-        assert all(int(told.get(word, 0)) == 0 for word in repairs), said
-        assert float(told["volume"]) == pytest.approx(entry["volume"], rel=1e-4)
+        assert_nothing_repaired(slicer, manifest.folder / name, entry_of(manifest, name))
 
 
 def test_sliced_through_their_letters_the_layers_show_every_letter(tmp_path: Path) -> None:
@@ -301,7 +288,7 @@ def test_sliced_through_their_letters_the_layers_show_every_letter(tmp_path: Pat
     subprocess.run([slicer, *layers, "--export-svg", "-o", str(tmp_path / "x.svg"), str(path)], check=True,
                    capture_output=True, timeout=120)  # fmt: skip
     level = mark_place(window, body).centre[2]
-    outer = sum(enclosed(loop) > 0.0 for loop in drawing.loops)
+    outer = sum(polygon_area(loop) > 0.0 for loop in drawing.loops)
     seen = 0
     for layer in re.split(r'<g id="layer', (tmp_path / "x.svg").read_text())[1:]:
         height = 1e6 * float(re.search(r'slic3r:z="([^"]+)"', layer)[1])

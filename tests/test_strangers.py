@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 from collections import Counter
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brepwindows import biconvex, column_volume
+from slicing import assert_nothing_repaired, slicer_for
 
 import clacad
 from clacad.export import export
@@ -21,7 +21,6 @@ from clacad.export.step import write_step
 from clacad.sheet import column, face_height
 
 DESIGNS = Path(__file__).parents[1] / "designs"
-SLICERS = ("prusa-slicer", "slic3r")
 SADDLES = ["lattice.seam=0", "pair.web=0", "law.euler=[45,0,0]"]
 
 
@@ -32,26 +31,10 @@ def saddled():
 
 @pytest.mark.parametrize("bevel", [0.0, 0.02], ids=["touch", "bevel"])
 def test_a_slicer_calls_saddled_sheets_manifold_and_repairs_nothing(tmp_path, bevel):
-    slicer = next((found for name in SLICERS if (found := shutil.which(name))), None)
-    if slicer is None:
-        pytest.skip("neither prusa-slicer nor slic3r is installed: no slicer looked at the saddles")
+    slicer = slicer_for("the saddles")
     manifest = export(saddled(), tmp_path / "x", ("stl-parts",), quads=8, saddle_bevel=bevel)
     for entry in manifest.files:
-        said = subprocess.run([slicer, "--info", str(tmp_path / "x" / entry["name"])], check=True, capture_output=True,
-                              text=True, timeout=120).stdout  # fmt: skip
-        told = dict(re.findall(r"^\s*([a-z_]+)\s*[:=]\s*(\S+)", said, re.MULTILINE))
-        assert int(told.get("number_of_facets") or told["facets"]) == entry["triangles"]
-        assert told.get("manifold", "yes") == "yes"
-        repairs = (
-            "degenerate_facets",
-            "edges_fixed",
-            "facets_removed",
-            "facets_added",
-            "facets_reversed",
-            "backwards_edges",
-        )
-        assert all(int(told.get(name, 0)) == 0 for name in repairs), said
-        assert float(told["volume"]) == pytest.approx(entry["volume"], rel=1e-4)
+        assert_nothing_repaired(slicer, tmp_path / "x" / entry["name"], entry)
 
 
 @pytest.mark.parametrize("mode", ["fused", "instanced"])

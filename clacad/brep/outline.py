@@ -17,8 +17,9 @@ from clacad.brep.conics import line, ruled_wall
 from clacad.brep.edges import Plane
 from clacad.brep.nodes import Touch
 from clacad.brep.path import Path
-from clacad.brep.pattern import Floats, encloses, signed_area
+from clacad.brep.pattern import Floats, encloses
 from clacad.brep.shell import FlatEdge, Loop, LoopEdge, Shells, reverse
+from clacad.lattice import polygon_area
 
 
 @dataclass(eq=False)
@@ -269,12 +270,12 @@ def flat_faces(shells: Shells, f: int, face: CellFace, key: str) -> None:
     up, across = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     surface = shells.writer.surface(Plane(np.array([0.0, 0.0, face.level]), up, across), np.zeros(3))
     for loops in pieces.values():
-        for loop, points, owner in (item for item in loops if signed_area(item[1]) > 0.0):
+        for loop, points, owner in (item for item in loops if polygon_area(item[1]) > 0.0):
             # the middle of an edge stands for a hole: corners may touch
             within = [
                 hole
                 for hole, place, _ in loops
-                if signed_area(place) <= 0.0 and encloses(points, 0.5 * (place[0] + place[1]))
+                if polygon_area(place) <= 0.0 and encloses(points, 0.5 * (place[0] + place[1]))
             ]
             bounds = [loop, *within] if face.side < 0 else [reverse(bound) for bound in (loop, *within)]
             shells.face(owner, surface, face.side < 0, bounds, "land" if key == "outside" else "plane")

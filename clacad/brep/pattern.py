@@ -320,12 +320,6 @@ def walk(runs: list[tuple[Run, ...]], chains: list[Chain], kind: Kind) -> list[R
     return regions
 
 
-def signed_area(points: Floats) -> float:
-    """Area of a polygon (n, 2), positive where it runs counter-clockwise."""
-    x, y = points[:, 0], points[:, 1]
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-
-
 def encloses(points: Floats, place: Floats) -> bool:
     """Whether a polygon (n, 2) encloses a point (2,)."""
     x, y = points[:, 0] - place[0], points[:, 1] - place[1]

@@ -18,9 +18,9 @@ from clacad.brep.pattern import (
     Run,
     encloses,
     side_runs,
-    signed_area,
     walk,
 )
+from clacad.lattice import polygon_area
 
 NEAR = 1e-5
 """A traced rim ends at the root of a side that lies this near, relative to the zone's size."""
@@ -129,7 +129,7 @@ def _with_closed(
     """Add what closed rims enclose as regions of their own, and as holes in the region round each."""
     holes: list[tuple[Kind, tuple[tuple[str, int, int], ...], Floats]] = []
     for n, path in enumerate(closed):
-        lens_inside = signed_area(path) > 0.0
+        lens_inside = polygon_area(path) > 0.0
         sense = 1 if lens_inside else -1
         inside: Kind = "lens" if lens_inside else rest
         around: Kind = rest if lens_inside else "lens"
@@ -143,6 +143,6 @@ def _with_closed(
             if region.kind == kind and encloses(outline, path[0])
         ]
         if round_it:
-            smallest = min(round_it, key=lambda i: abs(signed_area(outlines[i][1])))
+            smallest = min(round_it, key=lambda i: abs(polygon_area(outlines[i][1])))
             loops[smallest].append(loop)
     return [Region(region.kind, tuple(own)) for (region, _), own in zip(outlines, loops)]

@@ -21,6 +21,7 @@ from clacad.effects.draws import uniform
 from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
+from clacad.lattice import polygon_area
 from clacad.rays import NO_CELL, Fate
 from clacad.sheet import Window
 from clacad.vignetting import ThinCells, thin_cells
@@ -77,9 +78,7 @@ def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) ->
 
 
 def _filled(polygon: Floats) -> float:
-    x, y = polygon.T
-    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
-    return area / float(np.prod(np.ptp(polygon, axis=0)))
+    return abs(polygon_area(polygon)) / float(np.prod(np.ptp(polygon, axis=0)))
 
 
 def sinc_squared(u: Floats) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.effects.shine import Light, joined
+from clacad.lattice import polygon_area
 from clacad.rays import Fate, Rays, TraceResult
 from clacad.sheet import Window
 from clacad.vignetting import ThinCells, ghost_step, thin_cells
@@ -75,9 +76,7 @@ def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
 def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int]) -> Floats:
     """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order."""
     shift = cells.separation * slopes - cells.neighbour(order)
-    x, y = cells.image.T
-    whole = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-    return np.asarray(cells.part / whole * overlap(cells.image, cells.zone, shift))
+    return np.asarray(cells.part / polygon_area(cells.image) * overlap(cells.image, cells.zone, shift))
 
 
 def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:

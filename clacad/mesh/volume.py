@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clacad.cell_complex import one_tiling
 from clacad.cell_complex.roots import bisect, sign_changes
-from clacad.lattice import Circle
+from clacad.lattice import Circle, polygon_area
 from clacad.sheet import Body, Face, Window, lens_height, optical_tile
 
 if TYPE_CHECKING:
@@ -128,9 +128,7 @@ def _face_integral(window: Window, face: Face) -> float:
 
 def _ring_area(window: Window) -> float:
     """Area of a cell outside its optical zone."""
-    x, y = optical_tile(window).T
-    zone = 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    return window.lattice.cell_area - zone if window.land.seam else 0.0
+    return window.lattice.cell_area - polygon_area(optical_tile(window)) if window.land.seam else 0.0
 
 
 def _polar(window: Window, integrand: Along, rims: list[Along]) -> float:

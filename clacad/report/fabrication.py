@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.export.truth import body_extent, body_volume, whole_extent
-from clacad.lattice import Circle
+from clacad.lattice import Circle, polygon_area
 from clacad.sheet import Window, optical_tile
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def fabrication(report: Report) -> tuple[Line, ...]:
 
 def _sheet(window: Window, mm: float) -> list[Line]:
     lattice = window.lattice
-    zone = _area(optical_tile(window)) / lattice.cell_area
+    zone = polygon_area(optical_tile(window)) / lattice.cell_area
     x0, x1, y0, y1 = lattice.extent()
     lines = [
         Line("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
@@ -91,11 +91,6 @@ def _sheet(window: Window, mm: float) -> list[Line]:
     if shift != (0.0, 0.0):
         lines.append(Line("array", "array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm)))
     return lines
-
-
-def _area(polygon: Any) -> float:
-    x, y = np.asarray(polygon).T
-    return float(0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _lens(lens: LensFacts, mm: float) -> list[Line]:
