@@ -20,7 +20,7 @@ from clacad.accuracy.step import _compared, step_row
 from clacad.cli import main
 from clacad.mesh import tessellate
 from clacad.sheet import lens_height_and_normal
-from clacad.verify.bundle import bundle
+from clacad.bundle import bundle
 
 
 @pytest.fixture(scope="module")

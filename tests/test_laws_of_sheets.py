@@ -396,6 +396,6 @@ FILE_CHECKS = {
     "scale",
     "pose",
     "handedness",
-    "file_rms",
+    "faithful_rms",
     "accounting",
 }

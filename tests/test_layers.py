@@ -21,7 +21,7 @@ LAYER = {
     # 2 the bridge
     "prescription": 2,
     # 3 derived from the sheet
-    "extremes": 3, "vignetting": 3, "cell_complex": 3, "mesh": 3, "brep": 3, "feasibility": 3, "fixture": 3,
+    "extremes": 3, "vignetting": 3, "bundle": 3, "cell_complex": 3, "mesh": 3, "brep": 3, "feasibility": 3, "fixture": 3,
     # 4 verbs
     "trace": 4, "effects": 4, "export": 4,
     # 5 judgement
@@ -41,6 +41,7 @@ SIDEWAYS = {
     ("feasibility", "extremes"): "extremes of heights over a cell",
     ("feasibility", "vignetting"): "field of view and ghost onset are vignetting's",
     ("feasibility", "cell_complex"): "pieces and holes in closed form",
+    ("bundle", "vignetting"): "the cone of the test rays stands about the aperture slope",
     ("effects", "trace"): "effects are passes over the tracer's blocks",
     ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
     ("trace", "export"): "rung mesh reads the file it is given; the readers' one home is export",

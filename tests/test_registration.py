@@ -115,7 +115,7 @@ def test_a_piece_cut_across_cells_is_judged_by_its_whole_cells(tmp_path, soup):
     assert not placed.whole
     report = judged(tmp_path, whole[keep] + [7.0, 8.0, 9.0])
     assert states(report)["closed"] == "warn"
-    assert {states(report)[name] for name in ("pose", "shape", "scale", "file_rms", "file_eta")} == {"pass"}
+    assert {states(report)[name] for name in ("pose", "shape", "scale", "faithful_rms", "faithful_eta")} == {"pass"}
 
 
 def test_a_scan_goes_through(tmp_path, soup):
@@ -131,7 +131,7 @@ def test_a_scan_goes_through(tmp_path, soup):
     report = judged(tmp_path, split @ CYCLE.T + [3.0, 1.0, 4.0])
     about = states(report)
     assert about["closed"] == "warn"
-    assert {about[n] for n in ("handedness", "scale", "shape", "file_rms", "file_eta", "file_delta")} == {
+    assert {about[n] for n in ("handedness", "scale", "shape", "faithful_rms", "faithful_eta", "faithful_delta")} == {
         "pass"
     }
     assert about["pose"] == "warn"  # it lies turned
@@ -168,7 +168,7 @@ def test_a_slicers_repair_goes_through(tmp_path):
     report = judged(tmp_path, five)
     about = states(report)
     assert about["pose"] == "pass"
-    assert {about[n] for n in ("handedness", "scale", "shape", "file_rms", "file_eta", "file_delta")} == {
+    assert {about[n] for n in ("handedness", "scale", "shape", "faithful_rms", "faithful_eta", "faithful_delta")} == {
         "pass"
     }
     assert report.passed
@@ -177,8 +177,8 @@ def test_a_slicers_repair_goes_through(tmp_path):
 @pytest.mark.parametrize(("change", "culprits"), [
     pytest.param({"law.delta": [-0.01, 0.005]}, {"handedness"}, id="mirrored by its design", marks=pytest.mark.long),
     pytest.param({"law.delta": [-0.01, -0.005]}, {"pose"}, id="delta of the other sign"),
-    pytest.param({"law.eta": [-0.51, -1.0]}, {"shape", "file_eta"}, id="eta off by 2 %", marks=pytest.mark.long),
-    pytest.param({"pair.index": 1.515}, {"scale", "shape", "file_eta"}, id="another index", marks=pytest.mark.long),
+    pytest.param({"law.eta": [-0.51, -1.0]}, {"shape", "faithful_eta"}, id="eta off by 2 %", marks=pytest.mark.long),
+    pytest.param({"pair.index": 1.515}, {"scale", "shape", "faithful_eta"}, id="another index", marks=pytest.mark.long),
 ])  # fmt: skip
 def test_wrong_parts_are_named(tmp_path, change, culprits):
     report = judged(tmp_path, sheet_facets(prescribe(DESIGN.replace(change)), 24))
@@ -201,7 +201,7 @@ def test_a_radius_one_percent_off_is_caught(tmp_path):
     near = np.abs(triangles[..., 2] - apex) < 0.2 * abs(window.z_range[1] - window.z_range[0])
     wrong[..., 2] = np.where(near, apex + (triangles[..., 2] - apex) / 1.01, triangles[..., 2])
     report = judged(tmp_path, wrong)
-    assert {"shape", "file_eta"} & {c.id for c in report.checks if c.state == "fail"}
+    assert {"shape", "faithful_eta"} & {c.id for c in report.checks if c.state == "fail"}
 
 
 def test_a_tilt_of_the_wrong_sign_is_named(tmp_path):
@@ -292,7 +292,7 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     assert about["pose"].state == "warn"
     assert "x → z" in about["pose"].sentence
     assert "4 x 3 cells" in report.files[0].note
-    assert {about[n].state for n in ("readable", "closed", "handedness", "scale", "shape", "file_eta")} == {
+    assert {about[n].state for n in ("readable", "closed", "handedness", "scale", "shape", "faithful_eta")} == {
         "pass"
     }
     assert about["shape"].limit < 2e-5

@@ -15,7 +15,7 @@ from clacad.rays import Fate
 from clacad.surface import Quadric
 from clacad.trace import trace
 from clacad.verify.attribution import NAMES, Facets, as_it_would_be_written, as_written, attribute
-from clacad.verify.bundle import bundle
+from clacad.bundle import bundle
 from clacad.verify.gather import Gathered, Gatherer, onto_face, owner
 
 ULP = 2.0**-52

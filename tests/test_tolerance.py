@@ -32,7 +32,7 @@ from clacad.tolerance import (
 )
 from clacad.tolerance.errors import NoCluster
 from clacad.trace import trace
-from clacad.verify.bundle import bundle
+from clacad.bundle import bundle
 
 SLAB = {
     "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

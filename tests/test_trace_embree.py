@@ -13,7 +13,7 @@ from clacad.mesh import tessellate
 from clacad.rays import Rays
 from clacad.trace import embree
 from clacad.trace.soup import TriangleSoup, read_soup
-from clacad.verify.bundle import bundle
+from clacad.bundle import bundle
 
 needs_embree = pytest.mark.skipif(not embree.available(), reason="embreex is not installed")
 

@@ -72,16 +72,16 @@ def test_a_good_file_passes(tmp_path, soup):
     assert failed(report) == set()
     assert report.passed
     assert report.exit_status == 0
-    assert {"closed", "volume", "shape", "file_rms", "file_eta", "file_delta", "scale", "pieces"} <= {
+    assert {"closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta", "scale", "pieces"} <= {
         c.id for c in report.checks if c.state == "pass"
     }
 
 
 @pytest.mark.parametrize(("change", "culprit"), [
-    pytest.param({"law.eta": [-0.255, -1.0]}, "file_eta", id="eta_x off by 2 %"),
-    pytest.param({"law.eta": [-0.25, -1.02]}, "file_eta", id="eta_y off by 2 %"),
+    pytest.param({"law.eta": [-0.255, -1.0]}, "faithful_eta", id="eta_x off by 2 %"),
+    pytest.param({"law.eta": [-0.25, -1.02]}, "faithful_eta", id="eta_y off by 2 %"),
     pytest.param({"law.delta": [-0.01, 0.0]}, "pose", id="delta of the other sign"),
-    pytest.param({"pair.index": 1.52}, "file_eta", id="radii of another index"),
+    pytest.param({"pair.index": 1.52}, "faithful_eta", id="radii of another index"),
 ])  # fmt: skip
 def test_a_file_of_another_design_fails_by_name(tmp_path, change, culprit):
     wrong = sheet_facets(prescribe(DESIGN.replace(change)), 8)
@@ -150,7 +150,7 @@ def test_a_cut_file_without_manifest_cannot_be_read_and_nothing_after_it_is_gree
     report = verify(DESIGN, path, rays=RAYS)
     about = {c.id: c.state for c in report.checks if c.subject == "part.stl"}
     assert about["readable"] == "fail"
-    assert {about[name] for name in ("closed", "volume", "shape", "file_rms", "file_eta")} == {"not run"}
+    assert {about[name] for name in ("closed", "volume", "shape", "faithful_rms", "faithful_eta")} == {"not run"}
     assert report.exit_status == 1
 
 

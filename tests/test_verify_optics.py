@@ -14,7 +14,7 @@ from clacad.prescription import prescribe
 from clacad.rays import Fate
 from clacad.surface import Quadric
 from clacad.trace import trace
-from clacad.verify.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
+from clacad.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
 from clacad.verify.checks import passed
 from clacad.verify.optics import confocality_check, law_checks, measure, throughput_check
 from clacad.verify.parabasal import confocality

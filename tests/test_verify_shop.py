@@ -43,7 +43,7 @@ def judged(path):
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_true_file_of_any_format_is_the_design(tmp_path, format):
     checks = judged(sent_back(tmp_path / f"part.{format}"))
-    for name in ("closed", "volume", "shape", "file_rms", "file_eta", "file_delta", "scale"):
+    for name in ("closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta", "scale"):
         assert checks[name].state == "pass", checks[name].sentence
 
 
@@ -58,7 +58,7 @@ def test_a_part_whose_lenses_were_made_ten_per_cent_flatter_is_not(tmp_path, for
 
     checks = judged(sent_back(tmp_path / f"part.{format}", flatter))
     assert checks["shape"].state == "fail"
-    assert "fail" in (checks["file_eta"].state, checks["volume"].state)
+    assert "fail" in (checks["faithful_eta"].state, checks["volume"].state)
 
 
 def test_a_part_with_one_lenslet_missing_its_curve_is_not(tmp_path):

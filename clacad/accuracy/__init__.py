@@ -51,7 +51,7 @@ def accuracy(
     from clacad.accuracy.step import step_row
     from clacad.export.limits import refuse_early
     from clacad.prescription import prescribe
-    from clacad.verify.bundle import bundle
+    from clacad.bundle import bundle
 
     report = progress or _silent
     refuse_early(design, (), None)

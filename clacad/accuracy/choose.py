@@ -109,7 +109,7 @@ def out_of_reach(
 
 def _probe(design: Design, window: Window) -> Probe:
     from clacad.trace import trace
-    from clacad.verify.bundle import bundle
+    from clacad.bundle import bundle
 
     rays = bundle(window, RAYS, design.check.field, design.check.field_centre).rays
     truth = trace(window, rays, path="numba")

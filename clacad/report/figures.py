@@ -317,7 +317,7 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
 
 def ray_fan(window: Window) -> list[Any]:
     """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3) each."""
-    from clacad.verify.bundle import middle_direction
+    from clacad.bundle import middle_direction
 
     one = window.with_cells((1, 1))
     x = np.linspace(-0.4, 0.4, 5) * window.lattice.pitch[0]

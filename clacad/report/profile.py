@@ -54,7 +54,7 @@ def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
 
 def across_cell(window: Window, array: int, samples: int = 161) -> tuple[Floats, float]:
     """Points x (n,) over the cell of an array nearest the middle, along x, and its y; sheet frame."""
-    from clacad.verify.bundle import central_cell
+    from clacad.bundle import central_cell
 
     centre = window.lattice.centres(np.array([central_cell(window)], dtype=np.int64))[0]
     middle = centre + np.asarray(window.shifts[array])

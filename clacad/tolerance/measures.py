@@ -32,7 +32,7 @@ from clacad.feasibility.facts import DEFAULT_WAVELENGTH
 from clacad.law import Law, angle_between
 from clacad.sheet import Window
 from clacad.tolerance.misalign import Errors, Telescopelet, telescopelet
-from clacad.verify.bundle import bundle, field_points, middle_direction
+from clacad.bundle import bundle, field_points, middle_direction
 from clacad.vignetting import share, thin_cells
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from clacad.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet import Window
 from clacad.trace import trace, trace_sequence
-from clacad.verify.bundle import Bundle, Floats, bundle, launched
-from clacad.verify.facets import trace_facets
+from clacad.bundle import Bundle, Floats, bundle, launched
+from clacad.trace.facets import trace_facets
 from clacad.verify.gather import Cell, Gathered, Gatherer, telescopelet
 from clacad.verify.parabasal import interfaces
 

@@ -16,7 +16,7 @@ import numpy as np
 from clacad.rays import Fate, Rays
 from clacad.sheet import Window
 from clacad.trace import Interface, trace_sequence
-from clacad.verify.bundle import Floats
+from clacad.bundle import Floats
 from clacad.verify.parabasal import interfaces
 
 HEIGHTS = 41

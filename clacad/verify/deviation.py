@@ -9,9 +9,9 @@ import numpy as np
 
 from clacad.sheet import Face, Window, column, lens_height_and_normal
 from clacad.sobol import sobol
-from clacad.verify.bundle import over_cell
-from clacad.verify.facets import ExactFace, FacetBody, FacetFace, Floats, Ints, first_crossing
-from clacad.verify.gather import exact_height, on_land
+from clacad.bundle import over_cell
+from clacad.trace.facets import ExactFace, FacetBody, FacetFace, Floats, Ints, first_crossing, on_land
+from clacad.verify.gather import exact_height
 from clacad.vignetting import focal_ratio
 
 POINTS = 8192

@@ -14,8 +14,8 @@ from clacad.feasibility import body_range
 from clacad.fixture.mark import pockets
 from clacad.mesh.bevel import in_corners
 from clacad.sheet import Body, Face, Window, lens_height
-from clacad.verify.bundle import central_cell
-from clacad.verify.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face
+from clacad.bundle import central_cell
+from clacad.trace.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face, on_land
 
 RANDOM_CELLS = 4
 Cell = tuple[int, int]
@@ -188,15 +188,6 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
                 faces.append(ExactFace(face, np.array([*place, 0.0])))
         bodies.append(FacetBody(faces[0], faces[1], body.index))
     return tuple(bodies)
-
-
-def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
-    """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
-    if face.land is None:
-        return np.zeros(len(corners), dtype=bool)
-    reach = max(abs(v) for v in window.z_range)
-    room = 1e-6 * min(window.lattice.pitch) + 2.0**-23 * reach
-    return np.asarray((np.abs(corners[..., 2] - face.land) <= room).all(axis=1))
 
 
 def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:

@@ -14,7 +14,7 @@ from clacad.feasibility import body_range
 from clacad.sheet import Window
 from clacad.verify.checks import Check
 from clacad.verify.deviation import FEWER, POINTS, deviation
-from clacad.verify.facets import Floats
+from clacad.trace.facets import Floats
 from clacad.verify.gather import Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshlight import MeshEvidence, light_checks
 from clacad.verify.meshshape import chord_volume, shape_check, volume_check

@@ -13,10 +13,10 @@ from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window
 from clacad.trace import trace
-from clacad.verify.bundle import Bundle, bundle, launched
+from clacad.bundle import Bundle, bundle, launched
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import Deviation, forecast_rms
-from clacad.verify.facets import Floats, trace_facets
+from clacad.trace.facets import Floats, trace_facets
 from clacad.verify.gather import Gathered, Progress, telescopelet
 from clacad.vignetting import half_field, thin_cells
 
@@ -120,9 +120,9 @@ def _file_rms(
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
         dark = [str(c) for c, r in zip(evidence.cells, rms, strict=True) if np.isnan(r)]
         if np.isnan(rms).all():
-            return not_run("file_rms", "no ray gets through the file's triangles", unit="rad", **common)
+            return not_run("faithful_rms", "no ray gets through the file's triangles", unit="rad", **common)
         return Check(
-            "file_rms", "fail", f"no ray gets through the triangles over the cells {', '.join(dark)}", None,
+            "faithful_rms", "fail", f"no ray gets through the triangles over the cells {', '.join(dark)}", None,
             unit="rad", bundle=bundle_text, **common,
         )  # fmt: skip
     worst = int(np.argmax(rms / evidence.forecast))
@@ -132,7 +132,7 @@ def _file_rms(
         f"(cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast {1e3 * evidence.forecast[worst]:.4g}"
     )
     check = judge(
-        "file_rms", float(rms[worst]), limit, sentence, unit="rad", bundle=bundle_text,
+        "faithful_rms", float(rms[worst]), limit, sentence, unit="rad", bundle=bundle_text,
         source=f"{design.check.file_rms:g} × forecast of its slope errors",
         detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms}, **common,
     )  # fmt: skip
@@ -174,14 +174,14 @@ def _file_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, Any])
     law, exact = evidence.law, evidence.law_design
     if law is None or exact is None:
         why = "too few rays get through the file's triangles to fit a law"
-        return [not_run(name, why, **common) for name in ("file_eta", "file_delta")]
+        return [not_run(name, why, **common) for name in ("faithful_eta", "faithful_delta")]
     eta = max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0))
     delta = max(abs(law.delta_x - exact.delta_x), abs(law.delta_y - exact.delta_y))
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
     return [
-        judge("file_eta", eta, design.check.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
+        judge("faithful_eta", eta, design.check.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
               unit="relative", source="eta", detail={"measured": (law.eta_x, law.eta_y)}, **common),
-        judge("file_delta", delta, design.check.delta,
+        judge("faithful_delta", delta, design.check.delta,
               text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope",
               source="delta", detail={"measured": (law.delta_x, law.delta_y)}, **common),
     ]  # fmt: skip

@@ -13,7 +13,8 @@ from clacad.export.truth import Integral, body_volume, whole_extent
 from clacad.sheet import Body, Window
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import Deviation, corner_distance
-from clacad.verify.gather import Gathered, exact_height, on_land, owner
+from clacad.trace.facets import on_land
+from clacad.verify.gather import Gathered, exact_height, owner
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -16,7 +16,7 @@ import numpy as np
 from clacad.law import Law, angle_between
 from clacad.rays import Fate, TraceResult
 from clacad.sheet import Window
-from clacad.verify.bundle import Bundle, Floats, bundle, field_points
+from clacad.bundle import Bundle, Floats, bundle, field_points
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.parabasal import confocality
 from clacad.vignetting import share, thin_cells

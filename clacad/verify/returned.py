@@ -17,7 +17,7 @@ from clacad.export.truth import whole_extent
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.deviationmap import DeviationMap, Mapper
-from clacad.verify.facets import Floats
+from clacad.trace.facets import Floats
 from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence, light_checks
@@ -168,7 +168,7 @@ def _only(gathered: Gathered, kept: list[int]) -> Gathered:
 
 
 def _with_holes(check: Check, dark: list[str], total: int) -> Check:
-    if check.id != "file_rms":
+    if check.id != "faithful_rms":
         return check
     return replace(
         check,

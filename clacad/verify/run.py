@@ -371,7 +371,7 @@ def _judge_triangles(
             found, evidence = judge_placed(design, placed, subject.name, rays, progress)
     except UnreadableFile as error:
         failed = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
-        later = ("closed", "volume", "shape", "file_rms", "file_eta", "file_delta")
+        later = ("closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
         return failed + [not_run(name, "the file cannot be read", **common) for name in later], FileReport(
             subject
         )

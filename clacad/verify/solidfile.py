@@ -121,7 +121,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], common: Mapping[str, Any
     """Direction error that the largest slope error of any patch can make."""
     slopes = [float(found[k]) for k in ("patch_slope_error", "lens_slope_error") if found.get(k) is not None]
     if not slopes:
-        return not_run("file_rms", "no lens face was found to measure", unit="rad", **common)
+        return not_run("faithful_rms", "no lens face was found to measure", unit="rad", **common)
     gain = 0.0
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     for body in window.bodies:
@@ -130,7 +130,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], common: Mapping[str, Any
                 gain += ((body.index - 1.0) * (1.0 / smallest if face.array == 0 else 1.0)) ** 2
     value = max(slopes) * gain**0.5
     sentence = f"the largest slope error of a lens face, {max(slopes):.3g} rad, turns light by at most {value:.3g} rad"
-    return judge("file_rms", value, DIRECTION_LIMIT, sentence, unit="rad", source="1e-6 rad", **common)
+    return judge("faithful_rms", value, DIRECTION_LIMIT, sentence, unit="rad", source="1e-6 rad", **common)
 
 
 def _volume(

@@ -43,7 +43,7 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
     """One check a file whose light was measured."""
     found = []
     for check in checks:
-        if check.id != "file_rms":
+        if check.id != "faithful_rms":
             continue
         if not isinstance(check.value, float):
             found.append(replace(check, id="file_target", limit=target, detail={}))

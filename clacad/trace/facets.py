@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet import Face
+from clacad.sheet import Face, Window
 from clacad.surface import meet, refract
 
 Floats = NDArray[np.float64]
@@ -120,6 +120,15 @@ def _spread(first: Ints, last: Ints) -> tuple[Ints, Ints, Ints]:
     return row, first[row, 0] + within // wide[row, 1], first[row, 1] + within % wide[row, 1]
 
 
+def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
+    """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
+    if face.land is None:
+        return np.zeros(len(corners), dtype=bool)
+    reach = max(abs(v) for v in window.z_range)
+    room = 1e-6 * min(window.lattice.pitch) + 2.0**-23 * reach
+    return np.asarray((np.abs(corners[..., 2] - face.land) <= room).all(axis=1))
+
+
 def first_crossing(
     face: FacetFace, position: Floats, direction: Floats, entering: bool
 ) -> tuple[Floats, Ints]:
@@ -143,7 +152,7 @@ def first_crossing(
     distance = np.full(len(position), np.nan)
     facet = np.full(len(position), -1, dtype=np.int64)
     if len(face.corners) and len(position):
-        from clacad.verify.facet_kernel import first_facet
+        from clacad.trace.kernel_first_facet import first_facet
 
         first_facet(
             face.corners, face.normals, face.low, face.size, face.bins, face.start, face.member, *face.z_range,
