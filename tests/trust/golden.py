@@ -65,7 +65,11 @@ def hashes() -> dict[str, str]:
     widest = versions()["machine"].split()[-1]
     fixed = {"OPENBLAS_CORETYPE": KERNELS[widest]} if widest in KERNELS else {}
     done = subprocess.run(
-        [sys.executable, __file__, "--hashes"], env=os.environ | fixed, capture_output=True, text=True, check=True
+        [sys.executable, __file__, "--hashes"],
+        env=os.environ | fixed,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return dict(json.loads(done.stdout))
 
