@@ -216,9 +216,7 @@ def light_checks(
 
 def softened(check: Check) -> Check:
     """What fails a master is a warning for what is only looked at."""
-    if check.state == "fail":
-        return replace(check, state="warn")
-    return replace(check, required=False) if check.state == "not run" else check
+    return replace(check, state="warn" if check.state == "fail" else check.state, required=False)
 
 
 def _rms(

@@ -75,10 +75,10 @@ def file_verdict(
     faithful = mesh and any(c.id == "faithful_rms" and c.state != "not run" for c in checks)
     light = [c for c in checks if c.id in IDS and c.state in ("fail", "warn")]
     word: Word
-    if role is Role.OTHER:
-        word = "failed" if bad else "not judged"
-    elif any(c.id == "delivery" for c in bad):
+    if any(c.id == "delivery" for c in bad):
         word = "not judged"
+    elif role is Role.OTHER:
+        word = "failed" if bad else "not judged"
     elif [c for c in bad if not (faithful and c.id in IDS)]:
         word = "failed"
     elif role is Role.SCAN:
