@@ -67,7 +67,14 @@ def with_manifest(folder, design=DESIGN):
     )
 
 
-LIGHT = {"file_law_rms", "file_law_bias", "file_law_eta", "file_law_delta", "file_confocality", "file_throughput"}
+LIGHT = {
+    "file_law_rms",
+    "file_law_bias",
+    "file_law_eta",
+    "file_law_delta",
+    "file_confocality",
+    "file_throughput",
+}
 
 
 def test_a_coarse_file_that_is_the_design_is_a_shape_only(tmp_path, soup):

@@ -104,7 +104,13 @@ def _verdicts(content: Content) -> list[Block]:
         return []
     head = ["verdict", "file", "role", "rms / mrad", "limit"]
     rows = [
-        [{"text": f["word"], "state": f["css"]}, f"{f['name']}: {f['sentence']}", f["role"], f["rms"], f["limit"]]
+        [
+            {"text": f["word"], "state": f["css"]},
+            f"{f['name']}: {f['sentence']}",
+            f["role"],
+            f["rms"],
+            f["limit"],
+        ]
         for f in content.verdicts
     ]
     return [{"kind": "table", "widths": [2, 6, 2, 0, 0], "head": head, "rows": rows, "numbers": [3, 4]}]
