@@ -211,8 +211,13 @@ def test_the_field_of_view_ghost_onset_and_blur_follow_the_closed_forms(paper):
     assert paper.offset_blur == pytest.approx((1.25 * 0.005, 2 * 0.005))
     assert paper.diffraction_blur == pytest.approx((550e-9 / 0.00125, 550e-9 / 0.005))
     assert paper.lenses[1].f_number == pytest.approx((2.0, 5.0))
-    # balance of diffraction and pixel seen from a metre, physics: sqrt(λ D / |η|)
-    assert paper.pixel == pytest.approx(sqrt(550e-9 / 0.25))
+    assert paper.first_zero == pytest.approx(paper.diffraction_blur)  # a rectangle along the axes is a slit
+
+
+@pytest.mark.parametrize(("eta", "width"), [((-0.25, -1.0), 1.0), ((-2.0, -1.0), 0.5), ((-4.0, -0.5), 0.25)])
+def test_the_best_pitch_is_that_of_the_beam_that_comes_back_to_the_viewer(eta, width):
+    """Light from the far side leaves lens 1 with p·min(1, 1/|η|): pitch and λD/beam balance at √(λD/min(1, 1/|η|))."""
+    assert feasibility(window_of({"law.eta": list(eta)})).pixel == pytest.approx(sqrt(550e-9 / width))
 
 
 def test_the_undeviated_direction_goes_through_both_lens_centres():
