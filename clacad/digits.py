@@ -6,6 +6,7 @@ import operator
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 from math import isfinite, isnan
+from numbers import Real
 from typing import Any, NamedTuple
 
 ROUNDING = 1e-12
@@ -32,15 +33,20 @@ def digits(value: float, infinite: str = "unlimited", count: int = 6) -> str:
 
 
 class Shown(NamedTuple):
-    """A value and its limit as text, and the unit of both."""
+    """A value and its limit as text, the unit of both, and what stands beside a limit that does not explain the state."""
 
     value: str
     limit: str
     unit: str
+    note: str = ""
 
 
 def shown(
-    value: float | str | None, limit: float | str | None, relation: str = "<=", unit: str = ""
+    value: float | str | None,
+    limit: float | str | None,
+    relation: str = "<=",
+    unit: str = "",
+    state: str = "",
 ) -> Shown:
     """Write a value and its limit with as many digits as the comparison needs.
 
@@ -50,6 +56,8 @@ def shown(
         None is "–"; an infinite limit is "none". Angles in rad are shown in mrad.
     relation : "<=", "<", ">=", ">" or a word
         The sense in which the value is held against the limit.
+    state : "pass", "fail", another, or ""
+        What was judged. Where a limit is kept and the state is "fail" all the same, that is said beside the limit.
 
     Returns
     -------
@@ -58,20 +66,30 @@ def shown(
     """
     factor, name = SHOWN_IN.get(unit, (1, unit))
     holds = HOLDS.get(relation)
-    if not (
-        isinstance(value, (int, float))
-        and isinstance(limit, (int, float))
-        and isfinite(value)
-        and isfinite(limit)
-        and holds
-    ):
+    if holds is None or not (_finite(value) and _finite(limit)):
         return Shown(_text(value, factor, DIGITS), _text(limit, factor, DIGITS), name)
     truth = holds(value, limit)
-    for count in range(DIGITS, MOST + 1):
-        texts = _text(value, factor, count), _text(limit, factor, count)
-        if holds(Decimal(texts[0]), Decimal(texts[1])) == truth:
-            return Shown(*texts, name)
-    return Shown(str(Decimal(float(value)) * factor), str(Decimal(float(limit)) * factor), name)
+    texts = next(
+        (found for count in range(DIGITS, MOST + 1)
+         if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count)))) == truth),
+        (_exactly(value, factor), _exactly(limit, factor)),
+    )  # fmt: skip
+    return Shown(*texts, name, {("fail", True): ELSEWHERE, ("pass", False): UNBOUND}.get((state, truth), ""))
+
+
+ELSEWHERE = " (kept; it failed for what the text says)"
+"""Beside a limit that is kept by what failed."""
+
+UNBOUND = " (for comparison)"
+"""Beside a limit that is not kept by what passed."""
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and isfinite(value)
+
+
+def _exactly(value: Any, factor: int) -> str:
+    return str(Decimal(float(value)) * factor)
 
 
 HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {

@@ -57,11 +57,11 @@ def test_no_line_of_a_table_says_fail_where_its_numbers_hold(limit, off, relatio
 
 
 def test_a_short_number_stays_short():
-    assert shown(0.00265, 0.003, "<=", "rad") == ("2.65", "3", "mrad")
-    assert shown(0.09999999, 0.1, ">=") == ("0.09999999", "0.1", "")
-    assert shown("3 pieces", "1 piece", "=") == ("3 pieces", "1 piece", "")
-    assert shown(None, 0.5) == ("–", "0.5", "")
-    assert shown(1.0, float("inf")) == ("1", "none", "")
+    assert shown(0.00265, 0.003, "<=", "rad") == ("2.65", "3", "mrad", "")
+    assert shown(0.09999999, 0.1, ">=") == ("0.09999999", "0.1", "", "")
+    assert shown("3 pieces", "1 piece", "=") == ("3 pieces", "1 piece", "", "")
+    assert shown(None, 0.5) == ("–", "0.5", "", "")
+    assert shown(1.0, float("inf")) == ("1", "none", "", "")
 
 
 @pytest.mark.parametrize("left", [-1.11e-16, 2.2e-16, -0.0, 0.0, 3e-17])
@@ -88,3 +88,21 @@ def test_a_warning_near_its_limit_says_so():
     assert check.state == "warn"
     assert "90 % of the limit" in check.sentence
     assert Check("sag", "warn", "x", 0.9, 1.0).state == "warn"
+
+
+def test_a_failure_within_its_limit_says_that_the_limit_is_not_why():
+    check = Check("pose", "fail", "it fits only turned", 2.7e-5, 1.75e-3, unit="mm")
+    assert "(kept; it failed for what the text says)" in checks_text([check])
+    assert "(kept; it failed for what the text says)" in row(check)["limit"]
+    assert "kept" not in checks_text([Check("pose", "fail", "off", 2.7e-3, 1.75e-3)])
+
+
+def test_a_gap_of_nothing_is_not_told_that_nothing_would_do():
+    """Where the limit is 0 a value of 0 fails: the line must not say 0 >= 0."""
+    from clacad.verify.geometry import _at_least
+
+    check = _at_least("edge", 0.0, 0.0, "default", "mm", "least thickness")
+    assert (check.state, check.relation) == ("fail", ">")
+    assert "FAIL" in checks_text([check])
+    assert ">= 0" not in checks_text([check])
+    assert _at_least("edge", 0.1, 0.0, "default", "mm", "least thickness").state == "pass"

@@ -33,13 +33,13 @@ def checks_text(checks: Iterable[Any]) -> str:
 
 def against(check: Any) -> tuple[str, str]:
     """Value, and limit with its sense, of a check, in as many digits as the comparison needs."""
-    value, limit, unit = shown(check.value, check.limit, check.relation, check.unit)
+    value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state)
     value = "-" if check.value is None else value
     if check.limit is None:
         return value, ""
     if isinstance(check.limit, float) and isinf(check.limit):
         return value, "no limit"
-    return value, f"{check.relation} {limit} {unit}".rstrip()
+    return value, f"{check.relation} {limit} {unit}".rstrip() + note
 
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:

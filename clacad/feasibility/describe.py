@@ -67,8 +67,8 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name
         Row("view", "ray offset on the sheet, lens x, y", of_length(facts.offset_blur), name,
             "range over a cell of where light leaves less where it came"),
         Row("view", "diffraction, lens x, y", _mrad(facts.diffraction_blur), "mrad",
-            f"λ/w for the light that leaves lens 2, {wave}; w: slit with the same core of its pattern as what is lit of "
-            "a cell (√12 times the rms distance from its middle; a square's own side, however it is turned)"),
+            f"λ/w for the light that leaves lens 2, {wave}; w = √12 × rms distance, along that axis, of what is lit of a cell "
+            "from its middle: the slit whose pattern has the same core (a square's own side, however it is turned)"),
         Row("view", "diffraction, first zero, lens x, y", _mrad(facts.first_zero), "mrad",
             "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis"),
         Row("view", "Fresnel number", digits(facts.fresnel_number), "",

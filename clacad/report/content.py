@@ -33,11 +33,11 @@ def number(value: float | str | None, unit: str = "") -> str:
 
 def row(check: Check) -> dict[str, Any]:
     """A check as text."""
-    value, limit, unit = shown(check.value, check.limit, check.relation, check.unit)
+    value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state)
     return {
         "state": check.state, "word": WORDS[check.state], "css": check.state.replace(" ", "-"), "id": check.id,
         "code": check.code, "subject": check.subject, "value": value,
-        "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {limit}",
+        "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {limit}{note}",
         "unit": unit, "sentence": check.sentence, "where": check.where,
         "bundle": check.bundle, "source": _source(check),
     }  # fmt: skip
