@@ -32,5 +32,10 @@ WORDS: dict[str, tuple[str, str]] = {
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""
 
-SYNONYMS = {"master": "optical-master", "preview": "shape-preview", "shape_only": "shape only", "not_judged": "not judged"}
+SYNONYMS = {
+    "master": "optical-master",
+    "preview": "shape-preview",
+    "shape_only": "shape only",
+    "not_judged": "not judged",
+}
 """Other names of words."""
