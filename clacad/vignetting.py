@@ -118,6 +118,14 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     return np.array([cells.part * polygon_area(clip(cells.image + a, target)) / whole for a in arrival])
 
 
+def lit_zone(cells: ThinCells) -> Floats:
+    """What is lit of lens 2 (m, 2), about its own middle, by light along the middle of the field, lens frame, lengths.
+
+    The image of lens 1's zone where it lies within lens 2's; for cells along the lens axes p·min(1, |m|) wide.
+    """
+    return clip(cells.image, cells.zone)
+
+
 def ghost_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
     """Change (2,) of the exit slope, lens frame, that sets ghost order `order` apart from the image."""
     moved = cells.neighbour(order) - cells.centre

@@ -10,7 +10,7 @@ import pytest
 
 from clacad.cli import main
 from clacad.explain import Unexplained, entries, explain
-from clacad.verify.checks import CODES
+from clacad.verify.checks import CODES, Check
 
 PACKAGE = Path(__file__).parents[1] / "clacad"
 
@@ -43,7 +43,7 @@ def test_a_check_is_found_by_its_code_and_by_its_name(name):
 
 
 @pytest.mark.parametrize(("asked", "near"), [
-    ("CL128", "CL130"), ("cl399", "CL365"), ("wal", "wall"), ("thruput", "throughput"), ("qqq", "lists all"),
+    ("CL128", "CL130"), ("cl399", "CL370"), ("wal", "wall"), ("thruput", "throughput"), ("qqq", "lists all"),
 ])  # fmt: skip
 def test_what_is_unknown_is_answered_with_what_is_nearest(asked, near, capsys):
     with pytest.raises(Unexplained, match=near):
@@ -71,3 +71,30 @@ def test_the_command_prints_text_json_and_the_list(capsys):
     assert all(code in listed for code in CODES.values())
     assert main(["explain", "--json"]) == 0
     assert {e["code"] for e in json.loads(capsys.readouterr().out)} >= set(CODES.values())
+
+
+@pytest.mark.parametrize("old", ["file_rms", "file_eta", "file_delta", "file-rms"])
+def test_a_former_name_gives_the_check_and_says_what_it_is_called_now(old):
+    new = old.replace("-", "_").replace("file_", "faithful_")
+    entry = explain(old)
+    assert entry.code == CODES[new]
+    assert f"now called {new}" in entry.title
+    assert Check(new, "pass", "x").to_dict()["alias"] == old.replace("-", "_")
+    assert "alias" not in Check("law_rms", "pass", "x").to_dict()
+
+
+@pytest.mark.parametrize(("word", "says"), [
+    ("role", "optical-master"), ("master", "made from"), ("optical-master", "made from"), ("shape-preview", "looking"),
+    ("preview", "looking"), ("scan", "never called fit"), ("other", "no verdict"), ("verdict", "not judged"),
+    ("shape only", "coarsely"), ("shape-only", "coarsely"), ("not judged", "nothing optical"), ("not-judged", "nothing optical"),
+    ("diffraction", "λ/w"), ("best pitch", "viewer"), ("F-number", "Focal length"),
+])  # fmt: skip
+def test_the_words_of_roles_and_verdicts_are_explained(word, says):
+    assert says in explain(word).means
+
+
+def test_tilt_says_what_it_measures():
+    entry = explain("tilt")
+    assert "turn" in entry.means
+    assert "acts on light as δ does" in entry.means
+    assert "tells them apart" not in entry.why

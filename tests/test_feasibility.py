@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from math import acos, atan, degrees, hypot, sqrt
 
@@ -211,8 +212,13 @@ def test_the_field_of_view_ghost_onset_and_blur_follow_the_closed_forms(paper):
     assert paper.offset_blur == pytest.approx((1.25 * 0.005, 2 * 0.005))
     assert paper.diffraction_blur == pytest.approx((550e-9 / 0.00125, 550e-9 / 0.005))
     assert paper.lenses[1].f_number == pytest.approx((2.0, 5.0))
-    # balance of diffraction and pixel seen from a metre, physics: sqrt(λ D / |η|)
-    assert paper.pixel == pytest.approx(sqrt(550e-9 / 0.25))
+    assert paper.first_zero == pytest.approx(paper.diffraction_blur)  # a rectangle along the axes is a slit
+
+
+@pytest.mark.parametrize(("eta", "width"), [((-0.25, -1.0), 1.0), ((-2.0, -1.0), 0.5), ((-4.0, -0.5), 0.25)])
+def test_the_best_pitch_is_that_of_the_beam_that_comes_back_to_the_viewer(eta, width):
+    """Light from the far side leaves lens 1 with p·min(1, 1/|η|): pitch and λD/beam balance at √(λD/min(1, 1/|η|))."""
+    assert feasibility(window_of({"law.eta": list(eta)})).pixel == pytest.approx(sqrt(550e-9 / width))
 
 
 def test_the_undeviated_direction_goes_through_both_lens_centres():
@@ -281,3 +287,20 @@ def test_the_rows_for_a_person_carry_the_numbers(paper):
     assert rows["lens 2", "cover"].value == "0.80902"
     assert rows["view", "half field, lens x, y"].value.startswith(f"{degrees(atan(0.0625)):.6g}")
     assert rows["array2", "pieces, holes"].value == "200, 0"
+
+
+def test_derived_numbers_that_need_it_say_what_they_mean(paper, capsys):
+    from clacad.cli import main
+
+    rows = {row.name: row for row in describe(window_of(), paper)}
+    for name, words in (("F-number x, y", "focal length over"), ("best pitch seen from 1 m", "viewer before array 1"),
+                        ("diffraction, lens x, y", "λ/w"), ("diffraction, first zero, lens x, y", "first dark line"),
+                        ("Fresnel number", "(w/2)²/(λ f2)")):  # fmt: skip
+        assert words in rows[name].means
+    assert not [row for row in rows.values() if not row.means and row.name != "pieces, holes"]
+    assert main(["check", "designs/paper-a-covered.toml", "--json"]) == 0
+    told = {row[1]: row for row in json.loads(capsys.readouterr().out)["derived"]}
+    assert told["best pitch seen from 1 m"][2:4] == ["0.00074162", "m"]  # 0.742 mm: √(550 nm × 1 m)
+    assert told["F-number x, y"][4] == rows["F-number x, y"].means
+    assert main(["check", "designs/paper-a-covered.toml"]) == 0
+    assert "viewer before array 1" in capsys.readouterr().out

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "clacad"
 
 LAYER = {
     # arithmetic and tables without optics: anything may use them, they use nothing
-    "compensated": -1, "sobol": -1, "process": -1, "log": -1, "rates": -1,
+    "compensated": -1, "sobol": -1, "process": -1, "log": -1, "rates": -1, "digits": -1, "aperture": -1,
     # 0 mathematics: numpy only, not each other
     "law": 0, "lattice": 0, "surface": 0, "material": 0, "rays": 0,
     # 1 nouns

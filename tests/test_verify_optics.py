@@ -90,6 +90,114 @@ def test_a_wrong_window_is_caught_by_name(window, culprit):
     assert culprit in failed(judged(window()))
 
 
+def euler_matrix(degrees):
+    """Rz(psi) Rx(theta) Rz(phi) about fixed axes, written out."""
+    (cf, ct, cp), (sf, st, sp) = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    about_z = np.array([[cf, -sf, 0.0], [sf, cf, 0.0], [0.0, 0.0, 1.0]])
+    lean = np.array([[1.0, 0.0, 0.0], [0.0, ct, -st], [0.0, st, ct]])
+    return np.array([[cp, -sp, 0.0], [sp, cp, 0.0], [0.0, 0.0, 1.0]]) @ lean @ about_z
+
+
+def tilted_otherwise(design, euler):
+    """A window with other angles, and the delta that leaves the undeviated direction (and the whole offset) as it was."""
+    weight = 1.0 - np.array(design.law_spec.eta)
+    straight = euler_matrix(design.law_spec.euler_degrees) @ [
+        *(np.array(design.law_spec.delta) / weight),
+        1.0,
+    ]
+    seen = euler_matrix(euler).T @ straight
+    delta = weight * seen[:2] / seen[2]
+    return prescribe(design.replace({"law.euler": list(euler), "law.delta": [float(d) for d in delta]}))
+
+
+ANGLES = {
+    "slab, all seven": ("slab", [-0.5, -1.0], [0.01, -0.02], [30.0, 1.0, 20.0]),
+    "biconvex, turned": ("biconvex", [-0.25, -1.0], [0.0, 0.0], [45.0, 0.5, 0.0]),
+    "biconvex, upright": ("biconvex", [-0.25, -1.0], [0.01, 0.02], [0.0, 0.0, 0.0]),
+    "one virtual focus": ("slab", [0.5, -1.0], [0.01, 0.0], [10.0, 0.0, 0.0]),
+}
+
+
+def angled(name):
+    form, eta, delta, euler = ANGLES[name]
+    pair = {"form": form, "separation": 10.0, "index": 1.5}
+    return Design.from_dict({
+        "format": 1, "name": "angled", "unit": "mm", "law": {"eta": eta, "delta": delta, "euler": euler},
+        "pair": pair if form == "slab" else pair | {"thickness": "auto", "confocal": "exact"},
+        "lattice": {"pitch": 0.5, "count": [4, 4]},
+    })  # fmt: skip
+
+
+def by_light(design, window):
+    claimed = replace(window, law=design.law)
+    seen = measure(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS)
+    return {c.id: c for c in law_checks(design, seen)}
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_meridians_turned_with_delta_to_suit_fail_tilt_alone_and_the_right_ones_pass(name):
+    design = angled(name)
+    right = by_light(design, prescribe(design))
+    assert right["tilt"].state == "pass"
+    assert right["tilt"].required
+    phi, theta, psi = design.law_spec.euler_degrees
+    for turn in (1.0, -0.5):
+        wrong = by_light(design, tilted_otherwise(design, (phi + turn, theta, psi)))
+        assert {wrong[c].state for c in ("eta", "delta", "law_rms")} == {"pass"}
+        assert wrong["tilt"].state == "fail"
+        assert wrong["tilt"].value == pytest.approx(abs(turn), rel=0.02)
+        assert np.degrees(wrong["tilt"].detail["turn"]) == pytest.approx(turn, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_a_lean_with_delta_to_suit_is_the_same_sheet_to_light_and_the_check_says_that(name):
+    """Half a degree of lean: exit directions differ by less than a tenth of the limits of delta and of law_rms."""
+    design = angled(name)
+    right, other = (
+        prescribe(design),
+        tilted_otherwise(design, np.add(design.law_spec.euler_degrees, (0.0, 0.5, 0.0))),
+    )
+    rays = bundle(right, RAYS, design.check.field, design.check.field_centre).rays
+    one, two = trace(right, rays), trace(other, rays)
+    both = (one.fate == Fate.ALIVE) & (two.fate == Fate.ALIVE)
+    apart = np.sqrt(np.mean(np.sum((one.direction - two.direction)[both] ** 2, axis=1)))
+    assert apart < 0.1 * min(design.check.delta, design.check.law_rms)
+    tilt = by_light(design, other)["tilt"]
+    assert tilt.state == "pass"
+    assert "theta and delta act alike" in tilt.sentence
+
+
+def test_round_lenses_have_no_turn_to_see_and_tilt_is_delta_as_an_angle():
+    design = angled("slab, all seven").replace({"law.eta": [-1.0, -1.0]})
+    tilt = by_light(design, prescribe(design))["tilt"]
+    assert (tilt.state, tilt.required) == ("pass", False)
+    assert "this is delta as an angle" in tilt.sentence
+    moved = by_light(design, prescribe(design.replace({"law.delta": [0.01, -0.026]})))  # limit 0.005
+    assert moved["tilt"].state == "fail"
+    assert moved["tilt"].value == pytest.approx(np.degrees(0.006 / 2.0), rel=0.02)
+
+
+def test_meridians_that_differ_fail_by_their_difference_not_by_a_defect_within_its_limit():
+    """Only the x curvature of lens 2 is off: within the 2 % of thin designs, beyond 0.002 between the meridians."""
+    thin = BASE.replace({"law.delta": [0.0, 0.0], "law.euler": [0.0, 0.0, 0.0], "check.confocality": 0.02})
+    window = prescribe(thin)
+
+    def bent(face):
+        s = face.surface
+        return replace(face, surface=Quadric(s.curvature_x / 1.02, s.curvature_y, s.kappa, s.side))
+
+    second = window.bodies[1]
+    wrong = replace(
+        window, bodies=(window.bodies[0], replace(second, front=bent(second.front), back=bent(second.back)))
+    )
+    found, check = confocality(wrong), confocality_check(thin, wrong)
+    assert found.defect < 0.02
+    assert check.state == "fail"
+    assert check.value == pytest.approx(abs(found.shift[0] - found.shift[1]) / found.distance)
+    assert (check.limit, check.unit) == (0.002, "of separation, between meridians")
+    assert check.value > check.limit
+
+
 def test_a_defocus_of_one_percent_breaks_position_independence():
     """Rays that enter parallel no longer leave parallel (the paper's own condition)."""
     near = BASE.replace(

@@ -7,6 +7,7 @@ from math import isinf
 from typing import Any
 
 from clacad.cli.console import size, table
+from clacad.digits import shown
 from clacad.rates import span_text
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
@@ -15,8 +16,8 @@ MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
 def derived_text(rows: Iterable[Sequence[str]]) -> str:
     """Rows of derived numbers, one block for each thing they are about."""
     blocks: dict[str, list[list[str]]] = {}
-    for about, name, value, unit in rows:
-        blocks.setdefault(about, []).append([name, value, unit])
+    for about, name, value, unit, means in rows:
+        blocks.setdefault(about, []).append([name, value, unit, means])
     return "\n".join(f"{about}\n{table(lines)}" for about, lines in blocks.items())
 
 
@@ -25,7 +26,8 @@ def checks_text(checks: Iterable[Any]) -> str:
     lines = []
     for check in checks:
         name = f"{check.id} ({check.subject})" if check.subject else check.id
-        lines.append([MARKS[check.state], name, number(check.value), limit_text(check), check.sentence])
+        value, limit = against(check)
+        lines.append([MARKS[check.state], name, value, limit, check.sentence])
     return table(lines)
 
 
@@ -42,22 +44,15 @@ def verdicts_text(verdicts: Iterable[Any]) -> str:
     return table(lines)
 
 
-def limit_text(check: Any) -> str:
-    """The limit as text, with its sense."""
+def against(check: Any) -> tuple[str, str]:
+    """Value, and limit with its sense, of a check, in as many digits as the comparison needs."""
+    value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state)
+    value = "-" if check.value is None else value
     if check.limit is None:
-        return ""
+        return value, ""
     if isinstance(check.limit, float) and isinf(check.limit):
-        return "no limit"
-    return f"{check.relation} {number(check.limit)} {check.unit}".rstrip()
-
-
-def number(value: Any) -> str:
-    """A number as a person reads it."""
-    if value is None:
-        return "-"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return str(value)
+        return value, "no limit"
+    return value, f"{check.relation} {limit} {unit}".rstrip() + note
 
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:

@@ -1,7 +1,7 @@
 """Diffraction at the lenslets, incoherent between cells.
 
 *Model.* The light of one telescopelet leaves through a slit in each lens axis, as wide as what is lit: the overlap of
-lens 1's image with the lens 2 it meets. Each ray's exit direction cosines are changed by a draw from Fraunhofer's
+lens 1's image with the lens 2 it meets (a cell turned against the axes: the slit with the same core). Each ray's exit direction cosines are changed by a draw from Fraunhofer's
 sinc²(π w Δ/λ). Draws are deterministic.
 *Law.* Draws follow the slit's pattern; the change vanishes as λ → 0.
 *On when* λ/w (first zero), axes in quadrature, exceeds the angle that matters. Below Fresnel number 1 the ray picture
@@ -16,15 +16,15 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.aperture import equivalent_widths
 from clacad.effects.block import Block, Crossing
 from clacad.effects.draws import uniform
 from clacad.effects.passes import Effect, Stage
 from clacad.effects.setting import Setting
 from clacad.effects.situation import Bound, Situation
-from clacad.lattice import polygon_area
 from clacad.rays import NO_CELL, Fate
 from clacad.sheet import Window
-from clacad.vignetting import ThinCells, thin_cells
+from clacad.vignetting import ThinCells, lit_zone, thin_cells
 
 NAME = "diffraction"
 SALT = 2
@@ -62,8 +62,8 @@ def effect(window: Window, setting: Setting) -> Effect:
 def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) -> Floats:
     """Width (m, 2) along the lens axes of what is lit of lens 2, lengths.
 
-    Overlap of the boxes round lens 1's image and the lenslet met, scaled for cells whose sides are not along the
-    lens axes by how much of their box they fill.
+    In the middle of the field the equivalent width of what is lit (`clacad.aperture`); off it, and for ghosts, as much
+    less as the overlap of the boxes round lens 1's image and the lenslet met is narrower. Exact for cells along the axes.
     """
     image, zone = cells.image, cells.zone
     known = (order != NO_CELL).all(axis=1)
@@ -74,11 +74,7 @@ def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) ->
     far = np.minimum(zone.max(axis=0), image.max(axis=0) + shift)
     whole = np.minimum(np.ptp(zone, axis=0), np.ptp(image, axis=0))
     overlap = np.where(known[:, None], np.clip(far - near, 0.0, None), whole)
-    return np.asarray(overlap * np.sqrt(_filled(zone)))
-
-
-def _filled(polygon: Floats) -> float:
-    return abs(polygon_area(polygon)) / float(np.prod(np.ptp(polygon, axis=0)))
+    return np.asarray(overlap * (equivalent_widths(lit_zone(cells)) / whole))
 
 
 def sinc_squared(u: Floats) -> Floats:
@@ -104,7 +100,7 @@ def _table() -> tuple[Floats, Floats]:
 
 
 def bound(situation: Situation) -> Bound:
-    """λ over the lit width (first zero of the slit), for the mean lit width of the rays that pass."""
+    """λ over the lit width (first zero of that slit), for the mean lit width of the rays that pass."""
     lines = situation.wavelengths
     if not lines:
         return Bound(0.0, 0.0, "neither design nor scene has a wavelength: not bounded", COST, known=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from difflib import get_close_matches
 
 from clacad.cell_complex.refusal import CODES as BODIES
@@ -11,8 +12,9 @@ from clacad.design.units import LENGTHS, Unit
 from clacad.explain.entry import Entry
 from clacad.explain.mistakes import MISTAKES
 from clacad.explain.rules import CHECKS
-from clacad.explain.words import WORDS
+from clacad.explain.words import SYNONYMS, WORDS
 from clacad.verify.checks import CODES as JUDGED
+from clacad.verify.checks import FORMER
 
 __all__ = ["Entry", "Unexplained", "entries", "explain"]
 
@@ -37,12 +39,21 @@ def entries() -> dict[str, Entry]:
         means, why, formula, do = CHECKS[name]
         found[code] = Entry(code, name, f"check {name}", means, why, formula, do)
     for word, (means, key) in WORDS.items():
-        found[word] = Entry("", word, word, means, "", "", f"see {key} of the design file" if key else "")
+        found[word] = Entry("", word, word, means, "", "", _see(key))
     return found
+
+
+def _see(key: str) -> str:
+    """Where to set what a word means."""
+    if not key:
+        return ""
+    return f"see clacad {key}" if " " in key else f"see {key} of the design file"
 
 
 def explain(asked: str) -> Entry:
     """Look up a code ("CL337", "cl337", "337"), a check ("wall"), a word ("moire") or a key ("pair.web").
+
+    The former name of a check gives the check, and says what it is called now.
 
     Raises
     ------
@@ -55,7 +66,12 @@ def explain(asked: str) -> Entry:
         return known[code]
     by_name = {entry.name: entry for entry in known.values() if entry.name}
     folded = word.lower().replace("é", "e").replace("-", "_")
-    for name in () if "." in folded else (folded, folded.replace("_", " ")):
+    former = {old: name for name, old in FORMER.items()}
+    if folded in former:
+        now = by_name[former[folded]]
+        return replace(now, title=f"{now.title} ({folded} is now called {now.name})")
+    folded = SYNONYMS.get(folded, folded)
+    for name in () if "." in folded else (folded, folded.replace("_", " "), folded.replace("_", "-")):
         if name in by_name:
             return by_name[name]
     key = _key(folded)

@@ -1,4 +1,4 @@
-"""Explanations of the checks of a design, of light through it and of its files: CL301 … CL365, by check name."""
+"""Explanations of the checks of a design, of light through it and of its files: CL301 … CL370, by check name."""
 
 from __future__ import annotations
 
@@ -29,13 +29,19 @@ CHECKS: dict[str, Text] = {
         "Check the sign: δ_i = d_i/f1_i, with a different f1 in x and y.",
     ),
     "tilt": (
-        "Euler angles by which the fitted law is turned against the asked one.", "θ and δ act alike in first order; this tells them apart.",
-        "δ_eff = δ + (1 − η) θ", "Check euler_axes and the sign of θ: for θ > 0, ψ = 0 the axis leans to −y.",
+        "By how much the lenses are turned. Where η differs between the meridians light shows a turn of them about the lens axis, "
+        "and that is measured. A lean of the axis (θ) acts on light as δ does, in first order: of it only the angle is told that δ's "
+        "error amounts to. With the same η in both meridians that is all, and the check is δ as an angle.",
+        "Turned meridians lean the horizon, and η and δ hardly show it. Slopes squared would tell θ from δ, but aberration is larger.",
+        "turn: ½ atan2(J_xy + J_yx, J_xx − J_yy) of the slopes t' = J t + b in the lens frame; lean: |Δδ_i|/|1 − η_i|, "
+        "because δ_eff = δ + (1 − η) τ",
+        "Check φ + ψ, euler_axes and the sign of θ: for θ > 0, ψ = 0 the axis leans to −y.",
     ),
     "confocality": (
         "How far lens 2 would have to move along the axis to share a focal plane with lens 1.",
         "A pair that is not confocal has power: every telescopelet focuses or spreads light.",
-        "|Δz|/s, from rays a hair beside the axis ray; Φ = −Δz/(f1 f2)", "confocal = \"exact\" solves the thick lenses; for tilted plano pairs less tilt.",
+        "|Δz|/s of the worse meridian, from rays a hair beside the axis ray; Φ = −Δz/(f1 f2); between the meridians 0.002 at most",
+        "confocal = \"exact\" solves the thick lenses; for tilted plano pairs less tilt.",
     ),
     "spread": (
         "Rms angle of the exit directions of parallel light about their mean.", "It is the blur of a distant point.", "√⟨∠(d', ⟨d'⟩)²⟩",
@@ -55,8 +61,11 @@ CHECKS: dict[str, Text] = {
         "∠ of the axis ray to the law; ‖Φ‖ p/2", "Another recipe or form, or less tilt.",
     ),
     "fresnel_number": (
-        "Fresnel number of the lit width of a lenslet.", "Below 10 diffraction shows; below 1 rays mean nothing.",
-        "N = (w/2)²/(λ f2), w = p·min(1, |η|)", "A larger pitch or a shorter separation.",
+        "Fresnel number of what is lit of a lenslet, along the lens axis where it is least.",
+        "Below 10 diffraction shows; below 1 rays mean nothing.",
+        "N = (w/2)²/(λ f2); w = p·min(1, |η|) for cells along the lens axes, else √12 times the rms distance along the axis of what is "
+        "lit from its middle: a turned square keeps its own side",
+        "A larger pitch or a shorter separation.",
     ),
     "accounting": (
         "Every ray ends in exactly one fate, and none but invalid ones holds NaN.", "Otherwise light got lost in the program, not in the sheet.",
@@ -143,14 +152,83 @@ CHECKS: dict[str, Text] = {
     "shape": ("Distance of a file's surfaces from the exact faces; for a part that came back the mean over its cells, noise apart.",
               "A deviation that all cells share is the process; one cell's own is damage.",
               "1.1 × L²/8R for facets; 10⁻⁷ pitch for STEP", "Finer facets, or look at the deviation map."),
-    "faithful_rms": ("Direction error of light through the file's own surfaces against the exact ones.", "It is the file's share of the blur, the design's apart.",
-                 "≤ 1.25 × forecast from the facets' slope errors; 10⁻⁶ rad for STEP", "--quads or --slope-error finer, or STEP."),
-    "faithful_eta": ("η fitted to light through the file, against the design cut into the same facets.", "It finds wrong radii however coarse the facets are.",
-                 "max_i |η_i,file/η_i,design − 1|", "The part is not this design: wrong radius, index, separation or scale in z."),
-    "faithful_delta": ("δ fitted to light through the file, against the design cut into the same facets.", "It finds decentred or exchanged lenses.",
-                   "max_i |δ_i,file − δ_i,design|", "Check decentre of the arrays, sign of δ, and handedness."),
-    "file_law_rms": ("Rms angle between light through the file's triangles and the law; only if check.mesh_law_rms asks for it.",
-                     "For processes that print facets, facets count.", "√⟨∠(d', A d)²⟩", "Finer facets."),
+    "faithful_rms": (
+        "Direction error of light through the file's own surfaces against the design's exact ones: is the file the design, cut as it "
+        "says it is? It does not say whether light obeys the law through it: file_law_rms does.",
+        "Facets that are as coarse as stated are faithful; dents, noise and wrong corners are not.",
+        "≤ 1.25 × forecast from the facets' slope errors, and an absolute limit where no manifest states any; 10⁻⁶ rad for STEP",
+        "Export it again; if it came back from elsewhere, look at the deviation map.",
+    ),
+    "faithful_eta": (
+        "η fitted to light through the file, against the design cut into the same facets.",
+        "It finds wrong radii however coarse the facets are.", "max_i |η_i,file/η_i,design − 1|",
+        "The part is not this design: wrong radius, index, separation or scale in z.",
+    ),
+    "faithful_delta": (
+        "δ fitted to light through the file, against the design cut into the same facets.",
+        "It finds decentred or exchanged lenses.", "max_i |δ_i,file − δ_i,design|",
+        "Check decentre of the arrays, sign of δ, and handedness.",
+    ),
+    "file_law_rms": (
+        "Rms angle between light through the file's own triangles or faces and the asked law; limit law_rms, or check.mesh_law_rms if "
+        "given; fails a master, warns a preview.",
+        "Parts are made from the file, not from the design: facets that are too coarse bend light wherever they lie.",
+        "√⟨∠(d', A d)²⟩ over ALIVE rays through the file; a facet's slope error falls as its size",
+        "Finer facets (--quads, --slope-error, or 3MF, whose one cell repeated is small), or send the STEP; if the file is only looked "
+        "at, declare it: --role preview.",
+    ),
+    "file_law_bias": (
+        "Largest angle, over nine directions of the field, between the mean direction of light through the file and the law; fails a "
+        "master, warns a preview.",
+        "A mean error bends straight lines; a blur only softens them.", "max ∠(⟨d'⟩, A d) through the file; limit law_bias",
+        "Finer facets; if the exact surfaces miss it too (law_bias), the design.",
+    ),
+    "file_law_eta": (
+        "η fitted to light through the file less η fitted to the same rays through the exact surfaces; fails a master, warns a preview.",
+        "Four facets across a lens can show another magnification than was asked. The difference is taken because aberration alone "
+        "moves a fit over a degree by 1 to 2 %.",
+        "max_i |η_i,file/η_i,exact − 1|; limit check.eta", "Finer facets, or another file: wrong radius, index, separation or scale in z.",
+    ),
+    "file_law_delta": (
+        "δ fitted to light through the file less δ fitted to the same rays through the exact surfaces; fails a master, warns a preview.",
+        "An error of δ shifts the whole image.", "max_i |δ_i,file − δ_i,exact|; limit check.delta",
+        "Finer facets, or another file: arrays decentred, exchanged or mirrored.",
+    ),
+    "file_confocality": (
+        "How far array 2 would have to move along the normal for light through the file to keep to the law as well as through the exact "
+        "surfaces; fails a master, warns a preview.",
+        "A file whose arrays stand at the wrong distance focuses or spreads light.",
+        "argmin over Δz of the rms to the law, file less exact, same rays, worse axis, over the separation; limit check.confocality",
+        "Check the distance of the bodies in the file and its unit; finer facets.",
+    ),
+    "file_throughput": (
+        "Share of the light that passes the file's own triangles or faces by corresponding lenslets, over what thin lenses would keep; "
+        "fails a master, warns a preview.",
+        "Light that a facet throws on a wrong lenslet is lost to the image and seen as a ghost.",
+        "ALIVE/launched through the file ÷ V; limit check.throughput (0.9)", "Finer facets; if the exact surfaces miss it too (throughput), the design.",
+    ),
+    "file_normals": (
+        "Normals stored in a file (PLY, GLB) against the normals of the exact surface where they stand; fails in every role.",
+        "A renderer shades and refracts by the stored normals: wrong ones show another part. Right ones never make a master, for "
+        "parts are made from the facets.",
+        "∠(n_stored, n_surface) ≤ 2 × the facets' slope error", "Export it again; another program may have turned or recomputed the normals.",
+    ),
+    "bodies": (
+        "Whether a delivery holds every body of the design; a missing one is named in a warning.",
+        "Without its second array a sheet does not refract by the law, and nobody notices before assembly.",
+        "", "Export all bodies, or send the other file along; verify them together.",
+    ),
+    "placement": (
+        "Whether every instance of a repeated cell stands where the lattice has that cell: all placements are read, none is sampled.",
+        "One row of instances a few per cent of the pitch aside sends its light elsewhere, and no cell by itself is wrong.",
+        "|placement − lattice| ≤ 10⁻⁷ of the pitch, each cell exactly once", "Export it again; a program that moved instances must not be trusted with the rest.",
+    ),
+    "delivery": (
+        "Whether a delivery can be judged at all: it fails if no optical file was judged, as when it holds nothing but frames, baffles "
+        "or coupons, or when its manifest withholds its optical files.",
+        "Files that were compared byte by byte alone say nothing about light, so they cannot be passed.", "",
+        "Verify a folder with an optical master in it, with the manifest that was written with it, or the file by itself.",
+    ),
     "file_target": ("Whether a file keeps the error it was asked to be made with.", "An export that names a target has promised it.", "",
                     "Export with a finer setting."),
     "scale": ("Size of a file over the design's.", "Shrinkage moves partners apart by more than a cell in a large sheet.", "fitted scale, or extent over extent",

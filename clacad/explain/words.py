@@ -18,5 +18,24 @@ WORDS: dict[str, tuple[str, str]] = {
     "image shift": ("Turn of the whole image, d/f2 for arrays decentred by d.", "tolerances.decentre"),
     "residual power": ("Power a telescopelet has left: Φ = (f1 + f2 − s)/(f1 f2), in dioptres; 0 is afocal.", "tolerances.separation"),
     "yield": ("Share of sheets, made with the tolerances drawn at random, that keep every limit.", "tolerances"),
+    "role": ("What a file is for, kept in the manifest: optical-master, shape-preview, scan or other.", "export --role"),
+    "optical-master": ("A file parts are made from (STEP, BREP, maps and tables; a mesh fine enough): light through it must obey the law, or it fails.", "export --role FORMAT=master"),
+    "shape-preview": ("A file for looking, quoting and fit checks, never for making optics: light through it is measured and told, and misses are warnings.", "export --role FORMAT=preview"),
+    "scan": ("A measured surface of a made part, open or noisy: judged by light and shape, never called fit for making.", "verify --role scan"),
+    "other": ("A file that carries no light of the law (baffle, frame, coupon, drawing, scene): judged by hash and shape, and it counts for no verdict.", ""),
+    "verdict": ("What may be said of a file or a delivery: passed as optical master, shape only, failed, or not judged. A delivery's is the worst of its masters.", ""),
+    "shape only": ("The verdict on a file that is the design, but cut so coarsely that light through it misses the law: fit to look at. Exit status 1, or 0 where a preview was declared.", ""),
+    "not judged": ("The verdict on a delivery in which nothing optical was judged: it holds only other files, or its manifest withholds the optical ones. Exit status 1.", ""),
+    "diffraction": ("λ/w: w is √12 times the rms distance along a lens axis of what is lit of a lenslet from its middle, the width of a rectangle. The first zero is printed beside it.", ""),
+    "best pitch": ("√(λD/min(1, 1/|η|)): a pixel of this pitch looks as large as the diffraction of light that comes back through lens 1 to a viewer D away.", ""),
+    "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
-"""Meaning, and the key of the design file it belongs to."""
+"""Meaning, and the key of the design file (or the option) it belongs to."""
+
+SYNONYMS = {
+    "master": "optical-master",
+    "preview": "shape-preview",
+    "shape_only": "shape only",
+    "not_judged": "not judged",
+}
+"""Other names of words."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clacad.aperture import equivalent_widths, first_zeros
 from clacad.feasibility.bodies import body_facts, body_range, components, connectedness
 from clacad.feasibility.describe import Row, describe
 from clacad.feasibility.facts import (
@@ -21,7 +22,7 @@ from clacad.feasibility.facts import (
 )
 from clacad.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
 from clacad.sheet import Window
-from clacad.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, thin_cells
+from clacad.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, lit_zone, thin_cells
 
 __all__ = [
     "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "body_range", "components",
@@ -35,12 +36,15 @@ def feasibility(window: Window) -> Feasibility:
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
     ratio = [abs(m) for m in focal_ratio(window.thin)]
     width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
-    lit = [w * min(1.0, m) for w, m in zip(width, ratio, strict=True)]
+    zone = lit_zone(cells)
+    lit = equivalent_widths(zone)
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
     second = window.thin.focal_length[1]
     fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) for w, f in zip(lit, second, strict=True) if np.isfinite(f)]
-    shrink = min(1.0, *ratio)
+    back = min(
+        1.0, *(1.0 / m for m in ratio)
+    )  # light that comes back leaves lens 1 this much narrower than a cell
     return Feasibility(
         lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width)),
         bodies=bodies,
@@ -51,9 +55,10 @@ def feasibility(window: Window) -> Feasibility:
         half_field=half_field(cells),
         ghost_onset=ghost_onset(cells),
         offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
-        diffraction_blur=two(wave / w for w in lit),
+        diffraction_blur=two(wave / lit),
+        first_zero=two(wave * first_zeros(zone)),
         fresnel_number=min(fresnel),
-        pixel=float(np.sqrt(wave * VIEWING_DISTANCE / window.unit / shrink)),
+        pixel=float(np.sqrt(wave * VIEWING_DISTANCE / window.unit / back)),
         wavelength=wave * window.unit,
     )
 

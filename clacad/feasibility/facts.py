@@ -46,7 +46,7 @@ class LensFacts:
     least_normal_z : float
         Smallest z component of the unit normal over the zone; 0 or less is undercut.
     f_number : (x, y)
-        Focal length over the width of the zone.
+        Focal length over the full width of the zone along the lens axes.
     """
 
     array: int
@@ -133,11 +133,15 @@ class Feasibility:
     offset_blur : (x, y), lengths
         Full range of the ray offset on the sheet.
     diffraction_blur : (x, y), radians
-        First zero of the slit of the width that is lit.
+        λ/w along the lens axes, w the equivalent width of what is lit of lens 2 in the middle of the field: the slit
+        whose pattern has the same core (see `clacad.aperture`).
+    first_zero : (x, y), radians
+        Of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a rectangle along them.
     fresnel_number : float
-        Least over the axes, of the lit width at lens 2.
+        (w/2)²/(λ |f2|), the least over the lens axes, with the same widths.
     pixel : float, length
-        Pitch that balances diffraction and pixel size seen from `VIEWING_DISTANCE`.
+        Pitch that balances diffraction and pixel size seen from `VIEWING_DISTANCE` before array 1: the beam that comes
+        back is p·min(1, 1/|η|) wide where it leaves lens 1.
     wavelength : float, metres
     """
 
@@ -151,6 +155,7 @@ class Feasibility:
     ghost_onset: Two
     offset_blur: Two
     diffraction_blur: Two
+    first_zero: Two
     fresnel_number: float
     pixel: float
     wavelength: float

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from clacad.digits import plainly, shown
 from clacad.feasibility import describe
 from clacad.report.fabrication import Line, fabrication, orientation
 
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 
 WORDS = {"pass": "pass", "fail": "FAIL", "warn": "warning", "not run": "not run"}
 SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}
-UNITS = {"rad": "mrad"}
-"""Angles are shown in mrad."""
-
 _CSS = {
     "passed as optical master": "pass",
     "passed as scan": "pass",
@@ -38,22 +36,17 @@ STATES = {"on": "simulated", "forced": "simulated, as asked", "off": "left out",
 
 def number(value: float | str | None, unit: str = "") -> str:
     """A value as the page shows it."""
-    if value is None:
-        return "–"
-    if isinstance(value, str):
-        return value
-    if value in (float("inf"), float("-inf")):
-        return "none"
-    return f"{1e3 * value:.4g}" if unit == "rad" else f"{value:.5g}"
+    return plainly(value, unit)[0]
 
 
 def row(check: Check) -> dict[str, Any]:
     """A check as text."""
+    value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state)
     return {
         "state": check.state, "word": WORDS[check.state], "css": check.state.replace(" ", "-"), "id": check.id,
-        "code": check.code, "subject": check.subject, "value": number(check.value, check.unit),
-        "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {number(check.limit, check.unit)}",
-        "unit": UNITS.get(check.unit, check.unit), "sentence": check.sentence, "where": check.where,
+        "code": check.code, "subject": check.subject, "value": value,
+        "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {limit}{note}",
+        "unit": unit, "sentence": check.sentence, "where": check.where,
         "bundle": check.bundle, "source": _source(check),
     }  # fmt: skip
 
@@ -163,11 +156,11 @@ class Content:
         return found
 
     @property
-    def derived(self) -> list[tuple[str, list[tuple[str, str, str]]]]:
-        """Derived numbers by what they are about."""
-        groups: dict[str, list[tuple[str, str, str]]] = {}
-        for about, name, value, unit in describe(self.report.window, self.report.facts):
-            groups.setdefault(about, []).append((name, value, unit))
+    def derived(self) -> list[tuple[str, list[tuple[str, str, str, str]]]]:
+        """Derived numbers by what they are about: name, value, unit, what it means."""
+        groups: dict[str, list[tuple[str, str, str, str]]] = {}
+        for about, name, value, unit, means in describe(self.report.window, self.report.facts):
+            groups.setdefault(about, []).append((name, value, unit, means))
         return list(groups.items())
 
     @property

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.digits import digits
 from clacad.export.truth import body_extent, whole_extent
 from clacad.feasibility import body_range
 from clacad.lattice import Circle
@@ -276,7 +277,7 @@ def lens_detail(report: Report, array: int) -> str:
     canvas.text((6, 14), f"lens {array + 1}, on {body.name}", "start", "title")
     canvas.text((374, 14), f"{scale_text(scale)}, mm", "end", "note")
     radius = ", ".join(mm_text(r * mm) if isfinite(r) else "flat" for r in lens.radius)
-    conic = ", ".join("–" if k is None else f"{k if abs(k) > 1e-12 else 0.0:.4g}" for k in lens.conic)
+    conic = ", ".join("–" if k is None else digits(k, count=4) for k in lens.conic)
     canvas.text((6, base + 56.0), f"apex radius x, y: {radius}", "start")
     canvas.text((6, base + 72.0), f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}", "start")
     return canvas.svg()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.digits import digits
 from clacad.export.truth import body_extent, body_volume, whole_extent
 from clacad.lattice import Circle, polygon_area
 from clacad.sheet import Window, optical_tile
@@ -38,7 +39,7 @@ class Line:
         """The value as it is printed."""
         if isinstance(self.value, str):
             return self.value
-        shown = [_digits(v) for v in self.value]
+        shown = [digits(v, "flat") for v in self.value]
         return shown[0] if len(set(shown)) == 1 and self.name.endswith("x, y") else ", ".join(shown)
 
     def to_dict(self) -> dict[str, Any]:
@@ -47,12 +48,6 @@ class Line:
             self.value if isinstance(self.value, str) else [v if isfinite(v) else None for v in self.value]
         )
         return {"about": self.about, "name": self.name, "value": value, "unit": self.unit}
-
-
-def _digits(value: float) -> str:
-    if not isfinite(value):
-        return "flat" if value != value or value > 0 else "none"
-    return f"{value:.6g}" if abs(value) > 1e-12 else "0"  # a conic constant of a sphere is rounding alone
 
 
 def fabrication(report: Report) -> tuple[Line, ...]:
@@ -95,7 +90,7 @@ def _sheet(window: Window, mm: float) -> list[Line]:
 
 def _lens(lens: LensFacts, mm: float) -> list[Line]:
     about = f"lens {lens.array + 1}"
-    conic = ", ".join("–" if k is None else _digits(k) for k in lens.conic)
+    conic = ", ".join("–" if k is None else digits(k) for k in lens.conic)
     return [
         Line(about, "apex radius x, y", tuple(r * mm for r in lens.radius)),
         Line(about, "conic constant x, y", conic, ""),

@@ -248,7 +248,13 @@ def budget_rows(report: Report) -> list[tuple[str, float, str]]:
                     "rms against the exact surfaces, worst cell",
                 )
             )
-    rows.append(("diffraction", max(facts.diffraction_blur), "first zero of the narrower width that is lit"))
+    rows.append(
+        (
+            "diffraction",
+            max(facts.diffraction_blur),
+            "wavelength over the narrower equivalent width that is lit",
+        )
+    )
     return [row for row in rows if np.isfinite(row[1])]
 
 

@@ -194,11 +194,11 @@ def _checks(content: Content) -> list[Block]:
 
 
 def _asked(content: Content) -> list[Block]:
-    derived = [(about, name, value, unit) for about, rows in content.derived for name, value, unit in rows]
+    derived = [(about, *row) for about, rows in content.derived for row in rows]
     return [
         _heading("Asked and built"),
         _table(("", "asked", "built or measured"), content.asked),
-        _table(("", "", "", "unit"), derived, (2,), 1),
+        _table(("", "", "", "unit", "what it means"), derived, (2,)),
     ]
 
 

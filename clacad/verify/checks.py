@@ -36,6 +36,13 @@ CODES: Mapping[str, str] = {
 }  # fmt: skip
 """Stable code of each check; a design may accept a warning by its code."""
 
+FORMER: Mapping[str, str] = {
+    "faithful_rms": "file_rms",
+    "faithful_eta": "file_eta",
+    "faithful_delta": "file_delta",
+}
+"""Names that checks had; kept in JSON as "alias", and known to `explain`."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -48,7 +55,7 @@ class Check:
     value, limit : float, str or None
         None where nothing was measured, or nothing is asked.
     unit : str
-    relation : "<=" or ">="
+    relation : "<=", ">=" or ">"
         How value and limit must stand.
     where : str
         law, thin, surfaces, geometry, or file.
@@ -93,6 +100,7 @@ class Check:
             "limit": plain(self.limit), "unit": self.unit, "relation": self.relation, "where": self.where,
             "bundle": self.bundle, "required": self.required, "source": self.source, "subject": self.subject,
             "sentence": self.sentence, "detail": plain(dict(self.detail)),
+            **({"alias": alias} if (alias := FORMER.get(self.id)) is not None else {}),
         }  # fmt: skip
 
 
@@ -122,7 +130,9 @@ def judge(
     state: State = "pass" if good else "fail"
     if good and near is not None and isfinite(limit):
         used = value / limit if relation == "<=" else limit / value if value else 1.0
-        state = "warn" if limit > 0.0 and used > near else "pass"
+        if limit > 0.0 and used > near:
+            state = "warn"
+            sentence += f"; that is {100.0 * used:.3g} % of the limit, and from {100.0 * near:.3g} % on it is a warning"
     return Check(id, state, sentence, value, limit, relation=relation, **rest)
 
 

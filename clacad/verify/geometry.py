@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import hypot, inf, isfinite, tan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -246,13 +246,9 @@ def _at_least(
     check = judge(
         id, value, limit, sentence, relation=">=", near=NEAR, unit=unit, subject=subject, source=source
     )
-    if limit == 0.0 and value <= 0.0:
-        return Check(**{**_fields(check), "state": "fail"})
+    if limit == 0.0:  # 0 itself does not do
+        return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
     return check
-
-
-def _fields(check: Check) -> dict[str, Any]:
-    return {name: getattr(check, name) for name in Check.__dataclass_fields__}
 
 
 def _field(design: Design, facts: Feasibility) -> Check:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -158,13 +158,8 @@ def _faithful_rms(
     )  # fmt: skip
     if max(lost) > LOST:
         text = f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the triangles"
-        return Check(
-            **{
-                **{n: getattr(check, n) for n in Check.__dataclass_fields__},
-                "state": "fail",
-                "sentence": text,
-            }
-        )
+        return replace(check, state="fail", sentence=text, value=max(lost), limit=LOST, unit="of the rays, lost",
+                       source=f"fixed: {LOST:g} lost at most")  # fmt: skip
     return check
 
 

@@ -7,8 +7,8 @@ rays count, each once.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from math import degrees, hypot
+from dataclasses import dataclass, replace
+from math import degrees, hypot, inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,6 +32,9 @@ FIT_SCALE = 0.1
 
 FEWEST = 64
 """ALIVE rays below which a number is not given."""
+
+MERIDIANS = 0.002
+"""Difference of the two meridians' defects of confocality, over the separation, that is too much for any design."""
 
 POINT_RAYS = 4096
 SHARE_DIRECTIONS = 1024
@@ -73,6 +76,8 @@ class Optics:
     """Everything measured with light on one thing (exact surfaces, or a file's triangles).
 
     rms, worst : radians, over the ALIVE rays of the main bundle
+    turn : Turn or None
+        Of the lens meridians about the lens axis; None where no law could be fitted.
     field_rms : tuple of (field angle, rms), radians
         By ring of the cone.
     """
@@ -87,6 +92,21 @@ class Optics:
     fit_bundle: Bundle
     fit_rms: float
     fit_sigma: Mapping[str, float]
+    turn: Turn | None
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Turn of the lens meridians about the lens axis against the asked ones, as light shows it.
+
+    angle : radians
+        In (−π/2, π/2]; positive is φ more than asked.
+    doubt : radians
+        What light that the fit leaves unexplained could make of it; infinite where η is the same in both meridians.
+    """
+
+    angle: float
+    doubt: float
 
 
 def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
@@ -114,7 +134,7 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
         for direction in field_points(window, spec.field, spec.field_centre)
     )
     narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
-    law, rms, sigma = _fitted(window, narrow, send(narrow))
+    law, rms, sigma, turn = _fitted(window, narrow, send(narrow))
     return Optics(
         main=main,
         result=result,
@@ -126,6 +146,7 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
         fit_bundle=narrow,
         fit_rms=rms,
         fit_sigma=sigma,
+        turn=turn,
     )
 
 
@@ -174,15 +195,44 @@ def _field_point(window: Window, direction: Floats, send: Tracer) -> FieldPoint:
 
 def _fitted(
     window: Window, narrow: Bundle, result: TraceResult
-) -> tuple[Law | None, float, Mapping[str, float]]:
+) -> tuple[Law | None, float, Mapping[str, float], Turn | None]:
     alive = result.fate == Fate.ALIVE
     if alive.sum() < FEWEST:
-        return None, np.nan, {}
+        return None, np.nan, {}, None
+    into, out = narrow.rays.direction[alive], result.direction[alive]
     try:
-        fit = Law.fit(narrow.rays.direction[alive], result.direction[alive], axes=window.law)
+        fit = Law.fit(into, out, axes=window.law)
     except ValueError:  # light that leaves without depending on how it came: no law to speak of
-        return None, np.nan, {}
-    return fit.law, fit.rms, fit.sigma
+        return None, np.nan, {}, None
+    return fit.law, fit.rms, fit.sigma, turn_of(into, out, window.law)
+
+
+def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
+    """Measure by how much the lens meridians are turned about the lens axis.
+
+    Parameters
+    ----------
+    into, out : (n, 3) directions
+    law : Law
+        Says where the axis and the meridians should be, and which η belongs to which.
+
+    Notes
+    -----
+    In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have
+    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. So α is seen in first order, unlike a
+    lean of the axis: that shifts b alone, as δ does, and only slopes squared tell the two apart (aberration hides it).
+    """
+    before, after = into @ law.rotation, out @ law.rotation
+    slope, exit_slope = (d[:, :2] / d[:, 2:] for d in (before, after))
+    slope = slope - slope.mean(axis=0)
+    system = np.column_stack([slope, np.ones(len(slope))])
+    found = np.linalg.lstsq(system, exit_slope, rcond=None)[0]
+    rest = exit_slope - system @ found
+    unlike = 1.0 / law.eta_x - 1.0 / law.eta_y
+    sense = -1.0 if unlike < 0.0 else 1.0
+    angle = 0.5 * np.arctan2(sense * (found[0, 1] + found[1, 0]), sense * (found[0, 0] - found[1, 1]))
+    seen = abs(unlike) * float(np.sqrt(np.mean(slope**2, axis=0)).min())
+    return Turn(float(angle), float(np.sqrt(np.mean(rest**2))) / seen if seen > 0.0 else inf)
 
 
 # -- judging ------------------------------------------------------------------------------------
@@ -273,28 +323,39 @@ def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, 
         ),
     ]  # fmt: skip
     if names[2]:
-        found.append(_tilt(design, eta, delta, names[2], common))
+        found.append(_tilt(design, delta, seen.turn, names[2], common))
     return found
 
 
-def _tilt(design: Design, eta: Floats, delta: Floats, name: str, common: Mapping[str, Any]) -> Check:
-    """Turn of the lens axis that would explain the measured light if δ were as asked.
+def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: Mapping[str, Any]) -> Check:
+    """Judge how the lenses are turned: about their axis by light, and their lean as what δ's error amounts to.
 
-    θ and δ act as one offset, δ + (1 − η)τ to first order, so the limit of δ is a limit of the tilt.
+    A lean of the axis and δ act as one offset, δ + (1 − η)τ to first order, so that the limit of δ is one of the lean,
+    and of the turn. A turn shows where the two η differ, and is required there.
     """
-    del eta
     asked = design.law
-    weight = np.array([1.0 - asked.eta_x, 1.0 - asked.eta_y])
-    acts = np.abs(weight) > 1e-6
+    weight = np.abs([1.0 - asked.eta_x, 1.0 - asked.eta_y])
+    acts = weight > 1e-6
     if not acts.any():
         return not_run(name, "with eta = 1 a tilt does nothing to light", required=False, **common)
-    tilt = np.where(acts, delta / np.where(acts, weight, 1.0), 0.0)
-    limit = design.check.delta / float(np.abs(weight[acts]).max())
-    value = float(hypot(*tilt))
-    sentence = f"if delta is as asked, the lenses stand {degrees(value):.4g} deg from the asked tilt"
+    lean, limits = np.abs(delta[acts]) / weight[acts], design.check.delta / weight[acts]
+    value, limit = float(lean[np.argmax(lean / limits)]), float(limits[np.argmax(lean / limits)])
+    text = f"theta and delta act alike: the error of delta is that of lenses which lean by {degrees(hypot(*lean)):.3g} deg"
+    allowed = float(limits.min())
+    measured = turn is not None and (turn.doubt <= allowed or abs(turn.angle) > allowed + turn.doubt)
+    if turn is not None and measured:
+        text = f"the lenses' meridians stand turned by {degrees(turn.angle):.3g} deg about their axis; for its lean, {text}"
+        if abs(turn.angle) / allowed >= value / limit:
+            value, limit = abs(turn.angle), allowed
+    else:
+        alike = (
+            "the same" if asked.eta_x == asked.eta_y else "too alike for light to show a turn of the lenses"
+        )
+        text = f"eta_x and eta_y are {alike}, so this is delta as an angle; {text}"
     return judge(
-        name, degrees(value), degrees(limit * float(np.sqrt(acts.sum()))), sentence, unit="deg", source="delta",
-        detail={"about": tilt.tolist()}, **common,
+        name, degrees(value), degrees(limit), text, unit="deg", source="delta", required=measured,
+        detail={"lean": lean.tolist(), "turn": None if turn is None else turn.angle,
+                "doubt": None if turn is None else turn.doubt, "measured": measured}, **common,
     )  # fmt: skip
 
 
@@ -351,13 +412,12 @@ def confocality_check(design: Design, window: Window) -> Check:
         bundle="four differential rays about the axis ray",
         detail={"shift": found.shift, "distance": found.distance, "between_meridians": between, "power": found.power},
     )  # fmt: skip
-    if between > 0.002:
-        text = f"{sentence}; the two meridians differ by {between:.4g}, more than 0.002"
-        return Check(
-            **{
-                **{n: getattr(check, n) for n in Check.__dataclass_fields__},
-                "state": "fail",
-                "sentence": text,
-            }
+    if between > MERIDIANS and check.state != "fail":
+        text = (
+            f"{sentence}; the two meridians differ by {between:.4g} of that distance, more than {MERIDIANS:g}"
         )
+        return replace(
+            check, state="fail", value=between, limit=MERIDIANS, unit="of separation, between meridians", sentence=text,
+            source="fixed: no design may differ more between its meridians",
+        )  # fmt: skip
     return check

@@ -1,0 +1,114 @@
+"""Numbers as text for people: values of a design, and a value beside the limit it is held against."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from decimal import Decimal
+from math import isfinite, isnan
+from numbers import Real
+from typing import Any, NamedTuple
+
+ROUNDING = 1e-12
+"""Below this a number of a design, in a unit near its sizes, is what rounding leaves of an exact 0."""
+
+SHOWN_IN = {"rad": (1000, "mrad")}
+"""Units that are shown in another one: factor and name."""
+
+DIGITS = 5
+"""Significant digits of a value beside its limit, unless more are needed to tell them apart."""
+
+MOST = 17
+"""Digits that tell any two float64 numbers apart."""
+
+
+def digits(value: float, infinite: str = "unlimited", count: int = 6) -> str:
+    """Significant digits of a number of a design; what rounding leaves of 0 is 0.
+
+    infinite : what is said of +∞ (a radius: flat); −∞ and NaN are "none".
+    """
+    if not isfinite(value):
+        return infinite if value > 0.0 else "none"
+    return f"{value:.{count}g}" if abs(value) > ROUNDING else "0"
+
+
+class Shown(NamedTuple):
+    """A value and its limit as text, the unit of both, and what stands beside a limit that does not explain the state."""
+
+    value: str
+    limit: str
+    unit: str
+    note: str = ""
+
+
+def shown(
+    value: float | str | None,
+    limit: float | str | None,
+    relation: str = "<=",
+    unit: str = "",
+    state: str = "",
+) -> Shown:
+    """Write a value and its limit with as many digits as the comparison needs.
+
+    Parameters
+    ----------
+    value, limit : float, text or None
+        None is "–"; an infinite limit is "none". Angles in rad are shown in mrad.
+    relation : "<=", "<", ">=", ">" or a word
+        The sense in which the value is held against the limit.
+    state : "pass", "fail", another, or ""
+        What was judged. Where a limit is kept and the state is "fail" all the same, that is said beside the limit.
+
+    Returns
+    -------
+    Shown
+        Printed numbers stand to one another in `relation` exactly if value and limit do.
+    """
+    factor, name = SHOWN_IN.get(unit, (1, unit))
+    holds = HOLDS.get(relation)
+    if holds is None or not (_finite(value) and _finite(limit)):
+        return Shown(_text(value, factor, DIGITS), _text(limit, factor, DIGITS), name)
+    truth = holds(value, limit)
+    texts = next(
+        (found for count in range(DIGITS, MOST + 1)
+         if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count)))) == truth),
+        (_exactly(value, factor), _exactly(limit, factor)),
+    )  # fmt: skip
+    return Shown(*texts, name, {("fail", True): ELSEWHERE, ("pass", False): UNBOUND}.get((state, truth), ""))
+
+
+ELSEWHERE = " (kept; it failed for what the text says)"
+"""Beside a limit that is kept by what failed."""
+
+UNBOUND = " (for comparison)"
+"""Beside a limit that is not kept by what passed."""
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and isfinite(value)
+
+
+def _exactly(value: Any, factor: int) -> str:
+    return str(Decimal(float(value)) * factor)
+
+
+HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {
+    "<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt,
+}  # fmt: skip
+"""Relations between a value and its limit."""
+
+
+def plainly(value: float | str | None, unit: str = "") -> tuple[str, str]:
+    """Write a value that stands by itself: its text, and the unit it is shown in."""
+    factor, name = SHOWN_IN.get(unit, (1, unit))
+    return _text(value, factor, DIGITS), name
+
+
+def _text(value: float | str | None, factor: int, count: int) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, str):
+        return value
+    if not isfinite(value):
+        return "not known" if isnan(value) else "none"
+    return str(factor * value) if isinstance(value, int) else f"{factor * value:.{count}g}"
