@@ -117,7 +117,7 @@ def measure_light(
         main,
         float(np.sqrt(np.mean(error**2))) if known else np.nan,
         float(error.max()) if known else np.nan,
-        bias, law, exact, _shift(window, main, seen, both), middle,
+        bias, law, exact, _shift(window, main, seen, truth, both), middle,
         (float(alive.mean()), closed), seen, truth,
     )  # fmt: skip
 
@@ -153,7 +153,9 @@ def _field(
     return np.array(found), middle
 
 
-def _shift(window: Window, main: Bundle, seen: TraceResult, both: np.ndarray[Any, Any]) -> Floats:
+def _shift(
+    window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: np.ndarray[Any, Any]
+) -> Floats:
     """Least-squares shift of array 2 (2,), file less exact, over the distance between the lenses.
 
     One step of Gauss and Newton with the change of directions of the exact surfaces: facets' own slopes do not change
@@ -167,13 +169,13 @@ def _shift(window: Window, main: Bundle, seen: TraceResult, both: np.ndarray[Any
     rays = Rays(main.rays.position[few] - [*centre, 0.0], main.rays.direction[few])
     through = [
         trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
-        for slide in (-SLIDE, 0.0, SLIDE)
+        for slide in (-SLIDE, SLIDE)
     ]
     good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
     across = window.thin.rotation[:, :2]
-    low, exact, high = (one.direction[good] @ across for one in through)
+    low, high = (one.direction[good] @ across for one in through)
     change = (high - low) / (2.0 * SLIDE)
-    less = seen.direction[few][good] @ across - exact
+    less = (seen.direction[few] - truth.direction[few])[good] @ across
     weight = (change**2).sum(axis=0)
     powered = weight > 1e-12 * max(float(weight.max(initial=0.0)), 1e-300)
     found = -(less * change).sum(axis=0) / np.where(powered, weight, 1.0)
