@@ -7,9 +7,9 @@ from math import sqrt
 
 import numpy as np
 
+from clacad.bundle import over_cell
 from clacad.sheet import Face, Window, column, lens_height_and_normal
 from clacad.sobol import sobol
-from clacad.bundle import over_cell
 from clacad.trace.facets import ExactFace, FacetBody, FacetFace, Floats, Ints, first_crossing, on_land
 from clacad.verify.gather import exact_height
 from clacad.vignetting import focal_ratio

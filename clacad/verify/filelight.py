@@ -28,14 +28,7 @@ from clacad.vignetting import share, thin_cells
 if TYPE_CHECKING:
     from clacad.design import Design
 
-IDS = (
-    "file_law_rms",
-    "file_law_bias",
-    "file_law_eta",
-    "file_law_delta",
-    "file_confocality",
-    "file_throughput",
-)
+IDS = ("file_law_rms", "file_law_bias", "file_law_eta", "file_law_delta", "file_confocality", "file_throughput")
 """Checks of light through a file."""
 
 POINT_RAYS = 4096
@@ -225,19 +218,11 @@ def _rms(
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = "law_rms" if spec.mesh_law_rms is None else "design file"
     if found.rms != found.rms:
-        return not_run(
-            "file_law_rms",
-            f"too little light gets through the file's {what}",
-            limit=limit,
-            unit="rad",
-            **common,
-        )
+        return not_run("file_law_rms", f"too little light gets through the file's {what}", limit=limit, unit="rad", **common)
     every = np.array([found.rms, *rms[1:]])
     worst = int(np.nanargmax(every))
     value = float(every[worst])
-    where = (
-        f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
-    )
+    where = f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
     sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
     if role is Role.SCAN and value > limit and noise > 0.0:
         rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
@@ -291,9 +276,7 @@ def _fitted(design: Design, found: FileLight, what: str, common: Mapping[str, An
 def _confocality(design: Design, found: FileLight, common: Mapping[str, Any]) -> Check:
     limit = design.check.confocality
     if np.isnan(found.shift).all():
-        return not_run(
-            "file_confocality", "too little light gets through the file to say", limit=limit, **common
-        )
+        return not_run("file_confocality", "too little light gets through the file to say", limit=limit, **common)
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "

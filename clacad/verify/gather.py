@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.bundle import central_cell
 from clacad.export.compare import rounding
 from clacad.export.instances import levels as levels
 from clacad.export.instances import owner as owner
@@ -15,7 +16,6 @@ from clacad.export.truth import distance_to_face
 from clacad.fixture.mark import pockets
 from clacad.mesh.bevel import in_corners
 from clacad.sheet import Face, Window, lens_height
-from clacad.bundle import central_cell
 from clacad.trace.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face, on_land
 
 RANDOM_CELLS = 4

@@ -13,9 +13,9 @@ from clacad.export.filemesh import FileMesh
 from clacad.export.instances import Standing, joined, measure_repeated, standing
 from clacad.feasibility import body_range
 from clacad.sheet import Window
+from clacad.trace.facets import Floats
 from clacad.verify.checks import Check
 from clacad.verify.deviation import FEWER, POINTS, deviation
-from clacad.trace.facets import Floats
 from clacad.verify.gather import Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshlight import MeshEvidence, light_checks
 from clacad.verify.meshnormals import normals_check

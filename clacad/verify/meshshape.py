@@ -11,9 +11,9 @@ import numpy as np
 from clacad.export.closed import Measure
 from clacad.export.truth import Integral, body_volume, whole_extent
 from clacad.sheet import Body, Window
+from clacad.trace.facets import on_land
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import Deviation, corner_distance
-from clacad.trace.facets import on_land
 from clacad.verify.gather import Gathered, exact_height, owner
 
 if TYPE_CHECKING:
@@ -114,7 +114,9 @@ def shape_check(
             return not_run("shape", "no triangles lie where the design has its faces", **common)
         return Check("shape", "fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
     worst = float(max(d.distance.max() for d in off))
-    at_corners = max(_corners(window, gathered, k, present) for k in range(len(off)))
+    at_corners = max(
+        _corners(window, gathered, k, present) for k in range(len(off)) if gathered.source(k) == k
+    )
     rms = float(np.max([d.slope_rms.max() for d in off]))
     detail: dict[str, Any] = {
         "distance": worst,
