@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.bundle import Bundle, bundle, launched
 from clacad.export.closed import Measure
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window
 from clacad.trace import trace
-from clacad.trace.facets import Floats, trace_facets
+from clacad.bundle import Bundle, bundle, launched
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import Deviation, forecast_rms
+from clacad.trace.facets import Floats, trace_facets
 from clacad.verify.gather import Gathered, Progress, telescopelet
 from clacad.vignetting import half_field, thin_cells
 

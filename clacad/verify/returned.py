@@ -14,10 +14,10 @@ import numpy as np
 
 from clacad.export.closed import measure
 from clacad.export.truth import whole_extent
-from clacad.trace.facets import Floats
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.deviationmap import DeviationMap, Mapper
+from clacad.trace.facets import Floats
 from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence, light_checks
