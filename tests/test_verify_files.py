@@ -72,9 +72,16 @@ def test_a_good_file_passes(tmp_path, soup):
     assert failed(report) == set()
     assert report.passed
     assert report.exit_status == 0
-    assert {"closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta", "scale", "pieces"} <= {
-        c.id for c in report.checks if c.state == "pass"
-    }
+    assert {
+        "closed",
+        "volume",
+        "shape",
+        "faithful_rms",
+        "faithful_eta",
+        "faithful_delta",
+        "scale",
+        "pieces",
+    } <= {c.id for c in report.checks if c.state == "pass"}
 
 
 @pytest.mark.parametrize(("change", "culprit"), [
@@ -150,7 +157,9 @@ def test_a_cut_file_without_manifest_cannot_be_read_and_nothing_after_it_is_gree
     report = verify(DESIGN, path, rays=RAYS)
     about = {c.id: c.state for c in report.checks if c.subject == "part.stl"}
     assert about["readable"] == "fail"
-    assert {about[name] for name in ("closed", "volume", "shape", "faithful_rms", "faithful_eta")} == {"not run"}
+    assert {about[name] for name in ("closed", "volume", "shape", "faithful_rms", "faithful_eta")} == {
+        "not run"
+    }
     assert report.exit_status == 1
 
 

@@ -16,7 +16,7 @@ from clacad.export.truth import distance_to_face
 from clacad.fixture.mark import pockets
 from clacad.mesh.bevel import in_corners
 from clacad.sheet import Face, Window, lens_height
-from clacad.trace.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face, on_land
+from clacad.trace.facets import WALL, AnyFace, ExactFace, FacetBody, FacetFace, Floats, facet_face, on_land
 
 RANDOM_CELLS = 4
 SLIVER = 1e-4
@@ -233,14 +233,14 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
     centre = window.lattice.centres(index)[0]
     bodies = []
     for number, body in enumerate(window.bodies):
-        faces: list[FacetFace | ExactFace] = []
+        faces: list[AnyFace] = []
         for side, face in enumerate((body.front, body.back)):
             shift = window.shifts[owner(body, face)]
             place = centre + np.asarray(shift)
             if present is None or body.name in present:
                 faces.append(_faceted(window, found, (number, side, cell), place, onto_design))
             else:
-                faces.append(ExactFace(face, np.array([*place, 0.0])))
+                faces.append(ExactFace(face, np.array([*place, 0.0]), window))
         bodies.append(FacetBody(faces[0], faces[1], body.index))
     return tuple(bodies)
 

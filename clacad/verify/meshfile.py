@@ -11,6 +11,7 @@ import numpy as np
 from clacad.export.closed import Measure, measure
 from clacad.export.filemesh import FileMesh
 from clacad.export.instances import Standing, joined, measure_repeated, standing
+from clacad.export.roles import Role
 from clacad.feasibility import body_range
 from clacad.sheet import Window
 from clacad.trace.facets import Floats
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 def judge_mesh(
     design: Design, window: Window, mesh: FileMesh, factor: float, name: str, stated: Mapping[str, Any], rays: int,
-    progress: Progress, present: Sequence[str] | None = None,
+    progress: Progress, present: Sequence[str] | None = None, role: Role = Role.MASTER,
 ) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
     """Measure a mesh file in one pass and judge it.
 
@@ -50,6 +51,8 @@ def judge_mesh(
         (stage, done 0 … 1).
     present : names of the bodies in the file, or None for all
         Light meets the others as the design has them.
+    role : Role
+        What the file is for.
     """
     held = held_part(window, present)
     bevel = (
@@ -78,7 +81,7 @@ def judge_mesh(
     checks.append(shape_check(design, window, gathered, off, name, stated, present))
     stored = normals_check(design, window, gathered, off, name)
     checks += [] if stored is None else [stored]
-    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present)
+    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
     return checks + light, replace(evidence, facts={**evidence.facts, "holds": holds})
 
 
