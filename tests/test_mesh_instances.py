@@ -102,8 +102,9 @@ def test_a_repeated_cell_gets_the_verdict_of_all_cells_written_out(tmp_path, suf
         other = once[name]
         assert (check.state, check.unit, check.required) == (other.state, other.unit, other.required), name
         if isinstance(check.value, float):
-            # a ray or two meets a facet's very edge, and rounding decides which of two facets it takes
-            room = 1e-4 * max(abs(check.value), abs(check.limit) if isinstance(check.limit, float) else 0.0)
+            # rays at dyadic places of a cell meet the very edges of its facets, where rounding decides between two
+            share = 2e-3 if name.startswith(("file_law", "faithful", "file_conf", "file_thr")) else 1e-6
+            room = share * max(abs(check.value), abs(check.limit) if isinstance(check.limit, float) else 0.0)
             assert other.value == pytest.approx(check.value, abs=room), name
         else:
             assert other.value == check.value
