@@ -101,15 +101,15 @@ def test_a_repeated_cell_gets_the_verdict_of_all_cells_written_out(tmp_path, suf
     for name, check in out.items():
         other = once[name]
         assert (check.state, check.unit, check.required) == (other.state, other.unit, other.required), name
+        # rays at dyadic places of a cell meet the very edges of its facets, where rounding decides between two
+        share = 2e-3 if name.startswith(("file_law", "faithful", "file_conf", "file_thr")) else 1e-6
         if isinstance(check.value, float):
-            # rays at dyadic places of a cell meet the very edges of its facets, where rounding decides between two
-            share = 2e-3 if name.startswith(("file_law", "faithful", "file_conf", "file_thr")) else 1e-6
             room = share * max(abs(check.value), abs(check.limit) if isinstance(check.limit, float) else 0.0)
             assert other.value == pytest.approx(check.value, abs=room), name
         else:
             assert other.value == check.value
         if isinstance(check.limit, float):
-            assert other.limit == pytest.approx(check.limit, rel=1e-6), name
+            assert other.limit == pytest.approx(check.limit, rel=share), name
     about, whole = once["closed"].detail, out["closed"].detail
     assert {k: about[k] for k in ("facets", "walls", "degenerate")} == {
         k: whole[k] for k in ("facets", "walls", "degenerate")
