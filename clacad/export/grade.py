@@ -179,7 +179,11 @@ class Grader:
             if not self._worth_tracing(quads):
                 continue
             far = quads > FINE and quads not in self._grades and abs(self.law_rms(quads) / aim - 1.0) > CLOSE
-            if self.law_rms(quads) <= aim if far or quads > 2 * FINE else self.grade(quads).within(self.limits, SAFE):
+            if (
+                self.law_rms(quads) <= aim
+                if far or quads > 2 * FINE
+                else self.grade(quads).within(self.limits, SAFE)
+            ):
                 return quads
         return None
 
@@ -271,7 +275,10 @@ class _Light:
             return nan, nan
         into = self.rays.direction[both]
         try:
-            laws = [Law.fit(into, found.direction[both], axes=self.window.law).law for found in (seen, self._truth)]
+            laws = [
+                Law.fit(into, found.direction[both], axes=self.window.law).law
+                for found in (seen, self._truth)
+            ]
         except ValueError:  # light that leaves without depending on how it came
             return nan, nan
         (here, here_at), (there, there_at) = (_slopes(law, law.rotation) for law in laws)

@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.export.compare import WALL, Promise
 from clacad.export.filemesh import Floats, Ints
+from clacad.export.limits import REPEATING
 from clacad.export.pieces import Piece, Places
 from clacad.sheet import Body, Face, Land, Window, lens_height_and_normal
 
@@ -117,7 +118,7 @@ class Meshes:
 
     def welded(self, quads: int, format: str) -> int:
         """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
-        repeats = format != "ply" and instanceable(self.window)
+        repeats = format in REPEATING and instanceable(self.window)
         return self.at(quads).cell.facet_count if repeats else self.facets(quads)
 
 
