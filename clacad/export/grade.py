@@ -7,7 +7,7 @@ tell where to look, and the grid that is looked for is traced itself. This is th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import hypot, inf, isfinite, nan, sqrt
@@ -189,7 +189,7 @@ class Grader:
 
     def _worth_tracing(self, quads: int) -> bool:
         """Whether a grid may be within the limits at all; never with surfaces that are not."""
-        if not self._light.exact <= self.limits.rms:
+        if not (self._light.exact <= self.limits.rms and self._light.exact_bias <= self.limits.bias):
             return False
         return self.law_rms(quads) <= NEAR * SAFE * self.limits.rms
 
@@ -233,13 +233,20 @@ class _Light:
         """Rms direction error (radians) of the exact surfaces."""
         return self._rms(self._truth)
 
+    @cached_property
+    def exact_bias(self) -> float:
+        """Worst angle (radians) of the mean direction to the law at a point of the field, exact surfaces."""
+        from clacad.trace import trace
+
+        return self._bias(lambda rays: trace(self.window, rays, path="numpy"))
+
     def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
         """Send the rays through facets."""
         from clacad.trace.facets import trace_facets
 
         seen = trace_facets(bodies, self.rays)
         stretch, offset = self._fitted(seen)
-        return Grade(quads, self._rms(seen), self._bias(bodies), stretch, offset)
+        return Grade(quads, self._rms(seen), self._bias(lambda rays: trace_facets(bodies, rays)), stretch, offset)
 
     def _rms(self, seen: TraceResult) -> float:
         from clacad.law import angle_between
@@ -250,15 +257,14 @@ class _Light:
             return nan
         return float(np.sqrt(np.mean(angle_between(seen.direction[good], self._asked[good]) ** 2)))
 
-    def _bias(self, bodies: tuple[FacetBody, ...]) -> float:
+    def _bias(self, send: Callable[[Rays], TraceResult]) -> float:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""
         from clacad.law import angle_between
         from clacad.rays import Fate
-        from clacad.trace.facets import trace_facets
 
         found = []
         for lit in self._points:
-            seen = trace_facets(bodies, lit.rays)
+            seen = send(lit.rays)
             good = seen.fate == Fate.ALIVE
             expected = self.window.law.refract(lit.rays.direction[:1])[0]
             if good.sum() >= FEWEST and np.isfinite(expected).all():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 COARSEST = 4
 """Facets of a declared preview of which nothing else was said."""
+
+COUNTED = (8, 16)
+"""Grids whose facets are counted; those of others follow."""
 
 TRACED = 256
 """Finest grid that is meshed only to tell a role; beyond it the formula of the coarser ones speaks."""
@@ -40,16 +43,12 @@ class Sizes:
         """Size of the file, about, from one that is small enough to be drawn up."""
         from clacad.export.forecast import forecast
 
-        drawn = min(quads, FINE if self._repeats(format) else 8)
+        drawn = min(quads, FINE if self._repeats(format) else COUNTED[1])
         row = forecast(self.meshes, [format], drawn)[0]
         facets = self.facets(format, quads)
         if format in limits.STL_FORMATS:
             return row.bytes + 50 * (facets - self.facets(format, drawn))
-        places = row.bytes - self._without_places(format, row)
-        return int(places + (row.bytes - places) * facets / max(1, self.facets(format, drawn)))
-
-    def _without_places(self, format: str, row: Forecast) -> int:
-        return row.bytes - (row.places if self._repeats(format) else 0)
+        return int(row.places + (row.bytes - row.places) * facets / max(1, self.facets(format, drawn)))
 
     def fits(self, format: str, quads: int) -> bool:
         """Whether a file of a format is within the limits of facets and bytes."""
@@ -67,17 +66,42 @@ class Sizes:
 
     @cached_property
     def _cell(self) -> tuple[float, float]:
-        return _law_of_growth(*(self.meshes.at(quads).cell.facet_count for quads in (4, 8)))
+        return _law_of_growth(*(self.meshes.at(quads).cell.facet_count for quads in COUNTED))
 
     @cached_property
     def _sheet(self) -> tuple[float, float]:
-        return _law_of_growth(*(self.meshes.facets(quads) for quads in (4, 8)))
+        return _law_of_growth(*(self.meshes.facets(quads) for quads in COUNTED))
 
 
-def _law_of_growth(four: int, eight: int) -> tuple[float, float]:
-    """Facets a cell side squared, and a cell side, from those at 4 and at 8 quads."""
-    square = (eight - 2 * four) / 32
-    return square, four / 4 - 4 * square
+@dataclass(frozen=True, slots=True)
+class Needed:
+    """What a master of one format would take.
+
+    quads : int, a cell side
+    bytes : int
+        Of the file, about.
+    fits : bool
+        Whether an export would write it without being forced.
+    """
+
+    quads: int
+    bytes: int
+    fits: bool
+
+
+def masters(grader: Grader, formats: Sequence[str]) -> dict[str, Needed]:
+    """Facets and bytes of a master in each mesh format; empty where no grid up to 1024 makes one."""
+    quads, sizes = grader.foreseen(), Sizes(grader.meshes)
+    if quads is None:
+        return {}
+    return {name: Needed(quads, sizes.bytes(name, quads), sizes.fits(name, quads)) for name in formats}
+
+
+def _law_of_growth(coarse: int, fine: int) -> tuple[float, float]:
+    """Facets a cell side squared, and a cell side, from those of the two grids that are counted."""
+    small, large = COUNTED
+    square = (fine / large - coarse / small) / (large - small)
+    return square, coarse / small - small * square
 
 
 def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> dict[str, int]:
