@@ -62,7 +62,7 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
         The file cannot be read.
     """
     size = os.stat(path).st_size
-    scan = scan_step(path)
+    scan = scanned(path)
     facts: dict[str, Any] = {
         "bytes": size, "schema": scan.schema, "name": scan.name, "names": scan.names, "colours": scan.colours,
         "millimetres": scan.millimetres, "solids": scan.solids, "faces": scan.faces, "dangling": scan.dangling,
@@ -184,6 +184,27 @@ class Loaded:
     pieces: list[Piece]
 
 
+def scanned(path: str | os.PathLike[str]) -> Scan:
+    """What the text of a file says; the last one is kept for the next call in this process.
+
+    Raises
+    ------
+    UnreadableFile
+        The file is no STEP file.
+    """
+    key = _state(path)
+    if key not in _SCANNED:
+        _SCANNED.clear()
+        _SCANNED[key] = scan_step(path)
+    return _SCANNED[key]
+
+
+def _state(path: str | os.PathLike[str]) -> tuple[str, int, int]:
+    found = os.stat(path)
+    return (os.fspath(path), found.st_size, found.st_mtime_ns)
+
+
+_SCANNED: dict[tuple[str, int, int], Scan] = {}
 _KEPT: dict[tuple[str, int, int], Loaded] = {}
 
 
@@ -195,8 +216,7 @@ def loaded(path: str | os.PathLike[str]) -> Loaded:
     UnreadableFile
         The kernel cannot read it.
     """
-    state = os.stat(path)
-    key = (os.fspath(path), state.st_size, state.st_mtime_ns)
+    key = _state(path)
     if key not in _KEPT:
         _KEPT.clear()
         shape = kernel_shape(path)

@@ -319,7 +319,7 @@ def _judge_one(
     if subject.entry and not {body.name for body in whole.bodies} >= set(subject.entry.get("bodies", ())):
         return [], FileReport(subject, "no part of the optics; judged by its bytes alone")
     if subject.is_solid:
-        found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
+        found, facts = judge_solid(design, whole, subject.path, subject.entry, progress, rays)
         if not subject.entry and lies_elsewhere(found):
             found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
             if placed is not None:
