@@ -7,7 +7,7 @@ trimmed it does not say here, so who asks must tell from where a hit lies.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.export.placing import Floats, applied
-from clacad.export.step_scan import Patches, Scan, patches_of
+from clacad.export.step_scan import Scan, patches_of
+from clacad.sheet import Face, Window
 from clacad.surface import refract
 
 ROUNDS = 30
@@ -27,10 +28,34 @@ EDGE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """One lens patch where it stands: control (m, n, 4) homogeneous, mm; sense −1 against du × dv."""
+    """One lens patch where it stands.
+
+    control : (m, n, 4) homogeneous, mm
+    sense : −1 if it faces against du × dv
+    middle : (2,) mm
+        x and y in the middle of its parameters; it belongs to the cell that holds this.
+    """
 
     control: Floats
     sense: float
+    middle: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Which cell of an array a point lies over: a patch may reach past the cell whose lens it is.
+
+    window : Window
+    array : 0 or 1
+    """
+
+    window: Window
+    array: int
+
+    def of(self, place: Floats) -> NDArray[np.int64]:
+        """Cells (n, 2) of points (n, 2), mm."""
+        at = place / (self.window.unit * 1e3) - np.asarray(self.window.shifts[self.array])
+        return self.window.lattice.locate(at[:, 0], at[:, 1])[0]
 
 
 def column_patches(scan: Scan, low: Floats, high: Floats) -> list[Patch]:
@@ -51,14 +76,17 @@ def column_patches(scan: Scan, low: Floats, high: Floats) -> list[Patch]:
                 if (over.max(axis=0) < low).any() or (over.min(axis=0) > high).any():
                     continue
                 control = np.concatenate([placed * weights[..., None], weights[..., None]], axis=-1)
-                found.append(Patch(control, float(sense)))
+                half = np.array([0.5])
+                middle = _surface(control, half, half)[0][0, :2]
+                found.append(Patch(control, float(sense), middle))
     return found
 
 
-def first_hits(patches: Sequence[Patch], position: Floats, direction: Floats, entering: bool
-               ) -> tuple[Floats, Floats]:  # fmt: skip
+def first_hits(
+    patches: Sequence[Patch], cells: Cells, position: Floats, direction: Floats, entering: bool
+) -> tuple[Floats, Floats]:
     """Distance (n,) to the first patch that faces against the light (entering) or along it, NaN for none; unit normals
-    (n, 3) turned the way the light goes.
+    (n, 3) turned the way the light goes. A patch counts only over its own cell.
     """
     best, normal = np.full(len(position), np.inf), np.zeros_like(position)
     for patch in patches:
@@ -66,9 +94,18 @@ def first_hits(patches: Sequence[Patch], position: Floats, direction: Floats, en
         facing = np.einsum("ij,ij->i", outward, direction)
         with np.errstate(invalid="ignore"):
             closer = (away < best) & (facing < 0.0 if entering else facing > 0.0) & (away > 0.0)
-        best[closer] = away[closer]
-        normal[closer] = outward[closer] * (-1.0 if entering else 1.0)
+        rows = np.flatnonzero(closer)
+        place = position[rows, :2] + away[rows, None] * direction[rows, :2]
+        rows = rows[(cells.of(place) == cells.of(patch.middle[None])).all(axis=1)]
+        best[rows] = away[rows]
+        normal[rows] = outward[rows] * (-1.0 if entering else 1.0)
     return np.where(np.isfinite(best), best, np.nan), normal
+
+
+def plane_hits(face: Face, scale: float, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """The same for a plane face, which is no lens: it is taken from the design."""
+    away = (face.vertex[2] * scale - position[:, 2]) / direction[:, 2]
+    return np.where(away > 0.0, away, np.nan), np.broadcast_to([0.0, 0.0, 1.0], direction.shape)
 
 
 def _meet(patch: Patch, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
@@ -120,27 +157,46 @@ def _casteljau(control: NDArray[np.float64], t: Floats) -> tuple[Floats, Floats]
 
 def follow_patches(
     path: str | os.PathLike[str], position: Any, direction: Any, indices: Sequence[float],
-    low: Sequence[float], high: Sequence[float],
+    low: Sequence[float], high: Sequence[float], window: Window, faces: Sequence[int],
 ) -> dict[str, Any]:  # fmt: skip
-    """Trace rays through the lens patches of a file's text; what `clacad.brep.raycast.follow_rays` says, `curved`
-    everywhere true.
+    """Trace rays through the lens patches of a file's text.
+
+    Parameters
+    ----------
+    path, position, direction, indices, low, high
+        As for `clacad.brep.raycast.follow_rays`.
+    window : Window
+    faces : sequence of int
+        Which faces of the window the light meets, one after another.
+
+    Returns
+    -------
+    dict of lists
+        What `clacad.brep.raycast.follow_rays` says; `curved` is everywhere true.
     """
     from clacad.export.step_read import scanned
 
     patches = column_patches(scanned(path), np.array(low), np.array(high))
     place, way = np.array(position, dtype=np.float64), np.array(direction, dtype=np.float64)
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    many, steps = len(place), 2 * len(indices)
+    many, steps = len(place), len(faces)
     hits, end, crossings = np.zeros((many, steps, 3)), np.zeros(many, dtype=int), np.zeros(many, dtype=int)
+    media = [1.0, *(one for index in indices for one in (index, 1.0))]
     live = np.arange(many)
-    for step, (before, after, entering) in enumerate(_media(indices)):
-        distance, normal = first_hits(patches, place[live], way[live], entering)
+    for step, number in enumerate(faces):
+        face = window.faces[number]
+        if face.array is None:
+            distance, normal = plane_hits(face, window.unit * 1e3, place[live], way[live])
+        else:
+            cells = Cells(window, face.array)
+            distance, normal = first_hits(patches, cells, place[live], way[live], step % 2 == 0)
         met = np.isfinite(distance)
         end[live[~met]] = 1
         live, distance, normal = live[met], distance[met], normal[met]
         place[live] += distance[:, None] * way[live]
         hits[live, step], crossings[live] = place[live], step + 1
-        bent, _ = refract(way[live], normal, np.einsum("ij,ij->i", normal, way[live]), before, after)
+        root = np.einsum("ij,ij->i", normal, way[live])
+        bent, _ = refract(way[live], normal, root, media[step], media[step + 1])
         out = np.isfinite(bent).all(axis=1)
         end[live[~out]] = 3
         live = live[out]
@@ -149,12 +205,3 @@ def follow_patches(
         "position": place.tolist(), "direction": way.tolist(), "end": end.tolist(), "crossings": crossings.tolist(),
         "hits": hits.tolist(), "curved": np.ones((many, steps), dtype=bool).tolist(),
     }  # fmt: skip
-
-
-def _media(indices: Sequence[float]) -> Iterator[tuple[float, float, bool]]:
-    for index in indices:
-        yield 1.0, index, True
-        yield index, 1.0, False
-
-
-__all__ = ["Patches", "column_patches", "first_hits", "follow_patches"]

@@ -147,7 +147,7 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Floats]) -> d
             continue
         chosen = _sampled(placements, len(mine.part))
         seen = measured(window, mine, placements[chosen])
-        real = (seen.face >= 0).any(axis=0)
+        real = np.asarray((seen.face >= 0).any(axis=0), dtype=np.bool_)
         if not real.any():
             continue
         patches += int(real.sum())
@@ -165,16 +165,12 @@ def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured
     place = applied(placements, lenses.place[None])
     outward = lenses.outward[None] @ np.swapaxes(placements[:, :, :3], 1, 2)
     outward = outward / np.linalg.norm(outward, axis=2, keepdims=True)
-    away, angle, face = (
-        one.reshape(many, -1) for one in on_lenses(window, place.reshape(-1, 3), outward.reshape(-1, 3))
-    )
+    away, angle, face = on_lenses(window, place.reshape(-1, 3), outward.reshape(-1, 3))
+    first = np.searchsorted(lenses.patch, np.arange(patches))
     upright = _worst(np.abs(outward[..., 2]), lenses.patch, patches)
-    face = face[:, np.searchsorted(lenses.patch, np.arange(patches))]
-    face = np.where(upright > WALL, face, -1)
+    face = np.where(upright > WALL, face.reshape(many, -1)[:, first], -1)
     counts = np.bincount(lenses.patch, minlength=patches)
-    middle = np.stack(
-        [np.add.reduceat(place[..., k], np.searchsorted(lenses.patch, np.arange(patches)), axis=1) for k in (0, 1)], axis=-1
-    )  # fmt: skip
+    middle = np.stack([np.add.reduceat(place[..., k], first, axis=1) for k in (0, 1)], axis=-1)
     middle /= counts[:, None] * window.unit * 1e3
     cell = np.zeros((many, patches, 2), dtype=np.int64)
     for number, one in enumerate(window.faces):
@@ -182,7 +178,8 @@ def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured
             chosen = face == number
             x, y = (middle[chosen] - np.asarray(window.shifts[one.array])).T
             cell[chosen] = window.lattice.locate(x, y)[0]
-    return Measured(_worst(away, lenses.patch, patches), _worst(angle, lenses.patch, patches), face, cell)
+    error, slope = (_worst(one.reshape(many, -1), lenses.patch, patches) for one in (away, angle))
+    return Measured(error, slope, face, cell)
 
 
 def _worst(values: Floats, patch: Ints, patches: int) -> Floats:
@@ -223,7 +220,8 @@ class _Board:
         best = int(np.argmin(judged.max(axis=1)))
         lenses: dict[tuple[int, int, int], float] = {}
         for patch in np.flatnonzero(real & (seen.face[best] >= 0)):
-            key = (int(seen.face[best, patch]), *map(int, seen.cell[best, patch]))
+            i, j = seen.cell[best, patch].tolist()
+            key = (int(seen.face[best, patch]), i, j)
             lenses[key] = max(lenses.get(key, 0.0), float(seen.error[best, patch]))
         if len(placements) == 1:
             for (face, *cell), error in lenses.items():

@@ -19,7 +19,8 @@ from clacad.export.placing import UNPLACED, Floats, composed, inverse, product
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[Ee][-+]?\d+)?")
 _PLAIN = re.compile(r"#(\d+)|(\$)")
 _PREFIXED = re.compile(r"SI_UNIT\(\s*(?:\.(\w+)\.|\$)\s*,\s*\.METRE\.")
-_MEASURE = re.compile(r"MEASURE\(\s*([-+.\dEe]+)\s*\)")
+_MEASURE = re.compile(r"MEASURE(?:_WITH_UNIT)?\(\s*([-+]?\d+\.?\d*(?:[Ee][-+]?\d+)?)\s*[,)]")
+_ASSIGNED = re.compile(r"GLOBAL_UNIT_ASSIGNED_CONTEXT\(\s*\(([^)]*)\)")
 
 PREFIXES = {
     None: 1.0, "": 1.0, "EXA": 1e18, "PETA": 1e15, "TERA": 1e12, "GIGA": 1e9, "MEGA": 1e6, "KILO": 1e3, "HECTO": 1e2,
@@ -128,6 +129,7 @@ class Assembly:
 
     def collect(self, number: int, kind: str, statement: str, references: list[int], title: str) -> None:
         """Take one entity; `kind` is the first of its type names, `statement` its text without strings."""
+        statement = "".join(statement.split())  # lines may break anywhere between words
         if kind == "AXIS2_PLACEMENT_3D":
             given = [int(a) if a else 0 for a, _ in _PLAIN.findall(statement)] + [0, 0]
             self._axes.extend([number, *given[:3]])
@@ -170,9 +172,8 @@ class Assembly:
                 self._converted[number] = int(
                     statement[statement.index("#", at) + 1 :].split(")")[0].split(",")[0]
                 )
-        elif "GLOBAL_UNIT_ASSIGNED_CONTEXT" in statement:
-            inside = statement[statement.index("GLOBAL_UNIT_ASSIGNED_CONTEXT") :]
-            self._contexts[number] = [int(a) for a in re.findall(r"#(\d+)", inside[: inside.index("))") + 1])]
+        elif (assigned := _ASSIGNED.search(statement)) is not None:
+            self._contexts[number] = [int(a) for a in re.findall(r"#(\d+)", assigned.group(1))]
         elif "MEASURE_WITH_UNIT" in statement and (size := _MEASURE.search(statement)) is not None:
             self._measures[number] = (float(size.group(1)), references[-1])
         elif (

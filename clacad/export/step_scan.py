@@ -255,6 +255,7 @@ def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
 
 
 def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
+    body = "".join(body.split())
     degrees = re.search(r"B_SPLINE_SURFACE(?:_WITH_KNOTS)?\(\s*(?:''\s*,)?\s*(\d+)\s*,\s*(\d+)", body)
     if degrees is None:
         return

@@ -132,10 +132,8 @@ def judge_solid(
         checks += [_closed(found, common), _solids(found, stated, common), _placement(found, room, common)]
         checks += [_shape(found, stated, room, common), _file_rms(window, found, room, common)]
         checks.append(_volume(window, found, stated, room, common))
-        elsewhere = not stated and lies_elsewhere(checks)
-        why = "its faces do not lie where the design has them" if elsewhere else ""
         progress("tracing through the faces", 0.0)
-        checks += _light(design, window, worker, path, found, rays, role, why)
+        checks += _light(design, window, worker, path, found, rays, role)
     return checks, found
 
 
@@ -178,15 +176,13 @@ def _unit_words(found: Mapping[str, Any]) -> str:
 
 
 def _light(
-    design: Design, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], rays: int, role: Role, why: str
+    design: Design, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], rays: int, role: Role
 ) -> list[Check]:  # fmt: skip
     """Light through the faces, against the law."""
     common: dict[str, Any] = {"where": "file", "subject": path.name}
-    if not why and not found["kernel"] and (found.get("uneven") or not found.get("patches")):
+    if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
         why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
         return [not_run(name, why, required=False, **common) for name in IDS]
-    if why:
-        return [not_run(name, why, **common) for name in IDS]
     held = [body.name for body in _held(window, found)]
     send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]))
     try:

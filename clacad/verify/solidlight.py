@@ -77,9 +77,13 @@ class FaceTracer:
         live = state.alive()
         scale = self.window.unit * 1e3
         low, high = column(self.window, lit.cell, bodies)
+        numbers = [
+            2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
+        ]
+        function, more = (KERNEL, ()) if self.kernel else (TEXT, (self.window, numbers))
         found = self.worker.run(
-            KERNEL if self.kernel else TEXT, self.path, state.position[live] * scale, state.direction[live],
-            [body.index for body in bodies], (low * scale).tolist(), (high * scale).tolist(), timeout=SECONDS,
+            function, self.path, state.position[live] * scale, state.direction[live], [body.index for body in bodies],
+            (low * scale).tolist(), (high * scale).tolist(), *more, timeout=SECONDS,
         )  # fmt: skip
         hits = np.array(found["hits"]).reshape(len(live), -1, 3) / scale
         end, many = np.array(found["end"], dtype=int), np.array(found["crossings"], dtype=int)
