@@ -62,7 +62,9 @@ def _glb(data: bytes) -> Floats:
     return 1e3 * np.concatenate(found)
 
 
-def _walk(document: Mapping[str, Any], binary: bytes, number: int, above: Floats, found: list[Floats]) -> None:
+def _walk(
+    document: Mapping[str, Any], binary: bytes, number: int, above: Floats, found: list[Floats]
+) -> None:
     node = document["nodes"][number]
     pose = above @ _pose(node)
     if "mesh" in node:
@@ -127,14 +129,20 @@ def _threemf(data: bytes) -> Floats:
             kept[name] = _object(objects[name], corners)
         return kept[name]
 
-    whole = [_placed(corners(str(item.get("objectid"))), item.get("transform")) for item in model.iter(f"{CORE}item")]
+    whole = [
+        _placed(corners(str(item.get("objectid"))), item.get("transform"))
+        for item in model.iter(f"{CORE}item")
+    ]
     return np.concatenate(whole) * UNITS[model.get("unit", "millimeter")]
 
 
 def _object(entry: ElementTree.Element, corners: Any) -> Floats:
     mesh = entry.find(f"{CORE}mesh")
     if mesh is None:
-        parts = [_placed(corners(str(c.get("objectid"))), c.get("transform")) for c in entry.iter(f"{CORE}component")]
+        parts = [
+            _placed(corners(str(c.get("objectid"))), c.get("transform"))
+            for c in entry.iter(f"{CORE}component")
+        ]
         return np.concatenate(parts)
     points = np.array([[float(v.get(c, "")) for c in "xyz"] for v in mesh.iter(f"{CORE}vertex")])
     index = [[int(t.get(c, "")) for c in ("v1", "v2", "v3")] for t in mesh.iter(f"{CORE}triangle")]

@@ -84,9 +84,7 @@ def optics(design: Any, window: Any) -> Optics:
         reach = np.full(3, 0.5 * pitch[0])
     else:
         normals, reach = np.eye(2), 0.5 * pitch
-    faces = tuple(
-        tuple(_face(face, scale) for face in (body.front, body.back)) for body in window.bodies
-    )
+    faces = tuple(tuple(_face(face, scale) for face in (body.front, body.back)) for body in window.bodies)
     heights = [float(np.mean([pair[k][5][2] for k in (0, 1)])) for pair in faces]
     if len(faces) == 2:
         edges = (faces[0][1][5][2], faces[1][0][5][2])
@@ -115,7 +113,12 @@ def _face(face: Any, scale: float) -> tuple[Any, ...]:
     if hasattr(surface, "kappa"):
         shape = ("quadric", surface.curvature_x / scale, surface.curvature_y / scale, surface.kappa / scale)
     else:
-        shape = ("biconic", surface.curvature_x / scale, surface.curvature_y / scale, (surface.conic_x, surface.conic_y))
+        shape = (
+            "biconic",
+            surface.curvature_x / scale,
+            surface.curvature_y / scale,
+            (surface.conic_x, surface.conic_y),
+        )
     vertex = np.array(face.vertex) * scale
     land = None if face.land is None else face.land * scale
     return (*shape, int(surface.side), vertex, np.array(face.rotation), face.array, land)
@@ -167,7 +170,9 @@ def over_the_cell(optic: Optics, count: int, direction: Floats | None = None) ->
         along = 1.0 - unit[:, 2] * (1.0 - cos(optic.half))
         across = np.sqrt(1.0 - along**2)
         turn = 2.0 * np.pi * unit[:, 3]
-        rays = along[:, None] * axis + across[:, None] * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v)
+        rays = along[:, None] * axis + across[:, None] * (
+            np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v
+        )
     else:
         rays = np.broadcast_to(direction, (len(local), 3)).copy()
     origin = np.column_stack([local + optic.centres[0], np.zeros(len(local))])
@@ -237,7 +242,9 @@ class Facets:
         far = (self.high[2] + step - origin[:, 2]) / direction[:, 2]
         ends = [origin[:, :2] + t[:, None] * direction[:, :2] for t in (near, far)]
         low, high = np.minimum(*ends), np.maximum(*ends)
-        lit = np.flatnonzero((far > near) & (high >= self.low[:2]).all(axis=1) & (low <= self.high[:2]).all(axis=1))
+        lit = np.flatnonzero(
+            (far > near) & (high >= self.low[:2]).all(axis=1) & (low <= self.high[:2]).all(axis=1)
+        )
         ray, square = _boxes(self._square(low[lit]), self._square(high[lit]), self.shape[1])
         ray = lit[ray]
         held = self.start[square + 1] - self.start[square]
@@ -294,7 +301,9 @@ def part(optic: Optics, corners: Floats) -> Part:
     reach = 1.6 * float(np.max(optic.pitch))
     boxes = np.array([[c - reach, c + reach] for c in optic.centres])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-    near = (corners[:, :, :2].max(axis=1) >= low).all(axis=1) & (corners[:, :, :2].min(axis=1) <= high).all(axis=1)
+    near = (corners[:, :, :2].max(axis=1) >= low).all(axis=1) & (corners[:, :, :2].min(axis=1) <= high).all(
+        axis=1
+    )
     corners = corners[near]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(across, axis=1)
@@ -395,7 +404,9 @@ def _quadric(cx: float, cy: float, kappa: float, way: int, p: Floats, d: Floats)
     return t, curve * (p + t[:, None] * d) - flat
 
 
-def _biconic(cx: float, cy: float, conic: tuple[float, float], way: int, p: Floats, d: Floats) -> tuple[Floats, Floats]:
+def _biconic(
+    cx: float, cy: float, conic: tuple[float, float], way: int, p: Floats, d: Floats
+) -> tuple[Floats, Floats]:
     """Distance to z = way (cx x² + cy y²)/(1 + sqrt(1 − (1+Kx) cx² x² − (1+Ky) cy² y²)) by Newton, and its gradient."""
     t = -p[:, 2] / d[:, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -437,7 +448,10 @@ class Found:
 
     def used(self) -> dict[str, float]:
         """Part of each limit that is used; above 1 it is exceeded."""
-        over = {name: getattr(self, name) / self.limits[name] for name in ("rms", "bias", "eta", "delta", "confocality")}
+        over = {
+            name: getattr(self, name) / self.limits[name]
+            for name in ("rms", "bias", "eta", "delta", "confocality")
+        }
         return over | {"throughput": self.limits["throughput"] / max(self.throughput, 1e-9)}
 
     @property
@@ -480,7 +494,9 @@ def _measure(optic: Optics, send: Any, count: int, points: int) -> Found:
         found = send(lit)
         share.append(float(found.alive.mean()))
         if found.alive.sum() >= 16:
-            bias.append(float(angle(found.direction[found.alive].mean(axis=0), asked(optic, direction[None])[0])))
+            bias.append(
+                float(angle(found.direction[found.alive].mean(axis=0), asked(optic, direction[None])[0]))
+            )
     both = seen.alive & truth.alive
     fits = [_fit(optic, light.direction[both], out.direction[both]) for out in (seen, truth)]
     eta = float(np.max(np.abs(fits[0][0] / fits[1][0] - 1.0)))
@@ -488,7 +504,9 @@ def _measure(optic: Optics, send: Any, count: int, points: int) -> Found:
     exact = through_faces(optic, over_the_cell(optic, count, field_directions(optic)[0])).alive.mean()
     # the share that thin lenses leave is close to the exact one; the limit is a tenth away
     through = min(float(seen.alive.mean() / truth.alive.mean()), share[0] / float(exact))
-    return Found(rms, max(bias), eta, delta, _shift(optic, light, seen, both), through, tuple(fits[0][0]), optic.limits)
+    return Found(
+        rms, max(bias), eta, delta, _shift(optic, light, seen, both), through, tuple(fits[0][0]), optic.limits
+    )
 
 
 def _fit(optic: Optics, into: Floats, out: Floats) -> tuple[Floats, Floats]:
