@@ -452,20 +452,15 @@ def assembly_bytes(
 
     document = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
     tool = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
+    lifted = 0.5 * (levels - 1)  # every further level puts its content so much higher
     labels = [tool.AddShape(solid.Moved(away(1.0 + k, -2.0, 3.0)), False) for k, solid in enumerate(solids)]
-    places = [away(-1.0 - k, 2.0 + (step if k == len(solids) - 1 else 0.0), -3.0) for k in range(len(solids))]
-    for level in range(levels):
-        above_ = tool.NewShape()
+    places = [away(-1.0 - k, 2.0, -3.0 - lifted) for k in range(len(solids))]
+    places[-1] = away(-float(len(solids)), 2.0 + step, -3.0 - lifted)
+    for _ in range(levels):
+        whole = tool.NewShape()
         for label, place in zip(labels, places, strict=True):
-            tool.AddComponent(above_, label, place)
-        labels, places = (
-            [above_],
-            [away(0.0, 0.0, 0.5) if level % 2 == 0 and levels > 1 else away(0.0, 0.0, -0.5)],
-        )
-    if levels > 1:  # the last level's own step is undone by one above
-        above_ = tool.NewShape()
-        total = sum(0.5 if level % 2 == 0 else -0.5 for level in range(levels - 1))
-        tool.AddComponent(above_, labels[0], away(0.0, 0.0, -total))
+            tool.AddComponent(whole, label, place)
+        labels, places = [whole], [away(0.0, 0.0, 0.5)]
     tool.UpdateAssemblies()
     path = folder / "after.step"
     writer = STEPCAFControl_Writer()
