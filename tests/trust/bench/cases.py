@@ -188,22 +188,9 @@ def _spoilt(format: str, how: str, change: Callable[[Kit], Change], quads: int |
 
     def make(kit: Kit, folder: Path) -> Path:
         name, data, manifest = kit.mesh(format, quads)
-        return _delivered(
-            how, folder, name, changed(name, data, _in_millimetres(format, change(kit))), manifest
-        )
+        return _delivered(how, folder, name, changed(name, data, change(kit)), manifest)
 
     return make
-
-
-def _in_millimetres(format: str, change: Change) -> Change:
-    if format != "glb":
-        return change
-
-    def metres(vertices: Any, triangles: Any) -> Any:
-        points, facets = change(1e3 * vertices, triangles)
-        return 1e-3 * points, facets
-
-    return metres
 
 
 def _bytes(format: str, how: str, change: Callable[[bytes], bytes], quads: int | None = None) -> Make:
@@ -382,9 +369,9 @@ INSTANCES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
     "3mf: a row of instances moved by 4 % of the pitch": ("3mf", lambda d: mu.places_changed(d, mu.place_moved(0.02), 3)),
     "3mf: an instance left out": ("3mf", lambda d: mu.places_changed(d, lambda m: "")),
     "3mf: an instance twice": ("3mf", lambda d: mu.places_changed(d, lambda m: 2 * m[0])),
-    "glb: an instance moved by 4 % of the pitch": ("glb", lambda d: mu.nodes_changed(d, lambda n: _node(n[4], 2e-5))),
+    "glb: an instance moved by 4 % of the pitch": ("glb", lambda d: mu.nodes_changed(d, lambda n: _node(n[4], 0.02))),
     "glb: a row of instances moved by 4 % of the pitch": (
-        "glb", lambda d: mu.nodes_changed(d, lambda n: [_node(one, 2e-5) for one in n[:3]])),
+        "glb", lambda d: mu.nodes_changed(d, lambda n: [_node(one, 0.02) for one in n[:3]])),
     "glb: an instance on another": (
         "glb", lambda d: mu.nodes_changed(d, lambda n: n[1].update(translation=list(n[0]["translation"])))),
 }  # fmt: skip
@@ -490,8 +477,7 @@ def _stale(format: str) -> Make:
     def make(kit: Kit, folder: Path) -> Path:
         name, data, manifest = kit.mesh(format)
         (folder / "manifest.json").write_bytes(mu.vouched(manifest, name, data))
-        made = changed(name, data, _in_millimetres(format, mu.part_moved(mu.above(1e6), 0.0, 0.0, 0.0)))
-        made = bytearray(made)
+        made = bytearray(data)
         made[-3] ^= 1
         (folder / name).write_bytes(bytes(made))
         return folder
