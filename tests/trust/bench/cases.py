@@ -54,7 +54,6 @@ count = [3, 3]
 PAIR = SLAB.replace('"slab"', '"biconvex"\nthickness = "auto"').replace("[0.01, -0.02]", "[0.0, 0.0]")
 TILTED = SLAB.replace("[0.01, -0.02]", "[0.01, -0.02]\neuler = [30.0, 1.0, 20.0]")
 HEXAGONAL = SLAB.replace("-0.5, -1.0", "-0.5, -0.5").replace("pitch", 'kind = "hexagonal"\npitch')
-BLOCK = SLAB.replace("-0.5, -1.0", "-0.5, -0.5").replace("3, 3", "10, 10")
 WIDE = """
 [check]
 law_rms = "60 mrad"
@@ -64,6 +63,7 @@ delta = 0.05
 confocality = 0.03
 throughput = 0.5
 """
+BLOCK = SLAB.replace("-0.5, -1.0", "-0.5, -0.5").replace("3, 3", "10, 10") + WIDE
 THIN = SLAB.replace("10.0", "3.0").replace("3, 3", "20, 20").replace("-0.5, -1.0", "-0.5, -0.5") + WIDE
 KITS = {"slab": SLAB, "pair": PAIR, "tilted": TILTED, "hexagonal": HEXAGONAL, "block": BLOCK, "thin": THIN}
 FINE_OF = {"block": 16, "thin": 8, "hexagonal": 16}
@@ -329,7 +329,6 @@ BETWEEN: dict[str, tuple[str, Callable[[Kit], Change]]] = {
     "gap 1 % too wide": ("light", lambda kit: mu.part_moved(mu.above(kit.middle), 0.0, 0.0, 0.1)),
     "gap 1 % too narrow": ("light", lambda kit: mu.part_moved(mu.above(kit.middle), 0.0, 0.0, -0.1)),
     "gap .02 % too wide": ("either", lambda kit: mu.part_moved(mu.above(kit.middle), 0.0, 0.0, 0.002)),
-    "bodies exchanged": ("fail", lambda kit: mu.exchanged(kit.middle, 0.0, 10.0)),
     "second body 60 um aside": ("light", lambda kit: mu.part_moved(mu.above(kit.middle), 0.06, 0.0, 0.0)),
     "second body turned by 4 degrees": ("light", lambda kit: mu.part_turned(mu.above(kit.middle), 4.0)),
 }
@@ -341,6 +340,13 @@ def _bodies() -> Iterator[Case]:
         for format in ("stl", "ply"):
             for how in HOW:
                 yield Case(f"{what}: pair {format} {how}", "pair", right, _spoilt(format, how, change))
+    swapped = lambda kit: mu.exchanged(kit.middle, 0.0, 10.0)  # noqa: E731
+    for format in (
+        "stl",
+        "ply",
+    ):  # lenses alike on both sides: it is the part turned over, if nobody says how it lies
+        for how, right in (("alone", "master"), ("forged", "fail")):
+            yield Case(f"bodies exchanged: pair {format} {how}", "pair", right, _spoilt(format, how, swapped))
     first = mu.only(lambda middle: middle[:, 2] < 5.0)
     second = mu.only(lambda middle: middle[:, 2] > 5.0)
     for format in ("stl", "ply"):
