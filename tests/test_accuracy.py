@@ -17,10 +17,10 @@ from clacad.accuracy.measure import Ladder
 from clacad.accuracy.plot import plot_svg
 from clacad.accuracy.rounding import EXACT, Holding, rounded
 from clacad.accuracy.step import _compared, step_row
+from clacad.bundle import bundle
 from clacad.cli import main
 from clacad.mesh import tessellate
 from clacad.sheet import lens_height_and_normal
-from clacad.bundle import bundle
 
 
 @pytest.fixture(scope="module")

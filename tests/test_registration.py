@@ -115,7 +115,9 @@ def test_a_piece_cut_across_cells_is_judged_by_its_whole_cells(tmp_path, soup):
     assert not placed.whole
     report = judged(tmp_path, whole[keep] + [7.0, 8.0, 9.0])
     assert states(report)["closed"] == "warn"
-    assert {states(report)[name] for name in ("pose", "shape", "scale", "faithful_rms", "faithful_eta")} == {"pass"}
+    assert {states(report)[name] for name in ("pose", "shape", "scale", "faithful_rms", "faithful_eta")} == {
+        "pass"
+    }
 
 
 def test_a_scan_goes_through(tmp_path, soup):
@@ -131,9 +133,9 @@ def test_a_scan_goes_through(tmp_path, soup):
     report = judged(tmp_path, split @ CYCLE.T + [3.0, 1.0, 4.0])
     about = states(report)
     assert about["closed"] == "warn"
-    assert {about[n] for n in ("handedness", "scale", "shape", "faithful_rms", "faithful_eta", "faithful_delta")} == {
-        "pass"
-    }
+    assert {
+        about[n] for n in ("handedness", "scale", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
+    } == {"pass"}
     assert about["pose"] == "warn"  # it lies turned
     assert report.passed
     mapped = report.files[0].mesh.facts["deviation"]
@@ -168,9 +170,9 @@ def test_a_slicers_repair_goes_through(tmp_path):
     report = judged(tmp_path, five)
     about = states(report)
     assert about["pose"] == "pass"
-    assert {about[n] for n in ("handedness", "scale", "shape", "faithful_rms", "faithful_eta", "faithful_delta")} == {
-        "pass"
-    }
+    assert {
+        about[n] for n in ("handedness", "scale", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
+    } == {"pass"}
     assert report.passed
 
 
@@ -292,9 +294,9 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     assert about["pose"].state == "warn"
     assert "x → z" in about["pose"].sentence
     assert "4 x 3 cells" in report.files[0].note
-    assert {about[n].state for n in ("readable", "closed", "handedness", "scale", "shape", "faithful_eta")} == {
-        "pass"
-    }
+    assert {
+        about[n].state for n in ("readable", "closed", "handedness", "scale", "shape", "faithful_eta")
+    } == {"pass"}
     assert about["shape"].limit < 2e-5
     (tmp_path / "bare.step").write_bytes(made.read_bytes())
     exact = {

@@ -154,7 +154,7 @@ def test_the_page_and_the_exit_status_are_one_object(report, made, short, tmp_pa
     assert failing.exit_status == 1
     assert json.loads(numbers.read_text(encoding="utf-8"))["passed"] is False
     text = html.read_text(encoding="utf-8")
-    assert "Not passed" in text
+    assert "<b>Failed</b>" in text
     assert text.count("off by a lot") == 2  # at the head and in the table
     assert 'class="verdict passed"' not in text
 
@@ -170,7 +170,7 @@ def test_a_check_that_did_not_run_is_never_green(report, made, short, tmp_path):
     )
     assert row is not None
     assert row.groups() == ("not-run", "not run")
-    assert "Not passed" in text
+    assert "<b>Failed</b>" in text
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clacad.bundle import bundle
 from clacad.design import Design
 from clacad.law import angle_between
 from clacad.mesh import tessellate
@@ -15,7 +16,6 @@ from clacad.rays import Fate
 from clacad.surface import Quadric
 from clacad.trace import trace
 from clacad.verify.attribution import NAMES, Facets, as_it_would_be_written, as_written, attribute
-from clacad.bundle import bundle
 from clacad.verify.gather import Gathered, Gatherer, onto_face, owner
 
 ULP = 2.0**-52

@@ -13,6 +13,7 @@ from math import hypot, pi
 import numpy as np
 import pytest
 
+from clacad.bundle import bundle
 from clacad.design import Design, DesignError
 from clacad.prescription import prescribe
 from clacad.rays import Fate, Rays
@@ -32,7 +33,6 @@ from clacad.tolerance import (
 )
 from clacad.tolerance.errors import NoCluster
 from clacad.trace import trace
-from clacad.bundle import bundle
 
 SLAB = {
     "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import clacad
+from clacad.bundle import bundle
 from clacad.law import angle_between
 from clacad.mesh import tessellate
 from clacad.rays import Rays
 from clacad.trace import embree
 from clacad.trace.soup import TriangleSoup, read_soup
-from clacad.bundle import bundle
 
 needs_embree = pytest.mark.skipif(not embree.available(), reason="embreex is not installed")
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from oracle.plain_mesh import facets, sheet_facets
 
+from clacad.bundle import bundle
 from clacad.design import Design
 from clacad.prescription import prescribe
 from clacad.rays import Fate, Rays
-from clacad.bundle import bundle
-from clacad.verify.deviation import deviation, forecast_rms
 from clacad.trace.facets import FacetBody, facet_face, first_crossing, trace_facets
+from clacad.verify.deviation import deviation, forecast_rms
 from clacad.verify.gather import Gatherer, chosen_cells, telescopelet
 
 PLAIN = Design.from_dict({

@@ -67,14 +67,34 @@ def with_manifest(folder, design=DESIGN):
     )
 
 
-def test_a_good_file_passes(tmp_path, soup):
+LIGHT = {"file_law_rms", "file_law_bias", "file_law_eta", "file_law_delta", "file_confocality", "file_throughput"}
+
+
+def test_a_coarse_file_that_is_the_design_is_a_shape_only(tmp_path, soup):
     report = judged(tmp_path, soup)
+    assert report.word == "shape only"
+    assert report.exit_status == 1
+    assert {"file_law_rms"} <= failed(report) <= LIGHT
+    assert "mrad" in report.verdict()
+    assert {c.id for c in report.checks} >= LIGHT
+
+
+def test_a_coarse_file_declared_as_a_preview_is_accepted_as_a_shape(tmp_path, soup):
+    report = judged(tmp_path, soup, role="preview")
     assert failed(report) == set()
-    assert report.passed
+    assert report.word == "shape only"
+    assert report.verdict().startswith("shape only")
     assert report.exit_status == 0
-    assert {"closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta", "scale", "pieces"} <= {
-        c.id for c in report.checks if c.state == "pass"
-    }
+    assert {
+        "closed",
+        "volume",
+        "shape",
+        "faithful_rms",
+        "faithful_eta",
+        "faithful_delta",
+        "scale",
+        "pieces",
+    } <= {c.id for c in report.checks if c.state == "pass"}
 
 
 @pytest.mark.parametrize(("change", "culprit"), [
@@ -150,14 +170,16 @@ def test_a_cut_file_without_manifest_cannot_be_read_and_nothing_after_it_is_gree
     report = verify(DESIGN, path, rays=RAYS)
     about = {c.id: c.state for c in report.checks if c.subject == "part.stl"}
     assert about["readable"] == "fail"
-    assert {about[name] for name in ("closed", "volume", "shape", "faithful_rms", "faithful_eta")} == {"not run"}
+    assert {about[name] for name in ("closed", "volume", "shape", "faithful_rms", "faithful_eta")} == {
+        "not run"
+    }
     assert report.exit_status == 1
 
 
 def test_a_manifest_of_another_design_is_said_and_the_files_are_still_judged(tmp_path, soup):
     write_stl(tmp_path / "part.stl", soup * MM)
     with_manifest(tmp_path, DESIGN.replace({"name": "other"}))
-    report = verify(DESIGN, tmp_path, rays=RAYS)
+    report = verify(DESIGN, tmp_path, rays=RAYS, role="preview")
     assert next(c for c in report.checks if c.id == "design").state == "warn"
     assert report.passed
 
@@ -176,7 +198,7 @@ def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word)
 
 def test_fewer_cells_than_designed_are_found(tmp_path):
     part = DESIGN.with_cells((3, 2))
-    report = judged(tmp_path, sheet_facets(prescribe(part), 8))
+    report = judged(tmp_path, sheet_facets(prescribe(part), 8), role="preview")
     assert report.passed
     assert "3 x 2 cells" in next(c.sentence for c in report.checks if c.id == "readable")
 
@@ -188,13 +210,14 @@ def test_something_else_is_no_part_of_this_design(tmp_path, soup):
 
 def test_one_body_of_two_is_judged_against_that_body(tmp_path):
     window = prescribe(DESIGN)
-    report = judged(tmp_path, facets(window, window.bodies[1], 8))
+    report = judged(tmp_path, facets(window, window.bodies[1], 8), role="preview")
     assert report.passed
+    assert next(c for c in report.checks if c.id == "bodies").state == "warn"
     assert "array1 taken from the design" in next(c.sentence for c in report.checks if c.id == "readable")
 
 
 def test_every_required_check_that_does_not_run_fails_the_report(tmp_path, soup):
-    report = judged(tmp_path, soup)
+    report = judged(tmp_path, soup, role="preview")
     assert passed(report.checks)
     for k, check in enumerate(report.checks):
         if check.required:
@@ -204,7 +227,7 @@ def test_every_required_check_that_does_not_run_fails_the_report(tmp_path, soup)
 
 
 def test_the_same_files_give_the_same_json(tmp_path, soup):
-    first, second = (judged(tmp_path, soup).to_json() for _ in range(2))
+    first, second = (judged(tmp_path, soup, role="preview").to_json() for _ in range(2))
     assert first == second
     assert json.loads(first)["passed"] is True
     assert str(tmp_path) not in first
@@ -215,3 +238,52 @@ def test_nothing_there_is_said_plainly(tmp_path):
         verify(DESIGN, tmp_path / "none", rays=RAYS)
     with pytest.raises(FileNotFoundError, match="no manifest"):
         verify(DESIGN, tmp_path, rays=RAYS)
+
+
+# -- what a manifest withholds -------------------------------------------------------------------------
+
+
+def sealed(tmp_path, soup, **told):
+    """A folder whose manifest says something else of the one file in it."""
+    write_stl(tmp_path / "part.stl", soup * MM)
+    with_manifest(tmp_path)
+    path = tmp_path / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["files"] = told["files"] if "files" in told else [manifest["files"][0] | told]
+    path.write_text(json.dumps(manifest))
+    return tmp_path
+
+
+@pytest.mark.parametrize("told", [
+    {"bodies": ["frame"]}, {"bodies": ["x"]}, {"bodies": ["spacer"]}, {"format": "blob"}, {"format": "coupon"}, {"files": []},
+    {"role": "other"}, {"role": "other", "bodies": ["coupon"]},
+], ids=str)  # fmt: skip
+def test_a_manifest_that_keeps_a_file_from_the_light_passes_nothing(tmp_path, soup, told):
+    report = verify(DESIGN, sealed(tmp_path, soup, **told), rays=RAYS)
+    assert report.word == "not judged"
+    assert report.exit_status == 1
+    assert {c.id for c in report.checks if c.state in ("fail", "not run") and c.required} == {"delivery"}
+
+
+@pytest.mark.parametrize("files", [[{}], [7], [{"name": None}]], ids=str)
+def test_an_entry_that_names_no_file_fails(tmp_path, soup, files):
+    report = verify(DESIGN, sealed(tmp_path, soup, files=files), rays=RAYS)
+    assert report.word == "failed"
+    assert "integrity" in failed(report)
+
+
+def test_a_role_is_declared_for_a_format_or_a_file_and_for_nothing_else(tmp_path, soup):
+    assert judged(tmp_path, soup, role={"stl": "preview"}).exit_status == 0
+    assert judged(tmp_path, soup, role={"part.stl": "preview"}).exit_status == 0
+    with pytest.raises(ValueError, match="ply"):
+        judged(tmp_path, soup, role={"ply": "preview"})
+    with pytest.raises(ValueError, match="draft"):
+        judged(tmp_path, soup, role="draft")
+
+
+def test_a_preview_of_a_manifest_counts_as_declared_only_where_it_was(tmp_path, soup):
+    for declared, status in ((True, 0), (False, 1)):
+        told = {"role": "shape-preview", "role_declared": declared}
+        report = verify(DESIGN, sealed(tmp_path, soup, **told), rays=RAYS)
+        assert (report.word, report.exit_status) == ("shape only", status)
+        assert failed(report) == set()

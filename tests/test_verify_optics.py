@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clacad.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
 from clacad.design import Design
 from clacad.feasibility import feasibility
 from clacad.prescription import prescribe
 from clacad.rays import Fate
 from clacad.surface import Quadric
 from clacad.trace import trace
-from clacad.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
 from clacad.verify.checks import passed
 from clacad.verify.optics import confocality_check, law_checks, measure, throughput_check
 from clacad.verify.parabasal import confocality

@@ -76,7 +76,7 @@ def test_a_part_with_one_lenslet_missing_its_curve_is_not(tmp_path):
 @pytest.mark.long
 def test_the_command_line_judges_a_file_of_another_program(tmp_path, capsys):
     path = sent_back(tmp_path / "part.obj")
-    status = main(["verify", DESIGN, "--files", str(path), "--cells", "3x3", "--json", "-q"])
+    status = main(["verify", DESIGN, "--files", str(path), "--cells", "3x3", "--role", "preview", "--json", "-q"])
     report = json.loads(capsys.readouterr().out)
     assert (status, report["passed"]) == (0, True)
     assert report["files"][0]["format"] == "obj"

@@ -49,9 +49,9 @@ def accuracy(
     from clacad.accuracy.floors import floors, probe
     from clacad.accuracy.measure import QUADS, Ladder, exact_rows, mesh_rows, reference
     from clacad.accuracy.step import step_row
+    from clacad.bundle import bundle
     from clacad.export.limits import refuse_early
     from clacad.prescription import prescribe
-    from clacad.bundle import bundle
 
     report = progress or _silent
     refuse_early(design, (), None)

@@ -108,8 +108,8 @@ def out_of_reach(
 
 
 def _probe(design: Design, window: Window) -> Probe:
-    from clacad.trace import trace
     from clacad.bundle import bundle
+    from clacad.trace import trace
 
     rays = bundle(window, RAYS, design.check.field, design.check.field_centre).rays
     truth = trace(window, rays, path="numba")

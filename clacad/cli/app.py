@@ -147,6 +147,8 @@ def verify(
     rays: Annotated[int, typer.Option("--rays", min=64, max=100_000_000, help="Rays of the main bundle.")] = 65536,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Fewest rays that tell errors of this size, "
                                                "and files must be within it, e.g. '0.5 mrad'.")] = None,
+    role: Annotated[str | None, typer.Option("--role", metavar="WORD|FORMAT=WORD,...", help="What files are for: master "
+                                             "(parts are made from it), preview, or scan.")] = None,
     overwrite: Overwrite = False,
     set: Set = None,
     json: Json = False,
@@ -171,6 +173,7 @@ def verify(
         pdf=pdf,
         timings=timings,
         target=target,
+        role=role,
     )
 
 

@@ -29,6 +29,19 @@ def checks_text(checks: Iterable[Any]) -> str:
     return table(lines)
 
 
+def verdicts_text(verdicts: Iterable[Any]) -> str:
+    """One line a file: what it is for, what is said of it, and light through it against the limit."""
+    lines = []
+    for one in verdicts:
+        light = (
+            ""
+            if one.rms is None or one.limit is None
+            else f"{1e3 * one.rms:.3g} of {1e3 * one.limit:.3g} mrad rms"
+        )
+        lines.append([one.name, one.role.value, one.word, light])
+    return table(lines)
+
+
 def limit_text(check: Any) -> str:
     """The limit as text, with its sense."""
     if check.limit is None:

@@ -20,25 +20,29 @@ if TYPE_CHECKING:
 def verify_design(
     path: Path, overrides: list[str], files: Path | None, out: Path | None, cells: str | None, rays: int, *,
     overwrite: bool, json: bool, quiet: bool, pdf: bool = False, timings: bool = False, target: str | None = None,
+    role: str | None = None,
 ) -> int:  # fmt: skip
     """Judge a design and its files; the exit status comes from the same object as the page.
 
     With a target its error chooses the number of rays, and every file is judged by it.
     """
     design = load_counted(path, overrides)
-    from clacad.cli.tables import checks_text
+    from clacad.cli.tables import checks_text, verdicts_text
     from clacad.verify import verify
-    from clacad.verify.files import find_files
+    from clacad.verify.files import declared_roles, find_files
     from clacad.verify.forecast import seconds, task
 
+    roles = parse_roles(role)
     limit = None if target is None else parse_angle("--target", target)
     if limit is not None:
         rays = _rays(design, files, limit, parse_cells(cells))
     progress = Progress(quiet=quiet)
     try:
-        judged = () if files is None else find_files(files).subjects
+        judged = () if files is None else find_files(files, declared_roles(roles)).subjects
         with forecast(task(judged), seconds(rays, judged), quiet=quiet):
-            report = verify(design, files=files, cells=parse_cells(cells), rays=rays, progress=progress)
+            report = verify(
+                design, files=files, cells=parse_cells(cells), rays=rays, progress=progress, role=roles
+            )
         if limit is not None:
             from clacad.verify.target import judged_by
 
@@ -57,10 +61,34 @@ def verify_design(
         show_json(report.to_dict())
     else:
         show_text(f"{design.name}\n{checks_text(report.checks)}", quiet=quiet)
+        if report.verdicts:
+            show_text(verdicts_text(report.verdicts), quiet=quiet)
         show_text(report.verdict(), quiet=quiet)
     if out is not None and not quiet:
         say("report: " + ", ".join(str(p) for p in written))
     return report.exit_status
+
+
+def parse_roles(text: str | None) -> str | dict[str, str] | None:
+    """Read one word for all files, or FORMAT=WORD,… (a file's name stands for a format, too).
+
+    Raises
+    ------
+    UnknownRole
+    """
+    from clacad.verify.files import UnknownRole
+
+    if text is None or "=" not in text:
+        return text
+    found = {}
+    for part in text.split(","):
+        name, mark, word = (piece.strip() for piece in part.partition("="))
+        if not (name and mark and word):
+            raise UnknownRole(
+                f"--role {text}: it is one word, or FORMAT=WORD,FORMAT=WORD with master, preview or scan"
+            )
+        found[name] = word
+    return found
 
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:

@@ -365,6 +365,37 @@ def check_grid_sag(window: Window, face: Face, path: Path, scale: float) -> None
     ------
     FileDisagrees, UnreadableFile
     """
+    found, _ = read_grid_sag(face, path, scale)
+    there = np.isfinite(found[:, 2])
+    local = (found - np.asarray(face.vertex))[there] @ face.rotation
+    sag = face.surface.sag(local[:, 0], local[:, 1])
+    reach = float(np.max(np.abs(found[:, :2] - np.asarray(face.vertex)[:2])))
+    if not there.any() or not (np.abs(sag - local[:, 2]) <= 1e-12 * reach).all():
+        raise FileDisagrees(f"{path.name}: its sag is not that of the lens")
+
+
+def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]:
+    """Read a grid sag file.
+
+    Parameters
+    ----------
+    face : Face
+        Whose apex plane sag is counted from.
+    path : Path
+    scale : float
+        Millimetres per design unit.
+
+    Returns
+    -------
+    points : (n, 3) lengths
+        Nodes in the cell frame, z in the sheet frame; NaN where the surface has no point.
+    step : (2,) lengths
+        Distance of nodes.
+
+    Raises
+    ------
+    UnreadableFile
+    """
     lines = path.read_text(encoding="ascii", errors="replace").splitlines()
     try:
         head = lines[0].split()
@@ -376,10 +407,5 @@ def check_grid_sag(window: Window, face: Face, path: Path, scale: float) -> None
         raise UnreadableFile(f"{path.name}: {len(lines) - 1} lines for {nx} × {ny} nodes")
     x = np.tile((np.arange(nx) - 0.5 * (nx - 1)) * dx, ny) / scale
     y = -np.repeat((np.arange(ny) - 0.5 * (ny - 1)) * dy, nx) / scale
-    there = table[:, 4] == 0
-    points = np.column_stack([x, y, table[:, 0] / scale + face.vertex[2]]) - np.asarray(face.vertex)
-    local = points @ face.rotation
-    sag = face.surface.sag(local[:, 0], local[:, 1])
-    reach = float(np.max(np.abs(local)))
-    if not there.any() or (np.abs(sag - local[:, 2])[there] > 1e-12 * reach).any():
-        raise FileDisagrees(f"{path.name}: its sag is not that of the lens")
+    z = np.where(table[:, 4] == 0, table[:, 0] / scale + face.vertex[2], np.nan)
+    return np.column_stack([x, y, z]), np.array([dx, dy]) / scale

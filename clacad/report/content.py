@@ -22,6 +22,14 @@ SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}
 UNITS = {"rad": "mrad"}
 """Angles are shown in mrad."""
 
+_CSS = {
+    "passed as optical master": "pass",
+    "passed as scan": "pass",
+    "shape only": "warn",
+    "not judged": "not-run",
+}
+"""Class of a file's verdict on the page."""
+
 PROFILE = "process profile "
 
 STATES = {"on": "simulated", "forced": "simulated, as asked", "off": "left out", "without": "left out, as asked",
@@ -77,6 +85,26 @@ class Content:
         """What was measured beside the checks."""
         assert self.report.evidence is not None, "made from a report with evidence"
         return self.report.evidence
+
+    @property
+    def head(self) -> tuple[str, str]:
+        """The word of the verdict as the page's head shows it, and its class: passed, shape, failed."""
+        word = self.report.word
+        css = "passed" if word.startswith("passed") else "shape" if word == "shape only" else "failed"
+        return word[0].upper() + word[1:], css
+
+    @property
+    def verdicts(self) -> list[dict[str, str]]:
+        """What is said of each file: the first screen holds one line a file."""
+        return [
+            {
+                "name": one.name, "role": one.role.value + ("" if one.declared or one.role.value != "shape-preview" else " (not declared)"),
+                "word": one.word, "css": _CSS.get(one.word, "fail"),
+                "rms": "–" if one.rms is None else f"{1e3 * one.rms:.3g}",
+                "limit": "–" if one.limit is None else f"{1e3 * one.limit:.3g}", "sentence": one.sentence,
+            }
+            for one in self.report.verdicts
+        ]  # fmt: skip
 
     @property
     def failures(self) -> list[dict[str, Any]]:

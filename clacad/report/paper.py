@@ -84,18 +84,30 @@ def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
     return {
         "title": report.design.name,
         "about": f"confocal lenslet array pair, {report.window.form}, {n1} × {n2} cells; verification",
-        "state": "passed" if report.passed else "not passed",
+        "state": report.word,
         "verdict": {
-            "state": "pass" if report.passed else "fail", "word": "Passed" if report.passed else "Not passed",
+            "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"), "word": content.head[0],
             "sentence": report.verdict(),
             "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.failures],
         },
         "tally": ", ".join(f"{n} {state}" for state, n in counts.items()),
         "blocks": [
-            *_fabrication(content, shelf), *_checks(content), *_asked(content), *_light(content, shelf),
+            *_verdicts(content), *_fabrication(content, shelf), *_checks(content), *_asked(content), *_light(content, shelf),
             *_errors(content, shelf), *_rest(content, shelf),
         ],
     }  # fmt: skip
+
+
+def _verdicts(content: Content) -> list[Block]:
+    """One line a file: what it is for, what is said of it, light through it."""
+    if not content.verdicts:
+        return []
+    head = ["verdict", "file", "role", "rms / mrad", "limit"]
+    rows = [
+        [{"text": f["word"], "state": f["css"]}, f"{f['name']}: {f['sentence']}", f["role"], f["rms"], f["limit"]]
+        for f in content.verdicts
+    ]
+    return [{"kind": "table", "widths": [2, 6, 2, 0, 0], "head": head, "rows": rows, "numbers": [3, 4]}]
 
 
 def _heading(text: str, level: int = 1) -> Block:

@@ -27,12 +27,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.bundle import bundle, field_points, middle_direction
 from clacad.effects.scatter import haze
 from clacad.feasibility.facts import DEFAULT_WAVELENGTH
 from clacad.law import Law, angle_between
 from clacad.sheet import Window
 from clacad.tolerance.misalign import Errors, Telescopelet, telescopelet
-from clacad.bundle import bundle, field_points, middle_direction
 from clacad.vignetting import share, thin_cells
 
 if TYPE_CHECKING:

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet import Face, Window
+from clacad.sheet import Face, Window, in_optical_tile
 from clacad.surface import meet, refract
+from clacad.trace.sampled import SampledFace, meet_sampled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -64,18 +65,24 @@ class ExactFace:
     face : Face
     origin : (3,) lengths
         Centre of the face's cell in the sheet frame, z = 0.
+    window : Window or None
+        Whose optical zone ends the face; None: it goes on.
     """
 
     face: Face
     origin: Floats
+    window: Window | None = None
+
+
+AnyFace = FacetFace | ExactFace | SampledFace
 
 
 @dataclass(frozen=True, eq=False)
 class FacetBody:
     """Front and back of one body over one cell, and its refractive index."""
 
-    front: FacetFace | ExactFace
-    back: FacetFace | ExactFace
+    front: AnyFace
+    back: AnyFace
     index: float
 
 
@@ -162,7 +169,7 @@ def first_crossing(
 
 
 def _meet(
-    face: FacetFace | ExactFace, position: Floats, direction: Floats, entering: bool
+    face: AnyFace, position: Floats, direction: Floats, entering: bool
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Distance (n,) along each ray, NaN for none; normal (n, 3) turned the way the light goes; whether it is land."""
     if isinstance(face, FacetFace):
@@ -170,11 +177,18 @@ def _meet(
             return np.full(len(position), np.nan), position, np.zeros(len(position), dtype=bool)
         distance, facet = first_crossing(face, position, direction, entering)
         return distance, face.normals[facet] * (-1.0 if entering else 1.0), face.land[facet]
+    if isinstance(face, SampledFace):
+        return meet_sampled(face, position, direction)
     turn = face.face.rotation
     apex = face.origin + np.asarray(face.face.vertex)
     met = meet(face.face.surface, (position - apex) @ turn, direction @ turn)
-    land = np.zeros(len(position), dtype=bool)
-    return np.where(met.distance >= 0.0, met.distance, np.nan), met.gradient @ turn.T, land
+    distance = np.where(met.distance >= 0.0, met.distance, np.nan)
+    if (
+        face.window is not None and face.face.array is not None
+    ):  # what it meets beyond belongs to another lens
+        x, y, _ = (position + distance[:, None] * direction - face.origin).T
+        distance = np.where(in_optical_tile(face.window, x, y), distance, np.nan)
+    return distance, met.gradient @ turn.T, np.zeros(len(position), dtype=bool)
 
 
 def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:

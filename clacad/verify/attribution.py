@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.bundle import Bundle, Floats, bundle, launched
 from clacad.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet import Window
 from clacad.trace import trace, trace_sequence
-from clacad.bundle import Bundle, Floats, bundle, launched
 from clacad.trace.facets import trace_facets
 from clacad.verify.gather import Cell, Gathered, Gatherer, telescopelet
 from clacad.verify.parabasal import interfaces

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from clacad.bundle import Floats
 from clacad.rays import Fate, Rays
 from clacad.sheet import Window
 from clacad.trace import Interface, trace_sequence
-from clacad.bundle import Floats
 from clacad.verify.parabasal import interfaces
 
 HEIGHTS = 41

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.bundle import bundle
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window
 from clacad.trace import trace
-from clacad.bundle import bundle
-from clacad.verify.checks import Check, not_run
 from clacad.trace.facets import Floats, trace_facets
+from clacad.verify.checks import Check, not_run
 from clacad.verify.gather import Gatherer, Progress, telescopelet
 from clacad.vignetting import half_field, thin_cells
 

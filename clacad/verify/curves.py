@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clacad.bundle import Bundle, Floats, central_cell, launched, middle_direction, over_cell
 from clacad.law import angle_between
 from clacad.rays import Fate, TraceResult
 from clacad.sheet import Window
 from clacad.sobol import sobol
-from clacad.bundle import Bundle, Floats, central_cell, launched, middle_direction, over_cell
 from clacad.vignetting import half_field, share, thin_cells
 
 DIRECTIONS = 49

@@ -7,10 +7,10 @@ from math import sqrt
 
 import numpy as np
 
+from clacad.bundle import over_cell
 from clacad.sheet import Face, Window, column, lens_height_and_normal
 from clacad.sobol import sobol
-from clacad.bundle import over_cell
-from clacad.trace.facets import ExactFace, FacetBody, FacetFace, Floats, Ints, first_crossing, on_land
+from clacad.trace.facets import FacetBody, FacetFace, Floats, Ints, first_crossing, on_land
 from clacad.verify.gather import exact_height
 from clacad.vignetting import focal_ratio
 
@@ -62,7 +62,7 @@ def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINT
     slope, distance, met = [], [], []
     for piece, body in zip(bodies, window.bodies, strict=True):
         for facets, face in ((piece.front, body.front), (piece.back, body.back)):
-            if isinstance(facets, ExactFace):
+            if not isinstance(facets, FacetFace):
                 slope.append(np.zeros_like(points))
                 distance.append(0.0)
                 met.append(1.0)

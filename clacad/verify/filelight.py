@@ -17,7 +17,7 @@ import numpy as np
 from clacad.bundle import Bundle, Floats, bundle, field_points
 from clacad.export.roles import Role
 from clacad.law import Law, angle_between
-from clacad.rays import Fate, TraceResult
+from clacad.rays import Fate, Rays, TraceResult
 from clacad.sheet import Window
 from clacad.trace import trace, trace_sequence
 from clacad.verify.checks import Check, judge, not_run
@@ -28,7 +28,14 @@ from clacad.vignetting import share, thin_cells
 if TYPE_CHECKING:
     from clacad.design import Design
 
-IDS = ("file_law_rms", "file_law_bias", "file_law_eta", "file_law_delta", "file_confocality", "file_throughput")
+IDS = (
+    "file_law_rms",
+    "file_law_bias",
+    "file_law_eta",
+    "file_law_delta",
+    "file_confocality",
+    "file_throughput",
+)
 """Checks of light through a file."""
 
 POINT_RAYS = 4096
@@ -36,6 +43,10 @@ POINT_RAYS = 4096
 
 SLIDE = 1e-3
 """Trial shift of array 2 over the distance between the lenses, for the change of directions with it."""
+
+
+SHIFT_RAYS = 16384
+"""Rays that tell the shift."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +67,8 @@ class FileLight:
         over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
         ALIVE share in the middle of the field and over it, as (through the file, closed form).
+    seen, truth : TraceResult
+        Of the main bundle, through the file and through the exact surfaces.
     """
 
     rays: Bundle
@@ -67,6 +80,8 @@ class FileLight:
     shift: Floats
     middle: tuple[float, float]
     field: tuple[float, float]
+    seen: TraceResult
+    truth: TraceResult
 
 
 def measure_light(
@@ -102,7 +117,8 @@ def measure_light(
         main,
         float(np.sqrt(np.mean(error**2))) if known else np.nan,
         float(error.max()) if known else np.nan,
-        bias, law, exact, _shift(window, main, seen, asked, both), middle, (float(alive.mean()), closed),
+        bias, law, exact, _shift(window, main, seen, both), middle,
+        (float(alive.mean()), closed), seen, truth,
     )  # fmt: skip
 
 
@@ -137,9 +153,7 @@ def _field(
     return np.array(found), middle
 
 
-def _shift(
-    window: Window, main: Bundle, seen: TraceResult, asked: Floats, both: np.ndarray[Any, Any]
-) -> Floats:
+def _shift(window: Window, main: Bundle, seen: TraceResult, both: np.ndarray[Any, Any]) -> Floats:
     """Least-squares shift of array 2 (2,), file less exact, over the distance between the lenses.
 
     One step of Gauss and Newton with the change of directions of the exact surfaces: facets' own slopes do not change
@@ -148,12 +162,9 @@ def _shift(
     if both.sum() < FEWEST:
         return np.full(2, np.nan)
     distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
-    rays = replace(
-        main.rays,
-        position=main.rays.position[both] - [*window.lattice.centres(np.array([main.cell]))[0], 0.0],
-        direction=main.rays.direction[both],
-        **({} if main.rays.wavelength is None else {"wavelength": main.rays.wavelength[both]}),
-    )
+    few = np.flatnonzero(both)[:SHIFT_RAYS]
+    centre = window.lattice.centres(np.array([main.cell], dtype=np.int64))[0]
+    rays = Rays(main.rays.position[few] - [*centre, 0.0], main.rays.direction[few])
     through = [
         trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
         for slide in (-SLIDE, 0.0, SLIDE)
@@ -162,7 +173,7 @@ def _shift(
     across = window.thin.rotation[:, :2]
     low, exact, high = (one.direction[good] @ across for one in through)
     change = (high - low) / (2.0 * SLIDE)
-    less = seen.direction[both][good] @ across - exact
+    less = seen.direction[few][good] @ across - exact
     weight = (change**2).sum(axis=0)
     powered = weight > 1e-12 * max(float(weight.max(initial=0.0)), 1e-300)
     found = -(less * change).sum(axis=0) / np.where(powered, weight, 1.0)
@@ -205,9 +216,7 @@ def light_checks(
 
 def softened(check: Check) -> Check:
     """What fails a master is a warning for what is only looked at."""
-    if check.state == "fail":
-        return replace(check, state="warn")
-    return replace(check, required=False) if check.state == "not run" else check
+    return replace(check, state="warn" if check.state == "fail" else check.state, required=False)
 
 
 def _rms(
@@ -218,11 +227,19 @@ def _rms(
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
     source = "law_rms" if spec.mesh_law_rms is None else "design file"
     if found.rms != found.rms:
-        return not_run("file_law_rms", f"too little light gets through the file's {what}", limit=limit, unit="rad", **common)
+        return not_run(
+            "file_law_rms",
+            f"too little light gets through the file's {what}",
+            limit=limit,
+            unit="rad",
+            **common,
+        )
     every = np.array([found.rms, *rms[1:]])
     worst = int(np.nanargmax(every))
     value = float(every[worst])
-    where = f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
+    where = (
+        f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
+    )
     sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
     if role is Role.SCAN and value > limit and noise > 0.0:
         rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
@@ -276,7 +293,9 @@ def _fitted(design: Design, found: FileLight, what: str, common: Mapping[str, An
 def _confocality(design: Design, found: FileLight, common: Mapping[str, Any]) -> Check:
     limit = design.check.confocality
     if np.isnan(found.shift).all():
-        return not_run("file_confocality", "too little light gets through the file to say", limit=limit, **common)
+        return not_run(
+            "file_confocality", "too little light gets through the file to say", limit=limit, **common
+        )
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "

@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.export.atomic import MANIFEST, file_hash, read_manifest
 from clacad.export.filemesh import FileMesh
+from clacad.export.roles import NOT_OPTICAL, WORDS, Role
 from clacad.export.truth import whole_extent
 from clacad.feasibility import body_range
 from clacad.prescription import prescribe
@@ -46,6 +47,12 @@ class CannotRegister(ValueError):
     exit_status = 2
 
 
+class UnknownRole(ValueError):
+    """A role that is none, or that is declared for no file."""
+
+    exit_status = 2
+
+
 @dataclass(frozen=True, eq=False)
 class Subject:
     """One file to be judged.
@@ -57,6 +64,10 @@ class Subject:
         Of the manifest; empty without one.
     bytes : int, sha256 : str
         As found now; "" where the file is missing.
+    role : Role
+        What it is for: as declared, as the manifest says, else a master.
+    declared : bool
+        Whether somebody declared the role, at export or now; else it follows from what was forecast.
     """
 
     path: Path
@@ -65,6 +76,15 @@ class Subject:
     entry: Mapping[str, Any] = field(default_factory=dict)
     bytes: int = 0
     sha256: str = ""
+    role: Role = Role.MASTER
+    declared: bool = False
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies its manifest lists; a body with its name engraved is that body."""
+        listed = self.entry.get("bodies")
+        names = listed if isinstance(listed, list) else []
+        return tuple(str(name).removesuffix(".marked") for name in names)
 
     @property
     def is_mesh(self) -> bool:
@@ -85,14 +105,76 @@ class Delivery:
     manifest: Mapping[str, Any] | None
 
 
-def find_files(place: Path) -> Delivery:
+Roles = Mapping[str, Role]
+"""Format word or file name → declared role; "" stands for every file."""
+
+
+def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
+    """Read roles as a person declares them: one word for all files, or one a format or file name.
+
+    Raises
+    ------
+    UnknownRole
+    """
+    if asked is None:
+        return {}
+    given = {"": asked} if isinstance(asked, str) else asked
+    found = {}
+    for name, word in given.items():
+        if word not in WORDS:
+            raise UnknownRole(f"role {word!r}: it is master, preview or scan")
+        found[name] = WORDS[word]
+    return found
+
+
+def find_files(place: Path, roles: Roles | None = None) -> Delivery:
     """Find what there is to judge: a folder with a manifest, one file of it, or any one file.
+
+    Parameters
+    ----------
+    place : Path
+    roles : mapping or None
+        Declared by who verifies; see `declared_roles`.
 
     Raises
     ------
     FileNotFoundError
         Nothing is there, or a folder holds no manifest and no file of a known format.
+    UnknownRole
+        A role is declared for a file that is not among them.
     """
+    delivery = _found(place)
+    if not roles:
+        return delivery
+    subjects = tuple(_with_role(subject, roles) for subject in delivery.subjects)
+    known = {word for subject in subjects for word in _called(subject)}
+    idle = [name for name in roles if name not in known]
+    if idle:
+        raise UnknownRole(
+            f"a role is declared for {idle[0]!r}, and none of the files is of that name or format"
+        )
+    return replace(delivery, subjects=subjects)
+
+
+def _called(subject: Subject) -> tuple[str, ...]:
+    """Words a role may be declared by, the most special first."""
+    return (
+        subject.name,
+        subject.format,
+        subject.format.split("-")[0],
+        subject.path.suffix.lower().lstrip("."),
+        "",
+    )
+
+
+def _with_role(subject: Subject, roles: Roles) -> Subject:
+    role = next((roles[word] for word in _called(subject) if word in roles), None)
+    if role is None or subject.role is Role.OTHER:
+        return subject
+    return replace(subject, role=role, declared=True)
+
+
+def _found(place: Path) -> Delivery:
     if place.is_dir():
         manifest = read_manifest(place)
         if manifest is None:
@@ -106,19 +188,25 @@ def find_files(place: Path) -> Delivery:
     if not place.is_file():
         raise FileNotFoundError(f"{place}: no such file or folder")
     manifest = read_manifest(place.parent)
-    entries = [] if manifest is None else [e for e in manifest["files"] if e.get("name") == place.name]
+    listed = [] if manifest is None else [e for e in manifest["files"] if isinstance(e, dict)]
+    entries = [entry for entry in listed if entry.get("name") == place.name]
     if entries:
         return Delivery((_listed(place.parent, entries[0]),), manifest)
     return Delivery((_bare(place),), None)
 
 
-def _listed(folder: Path, entry: Mapping[str, Any]) -> Subject:
+def _listed(folder: Path, told: Any) -> Subject:
+    entry: Mapping[str, Any] = told if isinstance(told, dict) and told else {"name": ""}
     name = str(entry.get("name", ""))
     path = folder / Path(name).name  # a manifest names files of its own folder and no other
     known = path.is_file()
+    role = next((one for one in Role if one.value == entry.get("role")), None)
+    if role is None or role is Role.SCAN:  # nobody exports scans; files of old have no role
+        role = Role.OTHER if entry.get("format") in NOT_OPTICAL else Role.MASTER
     return Subject(
-        path, path.name, str(entry.get("format", "")), entry, path.stat().st_size if known else 0,
-        file_hash(path) if known else "",
+        path, path.name if known else name or "(no name)", str(entry.get("format", "")), entry,
+        path.stat().st_size if known else 0, file_hash(path) if known else "", role,
+        role is not Role.PREVIEW or entry.get("role_declared") is True,
     )  # fmt: skip
 
 
@@ -209,9 +297,8 @@ def held_bodies(window: Window, subject: Subject, height: float) -> tuple[tuple[
     where two bodies are as high as each other.
     """
     names = tuple(body.name for body in window.bodies)
-    listed = subject.entry.get("bodies")
-    if isinstance(listed, list):
-        return (tuple(name for name in names if name in listed),)
+    if subject.bodies:
+        return (tuple(name for name in names if name in subject.bodies),)
     whole = window.z_range[1] - window.z_range[0]
     if len(names) == 1 or abs(height / whole - 1.0) <= SAME_EXTENT:
         return (names,)

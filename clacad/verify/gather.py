@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.bundle import central_cell
 from clacad.export.compare import rounding
 from clacad.export.truth import distance_to_face
 from clacad.feasibility import body_range
 from clacad.fixture.mark import pockets
 from clacad.mesh.bevel import in_corners
 from clacad.sheet import Body, Face, Window, lens_height
-from clacad.bundle import central_cell
-from clacad.trace.facets import WALL, ExactFace, FacetBody, FacetFace, Floats, facet_face, on_land
+from clacad.trace.facets import WALL, AnyFace, ExactFace, FacetBody, Floats, facet_face, on_land
 
 RANDOM_CELLS = 4
 Cell = tuple[int, int]
@@ -175,7 +175,7 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
     centre = window.lattice.centres(index)[0]
     bodies = []
     for number, body in enumerate(window.bodies):
-        faces: list[FacetFace | ExactFace] = []
+        faces: list[AnyFace] = []
         for side, face in enumerate((body.front, body.back)):
             shift = window.shifts[owner(body, face)]
             place = centre + np.asarray(shift)
@@ -185,7 +185,7 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
                 flat = on_land(window, face, found.corners(number, side, cell))
                 faces.append(facet_face(corners, np.array([*place, body.front.vertex[2]]), flat))
             else:
-                faces.append(ExactFace(face, np.array([*place, 0.0])))
+                faces.append(ExactFace(face, np.array([*place, 0.0]), window))
         bodies.append(FacetBody(faces[0], faces[1], body.index))
     return tuple(bodies)
 

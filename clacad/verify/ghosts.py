@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from clacad.bundle import Floats, central_cell, launched, middle_direction, over_cell
 from clacad.rays import Fate
 from clacad.sheet import Window
 from clacad.sobol import sobol
 from clacad.trace import trace
-from clacad.bundle import Floats, central_cell, launched, middle_direction, over_cell
 from clacad.vignetting import half_field, share, thin_cells
 
 DIRECTIONS = 31

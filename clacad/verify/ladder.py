@@ -63,9 +63,9 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     from functools import partial
 
     from clacad.accuracy import measure
+    from clacad.bundle import bundle
     from clacad.mesh import tessellate
     from clacad.trace import trace
-    from clacad.bundle import bundle
 
     lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
     ladder = measure.Ladder(window, lit.rays, trace(window, lit.rays), window.law.refract(lit.rays.direction))

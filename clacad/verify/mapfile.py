@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,10 @@ from clacad.export.table import pose_lines, surface_table
 from clacad.sheet import Body, Face, Window, face_height, lens_height_and_normal
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.files import Subject
+from clacad.verify.maplight import map_light
+
+if TYPE_CHECKING:
+    from clacad.design import Design
 
 SUFFIXES: Mapping[str, str] = {
     ".f32.tiff": "tiff32", ".u16.tiff": "tiff16", ".u16.png": "png16", ".xyz": "xyz-normals", ".cell.dat": "grid-sag",
@@ -58,25 +62,28 @@ def format_of(subject: Subject) -> str | None:
     return next((word for end, word in SUFFIXES.items() if name.endswith(end)), None)
 
 
-def judge_map(window: Window, subject: Subject, format: str) -> list[Check]:
-    """Compare a file with the design's faces.
+def judge_map(design: Design, window: Window, subject: Subject, format: str, rays: int) -> list[Check]:
+    """Compare a file with the design's faces, number by number, and send light through the heights it holds.
 
     Parameters
     ----------
+    design : Design
     window : Window
         With the cells that were written.
     subject : Subject
     format : str
         As `format_of` says.
+    rays : int
+        Of the bundle of the checks, at most.
 
     Returns
     -------
     list of Check
-        readable and shape.
+        readable, shape, and those of light where the file holds heights.
     """
     common: dict[str, Any] = {"where": "file", "subject": subject.name}
     try:
-        worst, room, what = _compared(window, subject, format)
+        worst, room, what, label = _compared(window, subject, format)
     except (ExportError, OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         why = str(error) if isinstance(error, ExportError) else f"damaged ({type(error).__name__}: {error})"
         unread = Check("readable", "fail", f"it cannot be read: {why}", **common)
@@ -89,13 +96,15 @@ def judge_map(window: Window, subject: Subject, format: str) -> list[Check]:
     return [
         found,
         judge("shape", worst, room, sentence, unit=unit, source="rounding of the format", **common),
+        *(map_light(design, window, subject, format, label, rays) if label else ()),
     ]
 
 
-def _compared(window: Window, subject: Subject, format: str) -> Misfit:
+def _compared(window: Window, subject: Subject, format: str) -> tuple[float, float, str, str]:
+    """Misfit, and the face it is of ("" for the whole window)."""
     if format in _READERS:
-        return _READERS[format](window, subject.path)
-    best: Misfit | None = None
+        return *_READERS[format](window, subject.path), ""
+    best: tuple[float, float, str, str] | None = None
     refusal: ExportError | None = None
     for body, face, label in structured_faces(window):
         if f".{label}." in subject.name or not _labelled(window, subject.name):
@@ -105,7 +114,7 @@ def _compared(window: Window, subject: Subject, format: str) -> Misfit:
                 refusal = error
                 continue
             if best is None or one[0] < best[0]:
-                best = one
+                best = (*one, label)
     if best is None:
         raise refusal or UnreadableFile(f"{subject.name}: no face of the design is of its kind")
     return best
@@ -206,7 +215,7 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     assert face.array is not None
     dx, dy = window.shifts[face.array]
     worst, count = 0.0, 0
-    for table in _point_blocks(path):
+    for table in point_blocks(path):
         index, u, v = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
         z = face_height(window, face, u, v)
         lens, normal = lens_height_and_normal(face, u, v)
@@ -222,7 +231,7 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     return worst, count
 
 
-def _point_blocks(path: Path) -> Iterator[Floats]:
+def point_blocks(path: Path) -> Iterator[Floats]:
     """Lines of six numbers, so many at a time."""
     with path.open(encoding="ascii", errors="replace") as stream:
         lines = (line for line in stream if not line.startswith("#"))

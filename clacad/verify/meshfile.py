@@ -10,11 +10,12 @@ import numpy as np
 
 from clacad.export.closed import measure
 from clacad.export.filemesh import FileMesh
+from clacad.export.roles import Role
 from clacad.feasibility import body_range
 from clacad.sheet import Window
+from clacad.trace.facets import Floats
 from clacad.verify.checks import Check
 from clacad.verify.deviation import FEWER, POINTS, deviation
-from clacad.trace.facets import Floats
 from clacad.verify.gather import Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshlight import MeshEvidence, light_checks
 from clacad.verify.meshshape import chord_volume, shape_check, volume_check
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 def judge_mesh(
     design: Design, window: Window, mesh: FileMesh, factor: float, name: str, stated: Mapping[str, Any], rays: int,
-    progress: Progress, present: Sequence[str] | None = None,
+    progress: Progress, present: Sequence[str] | None = None, role: Role = Role.MASTER,
 ) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
     """Measure a mesh file in one pass and judge it.
 
@@ -47,6 +48,8 @@ def judge_mesh(
         (stage, done 0 … 1).
     present : names of the bodies in the file, or None for all
         Light meets the others as the design has them.
+    role : Role
+        What the file is for.
     """
     held = held_part(window, present)
     bevel = (
@@ -64,7 +67,7 @@ def judge_mesh(
         for k in range(len(gathered.cells))
     ]
     checks.append(shape_check(design, window, gathered, off, name, stated, present))
-    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present)
+    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
     return checks + light, evidence
 
 

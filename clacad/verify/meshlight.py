@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.bundle import Bundle, bundle, launched
 from clacad.export.closed import Measure
+from clacad.export.roles import Role
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window
-from clacad.trace import trace
-from clacad.bundle import Bundle, bundle, launched
+from clacad.trace.facets import FacetBody, Floats, trace_facets
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import Deviation, forecast_rms
-from clacad.trace.facets import Floats, trace_facets
+from clacad.verify.filelight import POINT_RAYS, measure_light
+from clacad.verify.filelight import light_checks as judge_light
 from clacad.verify.gather import Gathered, Progress, telescopelet
 from clacad.vignetting import half_field, thin_cells
 
@@ -62,34 +64,50 @@ class MeshEvidence:
 
 def light_checks(
     design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], found: Measure, name: str, rays: int,
-    progress: Progress, present: Sequence[str] | None,
+    progress: Progress, present: Sequence[str] | None, role: Role = Role.MASTER,
 ) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
-    """Trace the same rays through the file's triangles and through the exact surfaces."""
+    """Trace the same rays through the file's triangles and through the exact surfaces.
+
+    Returns
+    -------
+    checks : list of Check
+        Light through the file against the law (file_*), then against the design cut as the file is (faithful_*).
+    evidence : MeshEvidence
+    """
     common: dict[str, Any] = {"where": "file", "subject": name}
-    field_angle = design.check.field
-    main = bundle(window, rays, field_angle, design.check.field_centre)
-    truth = trace(window, main.rays)
-    rms, lost, law_rms = [], [], np.nan
+    progress("tracing the triangles", 0.0)
+    held = telescopelet(window, gathered, 0, present)
+    light = measure_light(
+        design,
+        window,
+        lambda lit: trace_facets(held, lit.rays),
+        rays,
+        min(rays, POINT_RAYS),
+        gathered.cells[0],
+    )
+    main, truth = light.rays, light.truth
+    rms, lost, to_law = [], [], []
     for number, cell in enumerate(gathered.cells):
         progress("tracing the triangles", number / len(gathered.cells))
         count = rays if number == 0 else min(rays, CELL_RAYS)
-        lit = _moved(window, main, cell, count)
-        seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
-        good = truth.fate[:count] == Fate.ALIVE
-        both = good & (seen.fate == Fate.ALIVE)
-        error = angle_between(seen.direction[both], truth.direction[:count][both])
-        rms.append(float(np.sqrt(np.mean(error**2))) if both.any() else np.nan)
+        seen = light.seen
+        if number:
+            lit = _moved(window, main, cell, count)
+            seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
+        good, alive = truth.fate[:count] == Fate.ALIVE, seen.fate == Fate.ALIVE
+        both = good & alive
+        rms.append(_rms_between(seen.direction[both], truth.direction[:count][both]))
+        to_law.append(
+            _rms_between(seen.direction[alive], window.law.refract(main.rays.direction[:count][alive]))
+        )
         lost.append(1.0 - both.sum() / max(1, good.sum()))
-        if number == 0 and both.any():
-            asked = window.law.refract(lit.rays.direction[both])
-            law_rms = float(np.sqrt(np.mean(angle_between(seen.direction[both], asked) ** 2)))
-    law, exact = _fits(design, window, gathered, rays, present)
+    law, exact = _fits(design, window, gathered, held, rays, present)
     forecasts = np.array([forecast_rms(window, d) for d in off])
     evidence = MeshEvidence(
         found,
         gathered.cells,
         np.array(rms),
-        law_rms,
+        light.rms,
         forecasts,
         off[0].slope_rms,
         law,
@@ -97,15 +115,17 @@ def light_checks(
         {"lost": lost},
         gathered,
     )
-    checks = [_file_rms(design, evidence, lost, str(main), common)]
-    checks += _file_fit(design, evidence, common)
-    limit = design.check.mesh_law_rms
-    if limit is not None:
-        checks.append(
-            judge("file_law_rms", law_rms, limit, f"through the triangles light is {1e3 * law_rms:.4g} mrad rms off the law",
-                  unit="rad", bundle=str(main), source="design file", **common)
-        )  # fmt: skip
-    return checks, evidence
+    noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
+    checks = judge_light(design, light, role, name, rms=to_law, cells=gathered.cells, noise=noise)
+    checks.append(_faithful_rms(design, evidence, lost, str(main), common))
+    return checks + _faithful_fit(design, evidence, common), evidence
+
+
+def _rms_between(one: Floats, other: Floats) -> float:
+    """Rms angle between directions (n, 3), radians; NaN for none."""
+    angle = angle_between(one, other)
+    angle = angle[np.isfinite(angle)]
+    return float(np.sqrt(np.mean(angle**2))) if len(angle) else np.nan
 
 
 def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> Bundle:
@@ -113,7 +133,7 @@ def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> B
     return launched(window, main.points[:count], main.rays.direction[:count], cell, main.middle, main.field)
 
 
-def _file_rms(
+def _faithful_rms(
     design: Design, evidence: MeshEvidence, lost: list[float], bundle_text: str, common: Mapping[str, Any]
 ) -> Check:
     rms = evidence.rms
@@ -149,15 +169,16 @@ def _file_rms(
 
 
 def _fits(
-    design: Design, window: Window, gathered: Gathered, rays: int, present: Sequence[str] | None
-) -> tuple[Law | None, Law | None]:
+    design: Design, window: Window, gathered: Gathered, held: tuple[FacetBody, ...], rays: int,
+    present: Sequence[str] | None,
+) -> tuple[Law | None, Law | None]:  # fmt: skip
     """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays.
 
     Facets alone bias a fit by about the inverse square of their number a side; both sides share that.
     """
     angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
     lit = bundle(window, rays, angle, design.check.field_centre)
-    seen = trace_facets(telescopelet(window, gathered, 0, present), lit.rays)
+    seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
     both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
     if both.sum() < 1024:
@@ -170,7 +191,7 @@ def _fits(
     return laws[0], laws[1]
 
 
-def _file_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, Any]) -> list[Check]:
+def _faithful_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, Any]) -> list[Check]:
     law, exact = evidence.law, evidence.law_design
     if law is None or exact is None:
         why = "too few rays get through the file's triangles to fit a law"

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.bundle import Bundle, Floats, bundle, field_points
 from clacad.law import Law, angle_between
 from clacad.rays import Fate, TraceResult
 from clacad.sheet import Window
-from clacad.bundle import Bundle, Floats, bundle, field_points
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.parabasal import confocality
 from clacad.vignetting import share, thin_cells

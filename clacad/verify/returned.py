@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.export.closed import measure
+from clacad.export.roles import Role
 from clacad.export.truth import whole_extent
+from clacad.trace.facets import Floats
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.deviationmap import DeviationMap, Mapper
-from clacad.trace.facets import Floats
 from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence, light_checks
@@ -95,20 +96,20 @@ def _clipped(points: Floats, polygon: Floats) -> Floats:
 
 
 def judge_placed(
-    design: Design, placed: Placed, name: str, rays: int, progress: Progress
+    design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
 ) -> tuple[list[Check], MeshEvidence]:
     """Judge a part that came without a manifest: to rounding where it lies as written, else as what came back."""
     if not placed.exact:
-        found, evidence = judge_returned(design, placed, name, rays, progress)
+        found, evidence = judge_returned(design, placed, name, rays, progress, role)
     else:
         found, evidence = judge_mesh(
-            design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present
+            design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present, role
         )
     return [*placed.checks, *found], evidence
 
 
 def judge_returned(
-    design: Design, placed: Placed, name: str, rays: int, progress: Progress
+    design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
 ) -> tuple[list[Check], MeshEvidence]:
     """Measure a returned part in one pass and judge it.
 
@@ -139,7 +140,7 @@ def judge_returned(
     if dark and len(dark) < len(off):  # holes in some cells: light is judged where there is a face
         kept = [k for k, d in enumerate(off) if d.complete]
         gathered, off = _only(gathered, kept), [off[k] for k in kept]
-    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present)
+    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
     if dark:
         light = [_with_holes(check, dark, len(cutter.result.cells)) for check in light]
     facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose}

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import UnreadableFile
+from clacad.export.roles import Role
 from clacad.feasibility import Feasibility, describe, feasibility
 from clacad.prescription import prescribe
 from clacad.sheet import Window
@@ -18,9 +20,11 @@ from clacad.verify import checks as judging
 from clacad.verify.checks import Check, not_run, plain
 from clacad.verify.convergence import Convergence, converge, convergence_check
 from clacad.verify.curves import Meridian, meridians
+from clacad.verify.delivery import judge_other, no_optics, whole_delivery
 from clacad.verify.files import (
     Delivery,
     Subject,
+    declared_roles,
     find_files,
     held_bodies,
     integrity,
@@ -38,12 +42,15 @@ from clacad.verify.registration import place
 from clacad.verify.returned import judge_placed
 from clacad.verify.solidfile import judge_solid
 from clacad.verify.turnedsolid import judge_turned, lies_elsewhere
+from clacad.verify.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of, wrong
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.verify.evidence import Evidence
 
 FORMAT = 1
+NAMED = 4
+"""Files that a verdict names; of more it gives the number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +60,8 @@ class FileReport:
     window : Window or None
         With the cells of the file; None where they are the design's.
     present : names of the bodies in it, or None for all
+    role : Role or None
+        As it was judged, where that is not what it was handed in as.
     """
 
     subject: Subject
@@ -61,6 +70,12 @@ class FileReport:
     solid: Mapping[str, Any] | None = None
     window: Window | None = None
     present: tuple[str, ...] | None = None
+    role: Role | None = None
+
+    @property
+    def judged_as(self) -> Role:
+        """What it was judged as."""
+        return self.subject.role if self.role is None else self.role
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +98,8 @@ class Report:
     versions : mapping
     evidence : Evidence or None
         What the page shows beside its checks; None until `with_evidence`.
+    delivered : bool
+        Whether files were to be judged; a delivery without any passes nothing.
     """
 
     design: Design
@@ -95,6 +112,7 @@ class Report:
     files: tuple[FileReport, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     evidence: Evidence | None = None
+    delivered: bool = False
 
     def with_evidence(self, progress: Progress | None = None) -> Report:
         """The same report with what its page shows beside the checks; itself where it has that."""
@@ -104,10 +122,27 @@ class Report:
 
         return replace(self, evidence=gather_evidence(self, progress if progress is not None else _silent))
 
+    @cached_property
+    def verdicts(self) -> tuple[FileVerdict, ...]:
+        """What is said of each file, in the order they were judged."""
+        return tuple(_verdict_of(one, self.checks) for one in self.files)
+
+    @cached_property
+    def word(self) -> Word:
+        """Passed as optical master, shape only, failed, not judged; of a design alone: passed or failed."""
+        if self.delivered:
+            return word_of(self.verdicts, self.checks)
+        return "passed" if judging.passed(self.checks) else "failed"
+
     @property
     def passed(self) -> bool:
-        """Whether nothing failed and everything required ran."""
-        return judging.passed(self.checks)
+        """Whether the exit status is 0: nothing failed, everything required ran, and every file is what it is said to be.
+
+        A delivery of declared previews alone passes so too, and its word is still *shape only*.
+        """
+        if self.word == "shape only":
+            return all(settled(one) for one in self.verdicts if one.word == "shape only")
+        return self.word in GOOD
 
     @property
     def exit_status(self) -> int:
@@ -123,11 +158,28 @@ class Report:
     def verdict(self) -> str:
         """One sentence for the head of the page and the last line of the command."""
         counts = self.counts()
+        checks = f"{counts['pass'] + counts['warn']} checks" + (
+            f", {counts['warn']} with a warning" if counts["warn"] else ""
+        )
+        if self.word == "failed":
+            return self._failed()
+        told = [one for one in self.verdicts if one.word == self.word and one.role is not Role.OTHER]
+        if self.word == "shape only":
+            return f"shape only: {told[0].name} {told[0].sentence}{self._remedy(told[0])}"
+        if self.word == "not judged":
+            lacking = wrong(c for c in self.checks if c.id == "delivery")
+            return "not judged: " + (
+                lacking[0].sentence if lacking else "none of the files carries light of the law"
+            )
+        if self.word == "passed":
+            return f"passed: {checks}"
+        shapes = [one.name for one in self.verdicts if one.word == "shape only"]
+        rest = f"; shape only, as declared: {_listed(shapes)}" if shapes else ""
+        return f"{self.word}: {_listed([one.name for one in told])} ({checks}){rest}"
+
+    def _failed(self) -> str:
         failed = [c for c in self.checks if c.state == "fail"]
         missing = [c for c in self.checks if c.state == "not run" and c.required]
-        if self.passed:
-            warned = f", {counts['warn']} with a warning" if counts["warn"] else ""
-            return f"passed: {counts['pass'] + counts['warn']} checks{warned}"
         parts = []
         if failed:
             parts.append("failed: " + ", ".join(dict.fromkeys(c.id for c in failed)))
@@ -135,12 +187,23 @@ class Report:
             parts.append("did not run: " + ", ".join(dict.fromkeys(c.id for c in missing)))
         return "; ".join(parts)
 
+    def _remedy(self, one: FileVerdict) -> str:
+        """What would be a master: so many quads, or the STEP."""
+        if settled(one):
+            return "; declared as a preview"
+        masters = next((c.detail.get("masters") for c in self.checks if c.id == "convergence"), None)
+        kind = one.name.rpartition(".")[2].lower()
+        quads = (masters or {}).get(kind, {}).get("quads")
+        return f"; cut it in {quads} quads, or send the STEP" if quads else "; cut it finer, or send the STEP"
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content: no times, no host, no paths."""
         return {
             "format": FORMAT,
             "passed": self.passed,
+            "word": self.word,
             "verdict": self.verdict(),
+            "file_verdicts": [_verdict_row(one) for one in self.verdicts],
             "counts": self.counts(),
             "design": {"name": self.design.name, "sha256": self.design.sha256, "toml": self.design.toml},
             "window": {
@@ -162,6 +225,28 @@ class Report:
         return (
             json.dumps(self.to_dict(), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
         )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Some names, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED + 1 else ""
+    return ", ".join(names[:NAMED] if more else names) + more
+
+
+def _verdict_of(one: FileReport, checks: Sequence[Check]) -> FileVerdict:
+    subject = one.subject
+    mine = [c for c in checks if c.subject == subject.name]
+    quads = subject.entry.get("quads")
+    cut = f"in {quads} quads a cell" if isinstance(quads, int) and subject.is_mesh else ""
+    return file_verdict(subject.name, one.judged_as, subject.declared, one.mesh is not None, mine, cut)
+
+
+def _verdict_row(one: FileVerdict) -> dict[str, Any]:
+    row = {
+        "name": one.name, "role": one.role.value, "declared": one.declared, "word": one.word, "law_rms": one.rms,
+        "limit": one.limit, "sentence": one.sentence,
+    }  # fmt: skip
+    return dict(plain(row))
 
 
 def _field_row(point: Any) -> dict[str, Any]:
@@ -200,6 +285,7 @@ def verify(
     cells: tuple[int, int] | None = None,
     rays: int = 65536,
     progress: Progress | None = None,
+    role: str | Mapping[str, str] | None = None,
 ) -> Report:
     """Verify a design, and the files that were made from it.
 
@@ -216,6 +302,9 @@ def verify(
         Rays of the main bundle.
     progress : callable or None
         Called with a stage's name and the part done, 0 … 1.
+    role : "master", "preview", "scan", a mapping or None
+        What the files are for: one word for all, or a mapping from formats ("stl") or file names to words. None: as the
+        manifest says; a file without one is judged as a master.
 
     Returns
     -------
@@ -229,6 +318,8 @@ def verify(
         `files` names nothing that can be judged.
     CannotRegister
         A file's unit or cells cannot be told.
+    UnknownRole
+        A role that is none, or that is declared for no file.
     """
     report = progress if progress is not None else _silent
     report("building the window", 0.0)
@@ -241,7 +332,7 @@ def verify(
     convergence = None
     judged: list[FileReport] = []
     if files is not None:
-        delivery = find_files(Path(files))
+        delivery = find_files(Path(files), declared_roles(role))
         file_checks, judged = _judge_files(design, delivery, cells, rays, report)
         found = [*found, *file_checks]
         if any(f.subject.is_mesh for f in judged):
@@ -258,6 +349,7 @@ def verify(
         convergence,
         tuple(judged),
         versions(),
+        delivered=files is not None,
     )
 
 
@@ -309,36 +401,47 @@ def _judge_files(
         more, one = _judge_one(design, window, subject, rays, progress)
         checks += more
         judged.append(one)
-    return checks, judged
+    whole = prescribe(design) if window is None else window
+    return [
+        *checks,
+        *whole_delivery(whole, [(one.subject, one.judged_as, one.present) for one in judged]),
+    ], judged
 
 
 def _judge_one(
     design: Design, window: Window | None, subject: Subject, rays: int, progress: Progress
 ) -> tuple[list[Check], FileReport]:
     whole = prescribe(design) if window is None else window
-    if subject.entry and not {body.name for body in whole.bodies} >= set(subject.entry.get("bodies", ())):
-        return [], FileReport(subject, "no part of the optics; judged by its bytes alone")
+    if subject.entry and (reason := no_optics(whole, subject)) is not None:
+        progress(f"reading {subject.name}", 0.0)
+        return judge_other(whole, subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
     if subject.is_solid:
-        found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
-        if not subject.entry and lies_elsewhere(found):
-            found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
-            if placed is not None:
-                return found, FileReport(
-                    subject, placed.note, evidence, facts, window=placed.window, present=placed.present
-                )
-        return found, FileReport(subject, solid=facts)
+        return _judge_faces(design, window, whole, subject, rays, progress)
     if subject.is_mesh:
         return _judge_triangles(design, window, subject, rays, progress)
     format = format_of(subject)
     if format is not None:
         progress(f"reading {subject.name}", 0.0)
-        return judge_map(whole, subject, format), FileReport(subject, "judged by the numbers in it")
-    if subject.entry:
-        return [], FileReport(subject, "judged by its bytes alone")
+        note = "judged by the numbers in it"
+        return judge_map(design, whole, subject, format, rays), FileReport(subject, note)
     check = not_run(
         "readable", f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
     )
     return [check], FileReport(subject, "unknown format")
+
+
+def _judge_faces(
+    design: Design, window: Window | None, whole: Window, subject: Subject, rays: int, progress: Progress
+) -> tuple[list[Check], FileReport]:
+    """Judge a STEP or BREP file."""
+    found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
+    if not subject.entry and lies_elsewhere(found):
+        found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
+        if placed is not None:
+            return found, FileReport(
+                subject, placed.note, evidence, facts, window=placed.window, present=placed.present
+            )
+    return found, FileReport(subject, solid=facts)
 
 
 def _judge_triangles(
@@ -363,12 +466,13 @@ def _judge_triangles(
                 rays,
                 progress,
                 present,
+                subject.role,
             )
         else:
             progress("finding where the part lies", 0.0)
             placed = place(design, subject, mesh, window)
             window, present, note = placed.window, placed.present, placed.note
-            found, evidence = judge_placed(design, placed, subject.name, rays, progress)
+            found, evidence = judge_placed(design, placed, subject.name, rays, progress, subject.role)
     except UnreadableFile as error:
         failed = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
         later = ("closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
@@ -391,4 +495,5 @@ def _judge_triangles(
         f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else ""),
         **common,
     )
-    return [readable, *found], FileReport(subject, note, evidence, window=window, present=present)
+    role = Role(evidence.facts.get("role", subject.role))
+    return [readable, *found], FileReport(subject, note, evidence, window=window, present=present, role=role)

@@ -12,8 +12,8 @@ from clacad.export.filemesh import FileMesh, Part
 from clacad.export.truth import whole_extent
 from clacad.feasibility import body_facts, components
 from clacad.sheet import Window
-from clacad.verify.checks import Check, State, judge, not_run
 from clacad.trace.facets import Floats
+from clacad.verify.checks import Check, State, judge, not_run
 from clacad.verify.gather import Gathered
 
 if TYPE_CHECKING:
