@@ -30,7 +30,7 @@ from trust.spoiling import Change, changed, model_changed
 from clacad.design import Design
 from clacad.export import ExportError, export
 from clacad.prescription import prescribe
-from clacad.verify import CannotRegister, verify
+from clacad.verify import verify
 
 RAYS = 8192
 FINE, COARSE = 32, 8
@@ -741,8 +741,8 @@ def judged(case: Case, kits: Kits, folder: Path) -> Outcome:
     warned: set[str] = set()
     try:
         report = verify(kit.design, place, rays=RAYS, **case.options)
-    except (CannotRegister, ExportError, FileNotFoundError) as error:
-        word, status, failed = "refused", getattr(error, "exit_status", 2), ()
+    except (ValueError, ExportError, FileNotFoundError) as error:  # a refusal; anything else is a defect
+        word, status, failed = "refused", int(getattr(error, "exit_status", 2)), ()
     else:
         word, status = report.word, report.exit_status
         failed = tuple(dict.fromkeys(c.id for c in report.checks if c.state == "fail"))
