@@ -52,7 +52,7 @@ def test_a_step_file_of_a_design_that_passes_is_a_master(tmp_path: Path, name: s
 def test_the_bench_s_own_tracer_finds_what_was_measured_before_it(
     tmp_path: Path, name: str, quads: int, expected: float
 ) -> None:
-    """mrad rms to the law, by another tracer, of another day."""
+    """The rms to the law, mrad, by another tracer, of another day."""
     design = sheets.sheet(name)
     made = export(design, tmp_path / "made", formats=("stl",), quads=quads).path("stl-binary")
     optic = tracer.optics(design, prescribe(design))

@@ -28,7 +28,7 @@ from trust.bench import readers, tracer
 from trust.spoiling import Change, changed, model_changed
 
 from clacad.design import Design
-from clacad.export import ExportError, export
+from clacad.export import export
 from clacad.prescription import prescribe
 from clacad.verify import verify
 
@@ -741,7 +741,9 @@ def judged(case: Case, kits: Kits, folder: Path) -> Outcome:
     warned: set[str] = set()
     try:
         report = verify(kit.design, place, rays=RAYS, **case.options)
-    except (ValueError, ExportError, FileNotFoundError) as error:  # a refusal; anything else is a defect
+    except Exception as error:
+        if not hasattr(error, "exit_status") and not isinstance(error, FileNotFoundError):
+            raise  # no refusal but a defect
         word, status, failed = "refused", int(getattr(error, "exit_status", 2)), ()
     else:
         word, status = report.word, report.exit_status

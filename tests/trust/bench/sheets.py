@@ -16,7 +16,7 @@ LONG = {"separation": 10.0, "material": "PMMA"}
 
 def _made(
     pair: Mapping[str, Any], eta: tuple[float, float], lattice: Mapping[str, Any] = {}, **more: Any
-) -> dict[str, Any]:  # noqa: B006
+) -> dict[str, Any]:
     law = {"eta": list(eta)} | more.pop("law", {})
     return {
         "format": 1,
