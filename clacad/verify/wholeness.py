@@ -40,14 +40,14 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     """
     objects, places = len(mesh.parts), sum(len(part.placements) for part in mesh.parts)
     if places > objects:
-        words = f"{places} instances of {objects} object{'s' * (objects != 1)}"
+        words = f"{places:,} instances of {objects} object{'s' * (objects != 1)}"
     else:
         words = f"{objects} object{'s' * (objects != 1)}"
     if shells is not None and shells != places:
-        words += f", {shells} closed shell{'s' * (shells != 1)}"
-    words += f", {mesh.facet_count} facets"
+        words += f", {shells:,} closed shell{'s' * (shells != 1)}"
+    words += f", {mesh.facet_count:,} facets"
     if mesh.stored_count != mesh.facet_count:
-        words += f" ({mesh.stored_count} in the file)"
+        words += f" ({mesh.stored_count:,} in the file)"
     return {
         "words": words, "objects": objects, "placements": places, "shells": shells, "facets": mesh.facet_count,
         "facets_stored": mesh.stored_count,
