@@ -320,6 +320,23 @@ def test_what_walks_all_facets_is_refused_and_even_samples_and_the_box_are_not(l
     assert 0.45 < (middle[:, 2] > 2.5).mean() < 0.55
 
 
+def test_a_survey_of_40_000_cells_has_their_box_and_the_corners_of_their_hull_however_they_lie(large):
+    mesh = read_mesh(large)
+    turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    turned = FileMesh("3mf", tuple(
+        replace(p, placements=np.concatenate([p.placements[:, :3] @ turn, p.placements[:, 3:] @ turn], axis=1))
+        for p in mesh.parts
+    ), mesh.unit)  # fmt: skip
+    for file, back in ((mesh, np.eye(3)), (turned, turn.T)):
+        points = np.concatenate(list(file.survey())).reshape(-1, 3) @ back
+        low, high = mesh.box()
+        assert points.min(axis=0) == pytest.approx(low, abs=1e-3)
+        assert points.max(axis=0) == pytest.approx(high, abs=1e-3)
+        for x in (-50.0, 50.0):  # the four corners of the sheet
+            for y in (-50.0, 50.0):
+                assert np.hypot(points[:, 0] - x, points[:, 1] - y).min() < 1e-9
+
+
 # -- stored normals ------------------------------------------------------------------------------
 
 

@@ -20,6 +20,9 @@ CHUNK = 1 << 16
 MOST_EXPANDED = 100_000_000
 """Facets up to which a file that repeats its parts may be walked as if each of them were written out."""
 
+SURVEYED = 200_000
+"""Facets of a file too large to walk by which its place is found."""
+
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
@@ -223,6 +226,42 @@ class FileMesh:
             corners = part.picked((share * part.facet_count).astype(np.int64))
             spots = part.placements[place]
             found.append(np.einsum("kcx,kxy->kcy", corners, spots[:, :3]) + spots[:, None, 3])
+        return np.concatenate(found)
+
+    def survey(self, count: int = SURVEYED) -> Iterator[Floats]:
+        """Chunks to find out with how a part lies: all facets, or of a file that stands for too many an even part.
+
+        Those are `thinned`, and the facets at its very ends in many directions, so that its box and its hull are whole.
+        """
+        if self.expandable:
+            yield from self.chunks()
+            return
+        found = np.concatenate([self.thinned(count), self._ends()])
+        for start in range(0, len(found), CHUNK):
+            yield found[start : start + CHUNK]
+
+    def _ends(self) -> Floats:
+        """Facets (k, 3, 3) that hold the farthest corner along each of many directions."""
+        k = np.arange(256)
+        z, turn = 1.0 - (2 * k + 1) / len(k), 2.0 * np.pi * GOLDEN * k
+        around = np.sqrt(1.0 - z * z)
+        signs = np.array(
+            [[x, y, w] for x in (-1, 0, 1) for y in (-1, 0, 1) for w in (-1, 0, 1)], dtype=np.float64
+        )
+        ways = np.concatenate([np.column_stack([around * np.cos(turn), around * np.sin(turn), z]), signs])
+        found = []
+        for part in self.parts:
+            for linear, rows in kinds(part):
+                reach, facet = np.full(len(ways), -np.inf), np.zeros(len(ways), dtype=np.int64)
+                for start in range(0, part.facet_count, CHUNK // 16):
+                    along = (part.corners(start, start + CHUNK // 16) @ linear @ ways.T).max(axis=1)
+                    best = along.argmax(axis=0)
+                    farther = along[best, np.arange(len(ways))] > reach
+                    reach[farther] = along[best, np.arange(len(ways))][farther]
+                    facet[farther] = best[farther] + start
+                place = np.array([int(np.argmax(part.placements[rows, 3] @ way)) for way in ways])
+                spots = part.placements[rows[place]]
+                found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
         return np.concatenate(found)
 
     def box(self) -> tuple[Floats, Floats]:

@@ -22,8 +22,8 @@ from clacad.sheet import Body, Face, Window
 WALL = 0.05
 """A facet whose |n_z| is less is a wall."""
 
-COVERED = 0.3
-"""Share of a cell's area that a part's facets must lie over to stand for that cell."""
+COVERED = 0.02
+"""Share of a cell's area that a part's facets must lie over to stand for that cell; lenses without land may be small."""
 
 SPILT = 1e-6
 """Share of a cell's area below which facets over it are slivers on its border."""
@@ -294,11 +294,16 @@ def _covered(
                     key = (side, (cell[0], cell[1]))
                     area[key] = area.get(key, 0.0) + float(size)
     whole = window.lattice.cell_area
+    most: dict[Side, float] = {}
+    for (side, _), size in area.items():
+        most[side] = max(size, most.get(side, 0.0))
     found: dict[Side, list[Cell]] = {}
+    spills = False
     for (side, cell), size in area.items():
-        if size >= COVERED * whole:
+        if size >= max(COVERED * whole, 0.5 * most[side]):
             found.setdefault(side, []).append(cell)
-    spills = any(SPILT * whole < size < COVERED * whole for size in area.values())
+        else:
+            spills |= size > SPILT * whole
     return {side: np.array(sorted(cells), dtype=np.int64) for side, cells in found.items()}, spills
 
 
@@ -323,19 +328,19 @@ def _covering(
     """Cells without a place, cells with several, and places beside the sheet: the first few, and how many."""
     lattice = window.lattice
     whole = {number for number in range(len(window.bodies)) if not _stands_once(mesh, window, number, factor)}
-    faults: list[set[Cell]] = [set(), set(), set()]
+    missing, doubled, outside = [_NONE], [_NONE], [_NONE]
     for side in {side for places in found for side in places.cells}:
         index = np.concatenate([
-            (places.step[:, None] + places.cells[side][None]).reshape(-1, 2)
-            for places in found if side in places.cells
+            (places.step[:, None] + places.cells[side][None]).reshape(-1, 2) for places in found if side in places.cells
         ])  # fmt: skip
         inside = lattice.contains(index)
-        faults[2] |= _cells(index[~inside])
+        outside.append(_numbers(index[~inside]))
         cells, times = np.unique(_numbers(index[inside]), return_counts=True)
-        faults[1] |= _cells(_indices(cells[times > 1]))
+        doubled.append(cells[times > 1])
         if side[0] in whole and len(cells) < lattice.cell_count:
-            faults[0] |= _cells(_indices(np.setdiff1d(_numbers(lattice.cells()), cells)))
-    few = [sorted(cells)[:64] for cells in faults]
+            missing.append(np.setdiff1d(_numbers(lattice.cells()), cells))
+    faults = [np.unique(np.concatenate(numbers)) for numbers in (missing, doubled, outside)]
+    few = [[(int(i), int(j)) for i, j in _indices(numbers[:64])] for numbers in faults]
     return few[0], few[1], few[2], (len(faults[0]), len(faults[1]), len(faults[2]))
 
 
@@ -350,6 +355,9 @@ def _stands_once(mesh: FileMesh, window: Window, body: int, factor: float) -> bo
     return False
 
 
+_NONE = np.zeros(0, dtype=np.int64)
+
+
 def _numbers(index: Ints) -> Ints:
     """One number for each pair of indices (k, 2)."""
     return np.asarray((index[:, 1] << 32) + (index[:, 0] + (1 << 31)))
@@ -357,10 +365,6 @@ def _numbers(index: Ints) -> Ints:
 
 def _indices(numbers: Ints) -> Ints:
     return np.column_stack([(numbers & 0xFFFFFFFF) - (1 << 31), numbers >> 32])
-
-
-def _cells(index: Ints) -> set[Cell]:
-    return {(int(i), int(j)) for i, j in index}
 
 
 # -- bodies of a window --------------------------------------------------------------------------

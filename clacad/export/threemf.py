@@ -28,7 +28,7 @@ FLAT_LIMIT = 50_000
 MOST_FACETS = 100_000_000
 """Facets that may be written in a file; at how many places they stand is MOST_PLACES' business."""
 
-MOST_PLACES = 10_000_000
+MOST_PLACES = 4_000_000
 NAMESPACE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 MODEL = "3D/3dmodel.model"
 _TYPES = (
