@@ -79,7 +79,9 @@ def test_light_through_facets_is_forecast_as_the_kernels_of_rung_mesh_trace_the_
         seen = clacad.trace(window, lit.rays, rung="mesh", mesh=tessellate(window, quads=quads))
         alive = seen.fate == clacad.Fate.ALIVE
         cosine = np.clip((seen.direction[alive] * asked[alive]).sum(axis=1), -1.0, 1.0)
-        assert grader.grade(quads).rms == pytest.approx(float(np.sqrt(np.mean(np.arccos(cosine) ** 2))), rel=0.02)
+        assert grader.grade(quads).rms == pytest.approx(
+            float(np.sqrt(np.mean(np.arccos(cosine) ** 2))), rel=0.02
+        )
 
 
 def test_the_formula_tells_fine_grids_from_coarse_ones():
@@ -121,12 +123,17 @@ def test_a_design_whose_exact_surfaces_miss_the_law_has_no_master_mesh():
 
 def test_auto_gives_the_paper_s_sheet_256_quads_in_a_3mf_that_is_small_and_its_stl_the_finest_that_fits():
     design = design_of("paper-a-covered")
-    rows = {r.format: r for r in forecast_rows(design, Request(("3mf", "stl"), quads={"3mf": "auto", "stl": "auto"}))}
+    rows = {
+        r.format: r
+        for r in forecast_rows(design, Request(("3mf", "stl"), quads={"3mf": "auto", "stl": "auto"}))
+    }
     assert rows["3mf"].quads == 256
     assert rows["3mf"].bytes < 10e6
     assert rows["3mf"].prospect.role == "optical-master"
     assert 1e3 * rows["3mf"].prospect.law_rms == pytest.approx(2.75, rel=0.03)
-    assert rows["3mf"].stored == 4 * (2 * 256**2) + 2 * 4 * (2 * 256)  # four lens faces, and the walls of two columns
+    assert rows["3mf"].stored == 4 * (2 * 256**2) + 2 * 4 * (
+        2 * 256
+    )  # four lens faces, and the walls of two columns
     assert rows["3mf"].facets == 40_000 * rows["3mf"].stored
     stl = rows["stl"]
     assert stl.quads == 8  # 16 quads are 4 · 16² · 2 · 40 000 = 82 M facets, more than 50 M
@@ -136,7 +143,9 @@ def test_auto_gives_the_paper_s_sheet_256_quads_in_a_3mf_that_is_small_and_its_s
 
 
 def test_auto_gives_the_window_64_quads():
-    rows = forecast_rows(design_of("window-100mm"), Request(("3mf", "glb"), quads={"3mf": "auto", "glb": "auto"}))
+    rows = forecast_rows(
+        design_of("window-100mm"), Request(("3mf", "glb"), quads={"3mf": "auto", "glb": "auto"})
+    )
     assert [row.quads for row in rows] == [64, 64]
     assert all(row.prospect.role == "optical-master" and row.bytes < 5e6 for row in rows)
 
@@ -194,7 +203,17 @@ def test_roles_that_cannot_be_understood_are_one_sentence(tmp_path, role, words)
     ],
 )  # fmt: skip
 def test_the_command_refuses_what_it_does_not_understand_with_status_2(tmp_path, words, sentence):
-    done = command("export", DESIGNS / "slab.toml", "-o", tmp_path / "out", "--format", "3mf,stl", "--cells", "2x2", *words)
+    done = command(
+        "export",
+        DESIGNS / "slab.toml",
+        "-o",
+        tmp_path / "out",
+        "--format",
+        "3mf,stl",
+        "--cells",
+        "2x2",
+        *words,
+    )
     assert done.returncode == 2
     assert sentence in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
@@ -206,7 +225,9 @@ def test_the_command_refuses_what_it_does_not_understand_with_status_2(tmp_path,
 
 def test_every_file_says_its_role_and_meshes_what_light_does(tmp_path):
     design = small()
-    manifest = export(design, tmp_path, ("step", "stl", "3mf", "table", "tiff"), quads={"stl": 4, "3mf": "auto"})
+    manifest = export(
+        design, tmp_path, ("step", "stl", "3mf", "table", "tiff"), quads={"stl": 4, "3mf": "auto"}
+    )
     entries = {entry["name"]: entry for entry in manifest.files}
     assert all(entry["role_declared"] is False for entry in entries.values())
     stl, threemf = entries["small.stl"], entries["small.3mf"]
@@ -237,7 +258,9 @@ def test_declared_roles_stand_in_the_manifest_and_are_carried_over(tmp_path):
     assert {"forecast_law_rms", "master_quads", "master_bytes"} <= kept.keys()
 
 
-def test_a_declared_preview_of_which_nothing_else_is_said_is_coarse_while_masters_meet_the_slope_error(tmp_path):
+def test_a_declared_preview_of_which_nothing_else_is_said_is_coarse_while_masters_meet_the_slope_error(
+    tmp_path,
+):
     request = Request(("stl", "3mf"), slope_error=5e-3, role=asked_roles({"stl": "preview"}, ("stl", "3mf")))
     quads = {row.format: row.quads for row in forecast_rows(small(), request)}
     assert quads["stl"] == 4
@@ -253,7 +276,18 @@ def test_a_frame_is_neither_master_nor_preview(tmp_path):
 
 
 def test_a_coarse_mesh_may_be_declared_a_master_and_the_command_warns(tmp_path):
-    words = ("export", DESIGNS / "slab.toml", "-o", tmp_path / "out", "--format", "stl", "--cells", "2x2", "--quads", "4")
+    words = (
+        "export",
+        DESIGNS / "slab.toml",
+        "-o",
+        tmp_path / "out",
+        "--format",
+        "stl",
+        "--cells",
+        "2x2",
+        "--quads",
+        "4",
+    )
     done = command(*words, "--role", "master", "-q")
     assert done.returncode == 0, done.stderr
     warnings = [line for line in done.stderr.splitlines() if "warning" in line]
@@ -280,7 +314,9 @@ def test_the_command_prints_role_forecast_and_what_a_master_needs(tmp_path):
 # -- sizes and limits -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "cells"), [("paper-a-covered", (12, 9)), ("slab", (20, 20)), ("hexagonal", (6, 6))])
+@pytest.mark.parametrize(
+    ("name", "cells"), [("paper-a-covered", (12, 9)), ("slab", (20, 20)), ("hexagonal", (6, 6))]
+)
 @pytest.mark.parametrize("quads", [8, 32])
 def test_bytes_of_3mf_and_glb_are_forecast_within_a_fifth(tmp_path, name, cells, quads):
     design = design_of(name, cells)
@@ -298,7 +334,9 @@ def test_bytes_of_a_whole_sheet_of_repeated_cells_are_forecast_within_a_fifth(tm
     meshes = Meshes(window)
     rows = {row.format: row for row in forecast(meshes, ("3mf", "glb"), 64)}
     for kind, write in (("3mf", write_threemf), ("glb", write_glb)):
-        write(meshes.at(64).pieces(True, normals=kind == "glb"), tmp_path / kind, window.unit / 1e-3, "window")
+        write(
+            meshes.at(64).pieces(True, normals=kind == "glb"), tmp_path / kind, window.unit / 1e-3, "window"
+        )
         size = (tmp_path / kind).stat().st_size
         assert rows[kind].bytes == pytest.approx(size, rel=0.2), kind
         assert Sizes(meshes).bytes(kind, 64) == pytest.approx(size, rel=0.2), kind
@@ -348,3 +386,17 @@ def test_rows_that_share_a_hash_but_differ_are_not_welded():
     found = [tuple(row) for row in np.concatenate([piece.vertices, piece.normals], axis=1).tolist()]
     assert found == order
     assert [found[k] for k in piece.triangles.ravel()] == rows
+
+
+def test_the_convergence_check_says_from_how_many_quads_a_mesh_is_a_master_and_how_large_it_is():
+    from clacad.verify.convergence import converge, convergence_check
+
+    design = design_of("slab")
+    check = convergence_check(converge(design, clacad.prescribe(design), lambda *_: None, quads=(4, 8)))
+    masters = check.to_dict()["detail"]["masters"]
+    assert {name: one["quads"] for name, one in masters.items()} == dict.fromkeys(
+        ("3mf", "glb", "stl", "ply"), 64
+    )
+    assert masters["stl"]["bytes"] == pytest.approx(1.3e9, rel=0.05)  # as measured elsewhere
+    assert (masters["stl"]["fits"], masters["3mf"]["fits"], masters["ply"]["fits"]) == (True, True, False)
+    assert "from 64 quads a side: 3mf" in check.sentence

@@ -246,7 +246,9 @@ class _Light:
 
         seen = trace_facets(bodies, self.rays)
         stretch, offset = self._fitted(seen)
-        return Grade(quads, self._rms(seen), self._bias(lambda rays: trace_facets(bodies, rays)), stretch, offset)
+        return Grade(
+            quads, self._rms(seen), self._bias(lambda rays: trace_facets(bodies, rays)), stretch, offset
+        )
 
     def _rms(self, seen: TraceResult) -> float:
         from clacad.law import angle_between
