@@ -386,3 +386,17 @@ def test_rows_that_share_a_hash_but_differ_are_not_welded():
     found = [tuple(row) for row in np.concatenate([piece.vertices, piece.normals], axis=1).tolist()]
     assert found == order
     assert [found[k] for k in piece.triangles.ravel()] == rows
+
+
+def test_the_convergence_check_says_from_how_many_quads_a_mesh_is_a_master_and_how_large_it_is():
+    from clacad.verify.convergence import converge, convergence_check
+
+    design = design_of("slab")
+    check = convergence_check(converge(design, clacad.prescribe(design), lambda *_: None, quads=(4, 8)))
+    masters = check.to_dict()["detail"]["masters"]
+    assert {name: one["quads"] for name, one in masters.items()} == dict.fromkeys(
+        ("3mf", "glb", "stl", "ply"), 64
+    )
+    assert masters["stl"]["bytes"] == pytest.approx(1.3e9, rel=0.05)  # as measured elsewhere
+    assert (masters["stl"]["fits"], masters["3mf"]["fits"], masters["ply"]["fits"]) == (True, True, False)
+    assert "from 64 quads a side: 3mf" in check.sentence

@@ -89,14 +89,9 @@ def converge(
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
     grader = Grader.of(Meshes(window), design)
     return Convergence(
-        np.array(quads),
-        np.array(errors),
-        np.array(etas),
-        slopes[0],
-        slopes[1],
-        masters(grader, FORMATS),
-        grader.limits.rms,
-    )
+        np.array(quads), np.array(errors), np.array(etas), slopes[0], slopes[1],
+        masters(grader, FORMATS), grader.limits.rms,
+    )  # fmt: skip
 
 
 def convergence_check(found: Convergence | None, why: str = "") -> Check:
