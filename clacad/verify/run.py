@@ -321,7 +321,7 @@ def _judge_one(
     if subject.is_solid:
         found, facts = judge_solid(design, whole, subject.path, subject.entry, progress, rays)
         if not subject.entry and lies_elsewhere(found):
-            found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
+            found, evidence, placed = judge_turned(design, window, subject, found, rays, progress, facts)
             if placed is not None:
                 return found, FileReport(
                     subject, placed.note, evidence, facts, window=placed.window, present=placed.present
