@@ -37,7 +37,7 @@ def held(made: Made, text: str, path: Path) -> tuple[str, ...]:
 
 
 def test_the_good_file_passes_every_check(made: Made, tmp_path: Path) -> None:
-    assert held(made, made[2], tmp_path / "x.step") == ("closed", "shape", "volume")
+    assert held(made, made[2], tmp_path / "x.step") == ("closed", "shape", "placement", "volume")
 
 
 def scaled_points(text: str, factor: float) -> str:

@@ -127,9 +127,18 @@ def levels(shape):
     return compound([compound([moved(one, x=-3.0, z=2.0) for one in inner])])
 
 
-@pytest.mark.parametrize("unit", UNITS)
-@pytest.mark.parametrize("bodies", ["one", "two"])
-@pytest.mark.parametrize("structure", ["flat", "assembly", "levels", "instanced"])
+STRUCTURES = ("flat", "assembly", "levels", "instanced")
+OFTEN = {
+    ("MM", "one", "flat"), ("INCH", "two", "flat"), ("M", "two", "assembly"), ("INCH", "one", "assembly"),
+    ("MM", "two", "levels"), ("M", "one", "levels"), ("INCH", "two", "instanced"), ("M", "one", "instanced"),
+}  # fmt: skip
+EVERY = [
+    pytest.param(*case, marks=[] if case in OFTEN else pytest.mark.long)
+    for case in ((unit, bodies, how) for unit in UNITS for bodies in ("one", "two") for how in STRUCTURES)
+]
+
+
+@pytest.mark.parametrize(("unit", "bodies", "structure"), EVERY)
 def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_structure(
     written, tmp_path, unit, bodies, structure
 ):
@@ -377,3 +386,27 @@ def test_what_a_file_holds_is_said(written):
     read = read_step(written["one", "instanced"])
     assert read["holds"]["prototypes"] == 1
     assert read["holds"]["parts"][0]["instances"] == read["holds"]["solids"] == 12
+
+
+# -- what came back -----------------------------------------------------------------------------------
+
+
+def test_a_piece_with_a_drilled_hole_is_recognised_and_the_hole_is_named(tmp_path):
+    from OCP.BRepAlgoAPI import BRepAlgoAPI_Cut
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder
+    from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt
+
+    from clacad.verify.run import verify
+
+    design = clacad.load(str(DESIGNS / "slab.toml"))
+    write_step(clacad.prescribe(design.with_cells((4, 4))), tmp_path / "x.step", mode="fused")
+    drill = BRepPrimAPI_MakeCylinder(gp_Ax2(gp_Pnt(0.7, -0.3, -5), gp_Dir(0, 0, 1)), 0.15, 40).Shape()
+    part = BRepAlgoAPI_Cut(kernel_shape(tmp_path / "x.step"), drill).Shape()
+    report = verify(design, written_by_another(part, tmp_path / "piece.step"), rays=2048)
+    found = {check.id: check for check in report.checks if check.where == "file"}
+    assert report.files[0].window.lattice.count == (4, 4)
+    assert found["placement"].state == "pass"
+    assert found["volume"].state == "fail"
+    # centres of a sheet of 4 cells of 0.5 mm stand at ±0.25, ±0.75: the drill goes through column 3, row 1
+    assert "0.3 mm across in cell (3, 1) at x 0.7, y -0.3" in found["volume"].sentence
+    assert found["file_law_rms"].state == "pass"  # the middle cell is whole

@@ -174,9 +174,7 @@ def follow_patches(
     dict of lists
         What `clacad.brep.raycast.follow_rays` says; `curved` is everywhere true.
     """
-    from clacad.export.step_read import scanned
-
-    patches = column_patches(scanned(path), np.array(low), np.array(high))
+    patches = _kept(path, tuple(low), tuple(high))
     place, way = np.array(position, dtype=np.float64), np.array(direction, dtype=np.float64)
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     many, steps = len(place), len(faces)
@@ -205,3 +203,18 @@ def follow_patches(
         "position": place.tolist(), "direction": way.tolist(), "end": end.tolist(), "crossings": crossings.tolist(),
         "hits": hits.tolist(), "curved": np.ones((many, steps), dtype=bool).tolist(),
     }  # fmt: skip
+
+
+_COLUMNS: dict[tuple[object, ...], list[Patch]] = {}
+
+
+def _kept(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> list[Patch]:
+    """The patches of a column; kept for the next call in this process."""
+    from clacad.export.step_read import scanned
+
+    state = os.stat(path)
+    key = (os.fspath(path), state.st_size, state.st_mtime_ns, low, high)
+    if key not in _COLUMNS:
+        _COLUMNS.clear()
+        _COLUMNS[key] = column_patches(scanned(path), np.array(low), np.array(high))
+    return _COLUMNS[key]

@@ -171,6 +171,7 @@ def _kernel_facts(
             [("", piece.solid, len(piece.faces), k) for piece, k in zip(several, many, strict=True)],
         ),
     }  # fmt: skip
+    facts["holes"] = holes_in(several)
     if window is not None:
         facts |= _sampled(several, window, lens_faces, points) | {"engraved": engraved}
     return facts
@@ -300,6 +301,61 @@ def _sampled(several: list[Piece], window: Window, lens_faces: int, points: int)
         "lens_error": float(error.max()) if len(error) else None,
         "lens_slope_error": float(angle.max()) if len(error) else None,
         "lens_points": len(error), "lens_faces": int(ends[-1]),
+    }  # fmt: skip
+
+
+def holes_in(several: list[Piece]) -> list[dict[str, Any]]:
+    """Round holes: cylinders whose faces look at their axis, mm.
+
+    Returns
+    -------
+    list of dict
+        diameter, length; at: (3,) middle of the hole's axis; axis: (3,) unit. Of parts that are not repeated.
+    """
+    from OCP.TopoDS import TopoDS
+
+    found: list[dict[str, Any]] = []
+    for piece in several:
+        if len(piece.placements) > 1:
+            continue
+        for face in piece.faces:
+            hole = _hole(TopoDS.Face(moved(face, piece.placements[0])))
+            if hole is None:
+                continue
+            for known in found:  # halves of one hole, and a hole through several bodies
+                across = np.cross(np.subtract(hole["at"], known["at"]), known["axis"])
+                if np.linalg.norm(across) <= 1e-3 * known["diameter"]:
+                    break
+            else:
+                found.append(hole)
+    return found
+
+
+def _hole(face: Any) -> dict[str, Any] | None:
+    from OCP.BRepAdaptor import BRepAdaptor_Surface
+    from OCP.GeomAbs import GeomAbs_Cylinder
+    from OCP.gp import gp_Pnt, gp_Vec
+    from OCP.TopAbs import TopAbs_REVERSED
+
+    surface = BRepAdaptor_Surface(face, True)
+    if surface.GetType() != GeomAbs_Cylinder:
+        return None
+    cylinder = surface.Cylinder()
+    origin, way = cylinder.Axis().Location(), cylinder.Axis().Direction()
+    start, axis = np.array([origin.X(), origin.Y(), origin.Z()]), np.array([way.X(), way.Y(), way.Z()])
+    low, high = surface.FirstVParameter(), surface.LastVParameter()
+    point, along, across = gp_Pnt(), gp_Vec(), gp_Vec()
+    surface.D1(
+        0.5 * (surface.FirstUParameter() + surface.LastUParameter()), 0.5 * (low + high), point, along, across
+    )
+    normal = along.Crossed(across)
+    outward = np.array([normal.X(), normal.Y(), normal.Z()])
+    outward *= -1.0 if face.Orientation() == TopAbs_REVERSED else 1.0
+    middle = start + 0.5 * (low + high) * axis
+    if outward @ (np.array([point.X(), point.Y(), point.Z()]) - middle) >= 0.0:
+        return None  # an outline, or a peg
+    return {
+        "diameter": 2.0 * cylinder.Radius(), "length": high - low, "at": middle.tolist(), "axis": axis.tolist(),
     }  # fmt: skip
 
 

@@ -159,6 +159,14 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
             )
     if any(error is not None for error in measured):
         checks.append("shape")
+    stand = found.get("placement")
+    if stand is not None:
+        if not stand["lattice_error"] <= room or stand["missing"] or stand["doubled"]:
+            raise FileDisagrees(
+                f"{name}: an instance stands {stand['lattice_error']:.3g} mm off the lattice, {stand['missing']} lenses are "
+                f"missing, {stand['doubled']} stand there twice"
+            )
+        checks.append("placement")
     if exact is not None and found["kernel"]:
         _compare_volume(written, found, window, exact, scale, name)
         checks.append("volume")

@@ -436,7 +436,7 @@ def _judge_faces(
     """Judge a STEP or BREP file."""
     found, facts = judge_solid(design, whole, subject.path, subject.entry, progress, rays, subject.role)
     if not subject.entry and lies_elsewhere(found):
-        found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
+        found, evidence, placed = judge_turned(design, window, subject, found, rays, progress, facts)
         if placed is not None:
             return found, FileReport(
                 subject, placed.note, evidence, facts, window=placed.window, present=placed.present

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from clacad.export.errors import ExportError
 from clacad.export.roles import Role
 from clacad.export.truth import whole_extent
 from clacad.feasibility import body_range
 from clacad.sheet import Body, Window
+from clacad.trace.facets import Floats
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.filelight import IDS, light_checks, measure_light
 from clacad.verify.gather import Progress
@@ -138,13 +141,34 @@ def judge_solid(
 
 
 def lies_elsewhere(checks: Sequence[Check]) -> bool:
-    """Whether a readable file does not have its faces where the design has them: its shape is not right, and fewer than
-    half of its lenses stand on their cells.
+    """Whether a readable file does not have its faces where the design has them: it holds fewer than half of the
+    lenses, or its shape is not right and fewer than half of them stand on their cells.
     """
     one = {check.id: check for check in checks}
-    if "readable" not in one or one["readable"].state != "pass" or one["shape"].state == "pass":
+    if "readable" not in one or one["readable"].state != "pass":
         return False
-    return not float(one["placement"].detail.get("standing", 0.0)) >= 0.5
+    at = one["placement"].detail
+    if at and at["missing"] > 0.5 * at["lenses"]:  # a piece of the sheet
+        return True
+    return one["shape"].state != "pass" and not float(at.get("standing", 0.0)) >= 0.5
+
+
+def hole_words(
+    window: Window, holes: Sequence[Mapping[str, Any]], onto: Callable[[Floats], Floats] | None = None
+) -> str:
+    """Round holes of a part in a sentence, with the cells of array 1 they go through; "" for none.
+
+    onto : from the file's mm to the design's sheet frame and units; None where the file lies as the design does.
+    """
+    words = []
+    for hole in holes[:4]:
+        at = np.array([hole["at"]]) / (window.unit * 1e3) if onto is None else onto(np.array([hole["at"]]))
+        cell = window.lattice.locate(at[:, 0], at[:, 1])[0][0]
+        where = f"cell ({cell[0]}, {cell[1]})" if window.lattice.contains(cell) else "no cell"
+        words.append(f"{hole['diameter']:.4g} mm across in {where} at x {at[0, 0]:.4g}, y {at[0, 1]:.4g}")
+    return (
+        "" if not words else f"{len(holes)} hole{'s' * (len(holes) != 1)} drilled in it: " + "; ".join(words)
+    )
 
 
 def holds_words(holds: Mapping[str, Any]) -> str:
@@ -315,6 +339,8 @@ def _volume(
     if engraved := float(found.get("engraved", 0.0)):
         sentence += f"; letters engraved in the border take {engraved:.6g} mm³"
         detail["engraved"] = engraved
+    if drilled := hole_words(window, found.get("holes", ())):
+        sentence += f"; {drilled}"
     return judge(
         "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", source=source, detail=detail, **common,
     )  # fmt: skip

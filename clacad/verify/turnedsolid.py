@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from clacad.export.errors import ExportError
 from clacad.feasibility import feasibility
 from clacad.prescription import prescribe
 from clacad.sheet import Window
-from clacad.verify.checks import Check, not_run
+from clacad.verify.checks import Check, State, not_run
 from clacad.verify.files import Subject
 from clacad.verify.gather import Progress
 from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.registration import Placed, place
 from clacad.verify.returned import judge_returned
-from clacad.verify.solidfile import judge_solid, lies_elsewhere
+from clacad.verify.solidfile import hole_words, judge_solid, lies_elsewhere
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -28,6 +28,9 @@ __all__ = ["judge_turned", "lies_elsewhere"]
 FINE = 400.0
 """Facets are made this many times flatter than the flatter lens is high."""
 
+SCALE = 1e-5
+"""Relative error of size that registration leaves."""
+
 SECONDS = 600.0
 MILLIMETRE = 1e-3
 KEPT = ("readable", "closed", "solids")
@@ -35,11 +38,13 @@ KEPT = ("readable", "closed", "solids")
 
 
 def judge_turned(
-    design: Design, window: Window | None, subject: Subject, checks: Sequence[Check], rays: int, progress: Progress
+    design: Design, window: Window | None, subject: Subject, checks: Sequence[Check], rays: int, progress: Progress,
+    facts: Mapping[str, Any] | None = None,
 ) -> tuple[list[Check], MeshEvidence | None, Placed | None]:  # fmt: skip
     """Find the part in a STEP file without a manifest, and judge it by triangles whose corners lie on its faces.
 
     checks : what `clacad.verify.solidfile.judge_solid` found; what depends on the pose is replaced.
+    facts : what it says of the file, for the holes that are drilled in it.
 
     Raises
     ------
@@ -71,4 +76,24 @@ def judge_turned(
             exact, _ = judge_solid(design, placed.window, subject.path, {}, progress, rays)
             return [*exact[:1], *placed.checks, *exact[1:]], None, placed
         found, evidence = judge_returned(design, placed, subject.name, rays, progress)
+        found = [_exact_scale(check) for check in found]
+    kept = [_with_holes(check, placed, {} if facts is None else facts) for check in kept]
     return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+
+
+def _exact_scale(check: Check) -> Check:
+    """A file of solids states its size exactly: nothing of it shrank in a mould."""
+    if check.id != "scale" or not isinstance(check.value, float):
+        return check
+    state: State = "pass" if check.value <= SCALE else "fail"
+    return replace(check, state=state, limit=SCALE, source="a file of solids states its size")
+
+
+def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check:
+    """Name the holes that the kernel finds, in the design's frame."""
+    if check.id != "closed":
+        return check
+    pose = placed.pose
+    onto = None if pose.untouched else lambda at: pose.onto_design(at)
+    words = hole_words(placed.window, facts.get("holes", ()), onto)
+    return replace(check, sentence=f"{check.sentence}; {words}") if words else check
