@@ -378,7 +378,7 @@ def solids_of(shape: Any) -> list[Any]:
     while explorer.More():
         box = Bnd_Box()
         BRepBndLib.Add_s(explorer.Current(), box)
-        found.append((box.Get()[2], len(found), explorer.Current()))
+        found.append((box.CornerMin().Z(), len(found), explorer.Current()))
         explorer.Next()
     return [solid for _, _, solid in sorted(found, key=lambda row: row[:2])]
 
