@@ -490,7 +490,7 @@ def splined(shape: Any, tolerance: float) -> Any:
 
     plain = BRepBuilderAPI_NurbsConvert(shape, True).Shape()
     return ShapeCustom.BSplineRestriction_s(
-        plain, tolerance, tolerance, 8, 64, GeomAbs_Shape.GeomAbs_C1, GeomAbs_Shape.GeomAbs_C1, True, False,
+        plain, tolerance, tolerance, 8, 64, GeomAbs_Shape.GeomAbs_C1, GeomAbs_Shape.GeomAbs_C1, True, True,
         ShapeCustom_RestrictionParameters(),
     )  # fmt: skip
 
