@@ -510,7 +510,7 @@ PLACES: dict[str, Callable[[str], str]] = {
     "a row moved by 4 % of the pitch in z": lambda text: mu.instance_moved(
         text, "array2 row 3", 0.0, 0.0, 0.02
     ),
-    "an array moved by 4 % of the pitch": lambda text: mu.instance_moved(
+    "a row moved by 4 % of the pitch along its column": lambda text: mu.instance_moved(
         text, "array2 row 1", 0.0, 0.02, 0.0
     ),
     "a row turned by 2 degrees": lambda text: mu.instance_turned(text, "array2 row 2", 2.0),

@@ -378,7 +378,7 @@ def solids_of(shape: Any) -> list[Any]:
     while explorer.More():
         box = Bnd_Box()
         BRepBndLib.Add_s(explorer.Current(), box)
-        found.append((box.Get()[2], len(found), explorer.Current()))
+        found.append((box.CornerMin().Z(), len(found), explorer.Current()))
         explorer.Next()
     return [solid for _, _, solid in sorted(found, key=lambda row: row[:2])]
 
@@ -490,7 +490,7 @@ def splined(shape: Any, tolerance: float) -> Any:
 
     plain = BRepBuilderAPI_NurbsConvert(shape, True).Shape()
     return ShapeCustom.BSplineRestriction_s(
-        plain, tolerance, tolerance, 8, 64, GeomAbs_Shape.GeomAbs_C1, GeomAbs_Shape.GeomAbs_C1, True, False,
+        plain, tolerance, tolerance, 8, 64, GeomAbs_Shape.GeomAbs_C1, GeomAbs_Shape.GeomAbs_C1, True, True,
         ShapeCustom_RestrictionParameters(),
     )  # fmt: skip
 
