@@ -45,6 +45,7 @@ SIDEWAYS = {
     ("effects", "trace"): "effects are passes over the tracer's blocks",
     ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
     ("trace", "export"): "rung mesh reads the file it is given; the readers' one home is export",
+    ("export", "trace"): "only export/grade.py: the light through a mesh is forecast before it is written",
     ("export", "effects"): "the plan travels with what is written",
     ("fixture", "feasibility"): "the gap between the bodies",
     ("fixture", "brep"): "the coupon is made of the design's own solids",
@@ -110,10 +111,12 @@ def test_mathematics_knows_numpy_and_the_standard_library_only(module):
                 assert not heavy & {n.split(".")[0] for n in names}, path
 
 
-def test_export_knows_no_tracer_and_meshes_and_solids_know_no_design():
-    for first, second in (("export", "trace"), ("mesh", "design"), ("brep", "design")):
+def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_no_design():
+    forecast_of_light = PACKAGE / "export" / "grade.py"
+    for first, second in (("export", "trace"), ("export", "bundle"), ("mesh", "design"), ("brep", "design")):
         for path in modules().get(first, []):
-            assert second not in imports(path, everywhere=True), f"{path} imports {second}"
+            if path != forecast_of_light:
+                assert second not in imports(path, everywhere=True), f"{path} imports {second}"
 
 
 def test_intent_is_read_once():

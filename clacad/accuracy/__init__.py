@@ -54,7 +54,7 @@ def accuracy(
     from clacad.prescription import prescribe
 
     report = progress or _silent
-    refuse_early(design, (), None)
+    refuse_early(design, (), {})
     window = prescribe(design)
     report("tracing the truth", 0.0)
 

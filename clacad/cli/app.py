@@ -99,7 +99,10 @@ def export(
                                         "xyz, table, mask, pov, ...")] = "step,stl",
     slope_error: Annotated[str | None, typer.Option("--slope-error", metavar="E", help="rms facet slope error, e.g. "
                            "'5 mrad', or 'auto' (default): the finest that the limits allow.")] = None,
-    quads: Annotated[int | None, typer.Option("--quads", metavar="N", min=1, help="Facet grid: N quads per cell side.")] = None,
+    quads: Annotated[str | None, typer.Option("--quads", metavar="N|F=N,...", help="Facet grid: N quads per cell side, or "
+                     "'auto': the coarsest grid that makes a master; of all meshes or per format: 3mf=auto,stl=4.")] = None,
+    role: Annotated[str | None, typer.Option("--role", metavar="R|F=R,...", help="What files are for: master or preview; of "
+                    "all or per format: stl=preview. Default: what the light through them allows.")] = None,
     step: Annotated[str, typer.Option("--step", help="auto, fused or instanced.")] = "auto",
     cells: Cells = None,
     overwrite: Overwrite = False,
@@ -129,6 +132,7 @@ def export(
         out, tuple(f.strip() for f in format.split(",") if f.strip()), slope_error, quads, step, cells,
         overwrite=overwrite, force=force, dry_run=dry_run, step_schema=step_schema, pcurves=pcurves,
         saddle_bevel=saddle_bevel, gpu_instancing=gpu_instancing, grey_levels=grey_levels, target=target, normals=normals,
+        role=role,
     )  # fmt: skip
     return export_design(design, set or [], request, json=json, quiet=quiet)
 

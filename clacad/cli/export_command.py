@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -11,6 +12,7 @@ from clacad.cli.design_commands import load_design
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.export.request import Request
 
 
 class BadOption(ValueError):
@@ -26,7 +28,7 @@ class ExportRequest:
     out: Path
     formats: tuple[str, ...]
     slope_error: str | None
-    quads: int | None
+    quads: str | None
     step: str
     cells: str | None
     overwrite: bool
@@ -39,6 +41,7 @@ class ExportRequest:
     grey_levels: int = 64
     target: str | None = None
     normals: str = "facet"
+    role: str | None = None
 
 
 def export_design(
@@ -53,42 +56,74 @@ def export_design(
                 path, overrides, request.out, overwrite=request.overwrite, json=json, quiet=quiet
             )
     design = load_design(path, overrides)
-    cells = parse_cells(request.cells)
+    asked = _asked(design, request)
     if not request.force:
-        _refuse_early(design, request, cells)
+        _refuse_early(design, asked)
+    if request.target is not None:
+        asked = _within_target(design, request, asked, quiet=quiet)
+    if request.dry_run:
+        return _forecast(design, request.out, asked, json=json, quiet=quiet)
+    return _export(path, design, request.out, asked, json=json, quiet=quiet)
+
+
+def _asked(design: Design, request: ExportRequest) -> Request:
+    """What the words of the command line ask for.
+
+    Raises
+    ------
+    BadOption, BadRequest
+    """
+    from clacad.export.request import Request, asked_quads, asked_roles
+
+    quads, role = per_format("--quads", request.quads), per_format("--role", request.role)
+    return Request(
+        request.formats, parse_slope_error(request.slope_error), asked_quads(_numbers(quads), request.formats),
+        parse_step(request.step), parse_cells(request.cells), request.overwrite, request.force,
+        parse_schema(request.step_schema), request.pcurves, parse_length(request.saddle_bevel, design),
+        request.gpu_instancing, request.grey_levels, asked_roles(role, request.formats),
+    )  # fmt: skip
+
+
+def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
     from clacad.cli.tables import derived_text, files_text
-    from clacad.export import export
+    from clacad.export.run import run_export
     from clacad.feasibility import describe, feasibility
     from clacad.prescription import prescribe
 
-    schema, bevel = parse_schema(request.step_schema), parse_length(request.saddle_bevel, design)
-    if request.target is not None:
-        request = _within_target(design, request, cells, quiet=quiet)
-    if request.dry_run:
-        return _forecast(design, request, cells, bevel, json=json, quiet=quiet)
     progress = Progress(quiet=quiet)
     try:
-        manifest = export(
-            design, request.out, request.formats,
-            slope_error=parse_slope_error(request.slope_error), quads=request.quads,
-            step=parse_step(request.step), cells=cells, overwrite=request.overwrite, force=request.force,
-            progress=progress, step_schema=schema, pcurves=request.pcurves, saddle_bevel=bevel,
-            gpu_instancing=request.gpu_instancing, grey_levels=request.grey_levels,
-        )  # fmt: skip
+        manifest = run_export(design, str(out), asked, progress)
     finally:
         progress.done()
+    for entry in manifest.files:
+        _warn_of(str(entry["name"]), entry, design.check.of_light[0])
     if json:
         show_json(dict(manifest.document))
         return 0
-    window = prescribe(design if cells is None else design.with_cells(cells))
+    window = prescribe(_cut(design, asked))
     text = derived_text(describe(window, feasibility(window)))
-    show_text(f"{design.name}\n{text}\nfiles in {manifest.folder}\n{files_text(manifest.files)}", quiet=quiet)
+    files = files_text(manifest.files, design.check.of_light[0])
+    show_text(f"{design.name}\n{text}\nfiles in {manifest.folder}\n{files}", quiet=quiet)
     if not quiet:
-        say(f"next: clacad verify {path} --files {request.out}")
+        say(f"next: clacad verify {path} --files {out}")
     return 0
 
 
-def _refuse_early(design: Design, request: ExportRequest, cells: tuple[int, int] | None) -> None:
+def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
+    """Say on stderr, even when quiet, where a file was declared a master and its light is forecast beyond the limits."""
+    if entry.get("role_overstated"):
+        rms = entry.get("forecast_law_rms")
+        light = "too little light gets through it" if rms is None else (
+            f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit {1e3 * limit:.3g})"
+        )  # fmt: skip
+        say(f"warning: {name} was declared a master, and {light}", quiet=False)
+
+
+def _cut(design: Design, asked: Request) -> Design:
+    return design if asked.cells is None else design.with_cells(asked.cells)
+
+
+def _refuse_early(design: Design, asked: Request) -> None:
     """Refuse what is too much by its mere count, before anything is loaded that could make it.
 
     Raises
@@ -97,14 +132,11 @@ def _refuse_early(design: Design, request: ExportRequest, cells: tuple[int, int]
     """
     from clacad.export.limits import refuse_early
 
-    quads = None if request.target is not None else request.quads
-    refuse_early(design if cells is None else design.with_cells(cells), request.formats, quads)
+    refuse_early(_cut(design, asked), asked.formats, asked.quads)
 
 
-def _within_target(
-    design: Design, request: ExportRequest, cells: tuple[int, int] | None, *, quiet: bool
-) -> ExportRequest:
-    """The request with the coarsest facets that meet its target.
+def _within_target(design: Design, request: ExportRequest, asked: Request, *, quiet: bool) -> Request:
+    """The request with the coarsest facets that meet its target in the files that are no declared previews.
 
     Raises
     ------
@@ -112,52 +144,72 @@ def _within_target(
     """
     from clacad.accuracy.choose import facets_for
     from clacad.export.formats import known_formats
+    from clacad.export.roles import Role
     from clacad.prescription import prescribe
 
     assert request.target is not None
     target = parse_angle("--target", request.target)
-    if request.quads is not None or request.slope_error is not None:
-        raise BadOption("--target chooses the facets: leave out --quads and --slope-error")
+    masters = [name for name in known_formats(asked.formats) if asked.role.get(name) is not Role.PREVIEW]
+    if request.slope_error is not None or any(name in asked.quads for name in masters):
+        raise BadOption(
+            "--target chooses the facets of all files but declared previews: leave out --quads for them, and "
+            "--slope-error"
+        )
     if request.normals not in ("facet", "vertex"):
         raise BadOption(f"--normals {request.normals}: it is facet or vertex")
-    made = design if cells is None else design.with_cells(cells)
-    formats = known_formats(request.formats)
+    made = _cut(design, asked)
     chosen = facets_for(
-        made, prescribe(made), target, formats, "facet" if request.normals == "facet" else "vertex"
+        made, prescribe(made), target, masters, "facet" if request.normals == "facet" else "vertex"
     )
     if chosen is None:
-        say(f"target {1e3 * target:g} mrad: none of {', '.join(formats)} has facets to choose", quiet=quiet)
-        return request
+        say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose", quiet=quiet)
+        return asked
     say(f"target {1e3 * target:g} mrad: {chosen}", quiet=quiet)
-    return replace(request, quads=chosen.quads)
+    return replace(asked, quads={**asked.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
 
 
-def _forecast(
-    design: Design,
-    request: ExportRequest,
-    cells: tuple[int, int] | None,
-    bevel: float,
-    *,
-    json: bool,
-    quiet: bool,
-) -> int:
+def _forecast(design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
+    """Print what an export would cost and what its files would be; refused is what an export would be refused."""
     from clacad.cli.tables import forecast_text
-    from clacad.export.request import Request
     from clacad.export.run import forecast_rows, in_all
 
-    step, slope_error = parse_step(request.step), parse_slope_error(request.slope_error)
-    asked = Request(
-        request.formats, slope_error, request.quads, step, cells, request.overwrite, request.force,
-        pcurves=request.pcurves, saddle_bevel=bevel,
-    )  # fmt: skip
-    found = forecast_rows(design, asked)
+    found = forecast_rows(design, asked, out)
     rows: list[dict[str, Any]] = [row.to_dict() for row in found]
+    for row in rows:
+        _warn_of(row["format"], row, design.check.of_light[0])
     if json:
         show_json(rows)
     else:
-        seconds = in_all(request.formats, found)
-        show_text(f"{forecast_text(rows)}\nin all {seconds} of processor time", quiet=quiet)
+        show_text(f"{forecast_text(rows)}\nin all {in_all(found)} of processor time", quiet=quiet)
     return 0
+
+
+def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
+    """Read VALUE, or FORMAT=VALUE,… as a mapping.
+
+    Raises
+    ------
+    BadOption
+        Both kinds at once, a part without a value, or a format named twice.
+    """
+    if text is None or ("=" not in text and "," not in text):
+        return text
+    found: dict[str, str] = {}
+    for part in text.split(","):
+        name, sign, value = (word.strip() for word in part.partition("="))
+        if not (name and sign and value):
+            raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
+        if name in found:
+            raise BadOption(f"{option} {text}: {name} is named twice")
+        found[name] = value
+    return found
+
+
+def _numbers(words: str | dict[str, str] | None) -> Any:
+    """Words that are whole numbers as such; the others as they are, for `asked_quads` to judge."""
+    if isinstance(words, dict):
+        return {name: _numbers(word) for name, word in words.items()}
+    return int(words) if words is not None and words.isdecimal() and len(words) < 20 else words
 
 
 def parse_cells(text: str | None) -> tuple[int, int] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import isinf
 from typing import Any
 
@@ -56,8 +56,9 @@ def against(check: Any) -> tuple[str, str]:
 
 
 def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
-    """What the files would cost: facets, bytes, seconds, memory; or why an export would be refused."""
+    """What the files would cost: facets, bytes, seconds, memory, role; or why an export would be refused."""
     lines = [["format", "facets", "bytes", "processor", "memory", ""]]
+    told = []
     for row in rows:
         if row.get("refused"):
             lines.append([row["format"], f"refused: {row['refused']}"])
@@ -74,16 +75,51 @@ def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
                 grid,
             ]
         )
-    return table(lines)
+        if "role" in row:
+            words = role_text(row, row.get("law_rms_limit"), row.get("facets"), row.get("stored"))
+            told.append([row["format"], words])
+    return table(lines) + ("\n" + table(told) if told else "")
 
 
-def files_text(files: Iterable[Any]) -> str:
-    """The files of a manifest: name, bytes, hash, what was compared with the design."""
+def files_text(files: Iterable[Any], limit: float | None = None) -> str:
+    """The files of a manifest: name, bytes, hash, what was compared with the design, what each is for."""
+    files = list(files)
     lines = [
         [entry["name"], size(entry["bytes"]), entry["sha256"][:16], "agrees: " + ", ".join(entry["checks"])]
         for entry in files
     ]
-    return table(lines)
+    roles = [
+        [entry["name"], role_text(entry, limit, entry.get("triangles"), entry.get("triangles_stored"))]
+        for entry in files
+        if "role" in entry
+    ]
+    return table(lines) + ("\nwhat they are for\n" + table(roles) if roles else "")
+
+
+def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None, stored: int | None) -> str:
+    """A file's role, the light forecast through it, what a master would need, and what a slicer makes of it."""
+    role = str(entry["role"]).replace("-", " ")
+    parts = [f"{role} (declared)" if entry.get("role_declared") else role]
+    if "forecast_law_rms" in entry:
+        rms = entry["forecast_law_rms"]
+        bound = "" if limit is None else f" (limit {1e3 * limit:.3g})"
+        parts.append(
+            "too little light gets through to say" if rms is None
+            else f"light through it misses the law by {1e3 * rms:.3g} mrad rms{bound}"
+        )  # fmt: skip
+    if "master_quads" in entry:
+        parts.append(_master_text(entry))
+    if stored is not None and facets is not None and facets > stored:
+        parts.append(f"{stored:,} facets stored, {facets:.2g} when a slicer expands them")
+    return "; ".join(parts)
+
+
+def _master_text(entry: Mapping[str, Any]) -> str:
+    if entry["master_quads"] is None:
+        return "no number of quads up to 1024 makes it a master"
+    if entry.get("quads") is not None and entry["quads"] >= entry["master_quads"]:
+        return "fine enough for a master"
+    return f"a master needs {entry['master_quads']} quads a cell side, about {size(entry['master_bytes'])}"
 
 
 def check_text(

@@ -239,6 +239,12 @@ class CheckSpec:
     fresnel_number: float
     allow: tuple[Allowed, ...]
 
+    @property
+    def of_light(self) -> tuple[float, float, float, float]:
+        """Limits of light through a file: rms and bias (radians), relative error of eta, error of delta."""
+        rms = self.law_rms if self.mesh_law_rms is None else self.mesh_law_rms
+        return rms, self.law_bias, self.eta, self.delta
+
 
 @dataclass(frozen=True, slots=True)
 class TolerancesSpec:

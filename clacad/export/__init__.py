@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from clacad.export.errors import (
+    BadRequest,
     CannotWrite,
     ExportError,
     ExportIncomplete,
@@ -21,10 +22,11 @@ from clacad.export.errors import (
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.export.manifest import Manifest
+    from clacad.export.request import AskedQuads, AskedRole
     from clacad.export.worker import Progress
 
 __all__ = [
-    "CannotWrite", "ExportError", "ExportIncomplete", "ExportRefused", "FileDisagrees", "LimitRefused",
+    "BadRequest", "CannotWrite", "ExportError", "ExportIncomplete", "ExportRefused", "FileDisagrees", "LimitRefused",
     "UnknownFormat", "UnreadableFile", "WorkerDied", "export",
 ]  # fmt: skip
 
@@ -34,7 +36,7 @@ def export(
     out: str | os.PathLike[str],
     formats: Sequence[str] = ("step", "stl"),
     slope_error: float | Literal["auto"] = "auto",
-    quads: int | None = None,
+    quads: AskedQuads = None,
     step: Literal["auto", "fused", "instanced"] = "auto",
     cells: tuple[int, int] | None = None,
     overwrite: bool = False,
@@ -45,6 +47,7 @@ def export(
     saddle_bevel: float = 0.0,
     gpu_instancing: bool = False,
     grey_levels: int = 64,
+    role: AskedRole = None,
 ) -> Manifest:
     """Write a design's files into a folder: all at once, each read back and compared with the design first.
 
@@ -59,9 +62,12 @@ def export(
         marked-stl (the same as meshes, one file a body), marked-3mf (in one file).
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
-        cell side whose STL stays within 2 GB and 50 M facets.
-    quads : int or None
-        Facet grid a cell side; overrides `slope_error`.
+        cell side whose STL stays within 2 GB and 50 M facets. Files declared previews are left out.
+    quads : int, "auto", mapping or None
+        Facet grid a cell side, of all mesh files or, as {"3mf": "auto", "stl": 4}, of each format; overrides
+        `slope_error`. "auto" is the smallest power of two from 4 to 1024 through which light is forecast to meet the
+        design's limits (within 95 %), if such a file stays within the limits of facets and bytes; else the finest
+        that does. Formats that repeat one cell (3MF, GLB) are held to the limits by the one they store.
     step : "auto", "fused" or "instanced"
         auto is fused up to 2,500 cells.
     cells : (a, b) or None
@@ -84,6 +90,10 @@ def export(
         GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
     grey_levels : int
         GDSII: number of layers from the lowest to the highest point of a face.
+    role : "master", "preview", mapping or None
+        What the files are for, all of them or, as {"stl": "preview"}, of each format. Not declared: a mesh is a
+        master where the light through it is forecast within the design's limits, else a preview (4 quads a cell side
+        where nothing else is said of one that is declared); everything else with optics is a master.
 
     Returns
     -------
@@ -91,6 +101,8 @@ def export(
 
     Raises
     ------
+    BadRequest
+        Quads or roles that cannot be understood, or for a format that is not exported.
     DesignError
         The design cannot be built.
     LimitRefused
@@ -102,11 +114,11 @@ def export(
     FileDisagrees, WorkerDied
         The only format asked for failed so; nothing was published.
     """
-    from clacad.export.request import Request
+    from clacad.export.request import Request, asked_quads, asked_roles
     from clacad.export.run import run_export
 
     request = Request(
-        tuple(formats), slope_error, quads, step, cells, overwrite, force, step_schema, pcurves, saddle_bevel,
-        gpu_instancing, grey_levels,
+        tuple(formats), slope_error, asked_quads(quads, formats), step, cells, overwrite, force, step_schema, pcurves,
+        saddle_bevel, gpu_instancing, grey_levels, asked_roles(role, formats),
     )  # fmt: skip
     return run_export(design, os.fspath(out), request, progress)

@@ -128,10 +128,25 @@ def crowded_edges(corners: Floats) -> int:
 
     `measure` lets an edge pass that four facets share (a saddle that touches itself); strict slicers do not.
     """
-    words = np.ascontiguousarray(corners.reshape(-1, 3) + 0.0).view([("", np.uint64, 3)]).ravel()
-    _, index = np.unique(words, return_inverse=True)
-    index = index.reshape(-1, 3)
+    _, index = welded(corners)
     edges = np.concatenate([index[:, [0, 1]], index[:, [1, 2]], index[:, [2, 0]]])
     edges.sort(axis=1)
     _, times = np.unique(edges[:, 0] * np.int64(index.max() + 1) + edges[:, 1], return_counts=True)
     return int(np.count_nonzero(times != 2))
+
+
+def vertex_hashes(corners: Floats) -> _WORDS:
+    """One 64-bit number for each corner, (k, 3), from the bits of its coordinates; −0 is 0."""
+    return _hashed(np.ascontiguousarray(corners + 0.0).view(np.uint64), _SEEDS[0])
+
+
+def welded(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Corners (t, 3, 3) that agree in all bits made one: vertices (v, 3), and facets (t, 3) of their numbers."""
+    flat = corners.reshape(-1, 3) + 0.0
+    _, first, index = np.unique(vertex_hashes(corners).ravel(), return_index=True, return_inverse=True)
+    if not np.array_equal(
+        flat[first][index.ravel()], flat
+    ):  # two places of one hash: by the coordinates themselves
+        words = np.ascontiguousarray(flat).view([("", np.uint64, 3)]).ravel()
+        _, first, index = np.unique(words, return_index=True, return_inverse=True)
+    return flat[first], index.reshape(-1, 3).astype(np.int64)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import fsum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.export.closed import Measure, crowded_edges, measure
+from clacad.export.closed import Measure, crowded_edges
 from clacad.export.errors import FileDisagrees
-from clacad.export.filemesh import CHUNK, FileMesh
+from clacad.export.filemesh import FileMesh
+from clacad.export.instances import measure_mesh, standing
 from clacad.export.truth import Integral, distance_to_face, least_extent, whole_extent
 from clacad.fixture.mark import Pocket
 from clacad.mesh.bevel import in_corners
@@ -92,11 +92,12 @@ def compare_mesh(
         With the first difference found, as a sentence with both numbers.
     """
     scale = (mesh.unit if mesh.unit is not None else 1e-3) / window.unit
-    found = _measured(mesh, scale, window)
+    found = measure_mesh(mesh, scale)
     if found.facets != promise.facets:
         raise FileDisagrees(f"{name}: {found.facets} facets were read back, {promise.facets} were written")
     if not found.closed:
         raise FileDisagrees(f"{name}: the surface is not closed and consistently wound")
+    _compare_places(mesh, window, scale, name)
     slack = rounding(window, promise.single)
     _compare_box(found, window, promise, slack, name)
     samples = _sampled(mesh, scale)
@@ -105,7 +106,7 @@ def compare_mesh(
     if volume is not None:
         exact = _compare_volume(found, window, promise, chord, slack, volume, name)
     crowded = None
-    if found.facets <= EDGE_COUNT_LIMIT and all(len(part.placements) == 1 for part in mesh.parts):
+    if found.facets <= EDGE_COUNT_LIMIT and not any(part.repeated for part in mesh.parts):
         crowded = sum(crowded_edges(part.corners(0, part.facet_count)) for part in mesh.parts)
     checks = ("closed", "shape") if exact is None else ("closed", "volume", "shape")
     return Verdict(found.volume, exact, crowded, checks)
@@ -116,32 +117,6 @@ def rounding(window: Window, single: bool) -> float:
     x0, x1, y0, y1 = whole_extent(window)
     reach = max(abs(v) for v in (x0, x1, y0, y1, *window.z_range))
     return reach * (2.0**-24 if single else 2.0**-50) * 12.0
-
-
-def _measured(mesh: FileMesh, scale: float, window: Window) -> Measure:
-    """Measure the file in design units; instanced parts once each, not once a place."""
-    if all(len(part.placements) == 1 for part in mesh.parts):
-        return measure((chunk * scale for chunk in mesh.chunks()), origin=np.zeros(3))
-    facets, volumes, areas, sums = 0, [], [], [0, 0]
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for part in mesh.parts:
-        one = measure(part.corners(k, k + CHUNK) for k in range(0, part.facet_count, CHUNK))
-        facets += one.facets * len(part.placements)
-        turn = part.placements[:, :3]
-        size = np.linalg.det(turn)
-        volumes.append(one.volume * float(size.sum()) * scale**3)
-        areas.append(one.area * float(np.abs(size).sum()))
-        sums = [sums[0] | one.imbalance[0], sums[1] | one.imbalance[1]]
-        assert part.vertices is not None
-        ends = np.stack([part.vertices.min(axis=0), part.vertices.max(axis=0)])
-        corners = np.array(
-            [[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-        )
-        places = np.einsum("cx,pxy->pcy", corners, turn) + part.placements[:, None, 3]
-        low, high = np.minimum(low, places.min(axis=(0, 1))), np.maximum(high, places.max(axis=(0, 1)))
-    low, high = low * scale, high * scale
-    box = (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
-    return Measure(facets, (sums[0], sums[1]), fsum(volumes), fsum(areas), *box)
 
 
 def _compare_box(found: Measure, window: Window, promise: Promise, slack: float, name: str) -> None:
@@ -172,15 +147,26 @@ def _sampled(mesh: FileMesh, scale: float) -> Floats:
     """Pick SAMPLES facets at random, always the same ones for one file, (n, 3, 3), design units."""
     count = mesh.facet_count
     chosen = np.unique(np.random.default_rng(0).integers(0, count, size=min(SAMPLES, 2 * count)))
-    picked, first = [], 0
+    found, first = [], 0
     for part in mesh.parts:
-        each = part.facet_count
-        mine = chosen[(chosen >= first) & (chosen < first + each * len(part.placements))] - first
-        for place, facet in zip(*np.divmod(mine, max(1, each))):
-            corners = part.corners(int(facet), int(facet) + 1)[0]
-            picked.append(corners @ part.placements[place, :3] + part.placements[place, 3])
-        first += each * len(part.placements)
-    return np.asarray(picked).reshape(-1, 3, 3) * scale
+        every = part.facet_count * len(part.placements)
+        place, facet = np.divmod(
+            chosen[(chosen >= first) & (chosen < first + every)] - first, max(1, part.facet_count)
+        )
+        spots = part.placements[place]
+        found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
+        first += every
+    return np.concatenate(found) * scale
+
+
+def _compare_places(mesh: FileMesh, window: Window, scale: float, name: str) -> None:
+    """Compare every place of a repeated part with the lattice, not a sample of them."""
+    found = standing(mesh, window, scale)
+    if found is None:
+        if any(part.repeated for part in mesh.parts):
+            raise FileDisagrees(f"{name}: what it repeats covers no cell of the design")
+    elif not found.sound:
+        raise FileDisagrees(f"{name}: {found.words} (rounding: {found.limit:.2g})")
 
 
 def _compare_shape(

@@ -28,6 +28,12 @@ class UnknownFormat(ExportError, ValueError):
     exit_status = 2
 
 
+class BadRequest(ExportError, ValueError):
+    """Quads or roles that cannot be understood, or for a format that has none."""
+
+    exit_status = 2
+
+
 class NotPossible(ExportError):
     """A file that this design cannot have: a frame without a gap, a baffle without walls; the message says why."""
 

@@ -5,7 +5,7 @@ Facets and the bytes of STL and TIFF are exact, other bytes are good to 20 %, se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from clacad.export.limits import (
 from clacad.rates import Rates
 
 if TYPE_CHECKING:
+    from clacad.export.roles import Prospect
     from clacad.export.step import Mode
     from clacad.export.tessellation import Meshes
     from clacad.sheet import Window
@@ -44,12 +45,19 @@ class Forecast:
     exact : bool
         Whether `bytes` is exact; otherwise within 20 %.
     facets : int or None
+        Of the sheet: with every instance counted.
     quads : int or None
     modelled : float
         Processor seconds on the machine whose constants the models hold.
     memory : (low, high) bytes
     seconds : (low, high)
         Processor seconds on this machine.
+    stored : int or None
+        Facets the file holds; fewer than `facets` where it repeats a cell.
+    places : int
+        Bytes of where the repeated cells stand.
+    prospect : Prospect or None
+        The file's role and the light through it.
     """
 
     format: str
@@ -60,6 +68,9 @@ class Forecast:
     modelled: float
     memory: tuple[int, int]
     seconds: tuple[float, float] = (0.0, 0.0)
+    stored: int | None = None
+    places: int = 0
+    prospect: Prospect | None = None
 
     @property
     def task(self) -> str:
@@ -68,14 +79,24 @@ class Forecast:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form."""
-        return {
+        plain: dict[str, Any] = {
             "format": self.format, "bytes": self.bytes, "exact": self.exact, "facets": self.facets,
             "quads": self.quads, "seconds": list(self.seconds), "memory": list(self.memory),
         }  # fmt: skip
+        if self.facets is not None:
+            plain["stored"] = self.facets if self.stored is None else self.stored
+        if self.prospect is not None:
+            plain |= self.prospect.entry()
+            plain |= {"law_rms_limit": self.prospect.limit} if self.quads is not None else {}
+        return plain
 
 
 def forecast(
-    meshes: Meshes, formats: Sequence[str], quads: int, step: Mode = "auto", pcurves: bool = True
+    meshes: Meshes,
+    formats: Sequence[str],
+    quads: int | Mapping[str, int],
+    step: Mode = "auto",
+    pcurves: bool = True,
 ) -> list[Forecast]:
     """Forecast each format.
 
@@ -83,13 +104,14 @@ def forecast(
     ----------
     meshes : Meshes
     formats : sequence of str
-    quads : int
-        Facet grid a cell side for the mesh formats.
+    quads : int or mapping
+        Facet grid a cell side for the mesh formats, of all or of each.
     step : "auto", "fused" or "instanced"
     pcurves : bool
         Whether STEP files hold parameter curves.
     """
-    return timed([_forecast_one(meshes, name, quads, step, pcurves) for name in formats])
+    grids = dict.fromkeys(formats, quads) if isinstance(quads, int) else quads
+    return timed([_forecast_one(meshes, name, grids.get(name, QUADS[-1]), step, pcurves) for name in formats])
 
 
 def timed(rows: Sequence[Forecast]) -> list[Forecast]:
@@ -141,7 +163,9 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
     facets = plain.facets or 1
     share = (facets + letters) / facets
     seconds = plain.modelled * share + cost.kernel(0)
-    return replace(plain, bytes=int(plain.bytes * share), facets=facets + letters, modelled=seconds)
+    return replace(
+        plain, bytes=int(plain.bytes * share), facets=facets + letters, modelled=seconds, stored=None
+    )
 
 
 def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
@@ -151,7 +175,7 @@ def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -
 
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     from clacad.export.ply import ply_bytes
-    from clacad.export.sizes import glb_place_bytes, threemf_bytes
+    from clacad.export.sizes import glb_place_bytes, threemf_bytes, threemf_place_bytes
     from clacad.export.tessellation import instanceable
 
     window = meshes.window
@@ -161,18 +185,21 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     facets = held * window.lattice.cell_count if instanced else held
     # Half a vertex a facet, and more where walls and rims give corners normals of their own.
     vertices = held * (0.5 + 1.9 / max(quads, 2))
+    nodes = 0
     if name == "ply":
         size = ply_bytes(int(vertices), held, header=300)
     elif name == "glb":
-        nodes = glb_place_bytes(window) * places if places else 0.0
+        nodes = int(glb_place_bytes(window) * places) if places else 0
         size = int(24 * vertices + 12 * held + nodes + 2500)
     else:
-        size = threemf_bytes(meshes, quads)
+        nodes = threemf_place_bytes(window) if places else 0
+        size = threemf_bytes(meshes, quads) + nodes
     memory = int(700 * held + 400 * places)
     seconds = cost.welded(name, held, places)
     return Forecast(
-        name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000)
-    )
+        name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000),
+        stored=held, places=nodes,
+    )  # fmt: skip
 
 
 def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast:

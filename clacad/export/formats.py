@@ -109,9 +109,11 @@ def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
 
 
 def _mesh_facts(
-    job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str], unit: str = "mm"
-) -> dict[str, Any]:
-    mesh = job.tessellation.mesh
+    job: Job, facets: int, volume: float, exact: float | None, names: Sequence[str], unit: str = "mm",
+    repeated: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Facts of a mesh file; `repeated`: it holds one cell, and the sheet is not meshed to say so."""
+    mesh = job.tessellation.cell if repeated else job.tessellation.mesh
     scale = job.scale * {"mm": 1.0, "m": 1e-3}[unit]
     cube = scale**3
     parts = [part for part, body in zip(mesh.bodies, job.window.bodies, strict=True) if body.name in names]
@@ -188,11 +190,12 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
     promise = job.tessellation.promise(instanced=repeated, single=single)
     verdict = compare_mesh(read_mesh(path), job.window, promise, name, volume_sum(job.integrals, job.bodies))
     unit = "m" if kind == "glb" else "mm"
-    facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies, unit)
+    facts = _mesh_facts(job, promise.facets, verdict.volume, verdict.volume_exact, job.bodies, unit, repeated)
     if repeated:  # cells side by side that share no vertex: nothing touches within one
         facts = {key: value for key, value in facts.items() if not key.startswith("saddle")} | {"saddles": 0}
         bevel = job.request.saddle_bevel * job.scale * (1e-3 if unit == "m" else 1.0)
         facts |= {"saddle_policy": "bevel", "saddle_bevel": bevel} if promise.bevel else {}
+        facts["triangles_stored"] = job.tessellation.cell.facet_count
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
     return job.record(path, kind, unit=unit, facts=facts, checks=verdict.checks)
 

@@ -229,30 +229,58 @@ def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
             raise UnreadableFile(f"node {number} uses an extension or skin, which is not read")
         place = _local(node) @ above
         if "mesh" in node:
-            found = _instances(document, binary, node) if "extensions" in node else [np.eye(4)]
-            places.setdefault(int(node["mesh"]), []).extend((one @ place)[:, :3] for one in found)
-        stack.extend((int(child), place) for child in node.get("children", ()))
+            found = _instances(document, binary, node) if "extensions" in node else np.eye(4)[None]
+            places.setdefault(int(node["mesh"]), []).append((found @ place)[:, :, :3])
+        children = [int(child) for child in node.get("children", ())]
+        leaves = [n for n in children if 0 <= n < len(nodes) and n not in seen and set(nodes[n]) <= _LEAF]
+        chosen = set(leaves)
+        if len(chosen) == len(leaves) > 1:  # a sheet of cells in one go, not one matrix after the other
+            seen.update(chosen)
+            for mesh, found in _leaves([nodes[n] for n in leaves]):
+                places.setdefault(mesh, []).append((found @ place)[::-1, :, :3])
+            children = [n for n in children if n not in chosen]
+        stack.extend((child, place) for child in children)
     parts = [
         part
         for mesh in sorted(places)
-        for part in _parts(document, binary, mesh, np.stack(places[mesh][::-1]))
+        for part in _parts(document, binary, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
     ]
     if not parts:
         raise UnreadableFile("its scene shows no triangle")
     return FileMesh("glb", tuple(parts), 1.0, str(scene.get("name", "")))
 
 
-def _instances(document: dict[str, Any], binary: np.ndarray[Any, Any], node: dict[str, Any]) -> list[Floats]:
-    """Row-vector matrices of a node's instances, (4, 4) each, last first like the nodes of a tree."""
+_LEAF = {"mesh", "name", "translation"}
+"""All that a node holds which is nothing but a mesh put somewhere."""
+
+
+def _leaves(nodes: list[dict[str, Any]]) -> list[tuple[int, Floats]]:
+    """Meshes that plain nodes put somewhere, and their row-vector matrices (k, 4, 4)."""
+    found: dict[int, list[Any]] = {}
+    for node in nodes:
+        if "mesh" in node:
+            found.setdefault(int(node["mesh"]), []).append(node.get("translation", (0.0, 0.0, 0.0)))
+    return [(mesh, _translations(np.array(moves, dtype=np.float64))) for mesh, moves in found.items()]
+
+
+def _translations(moves: Floats) -> Floats:
+    """Row-vector matrices (k, 4, 4) of displacements (k, 3)."""
+    if moves.shape[1:] != (3,) or not np.isfinite(moves).all():
+        raise UnreadableFile("a node's place is not a number")
+    matrices = np.tile(np.eye(4), (len(moves), 1, 1))
+    matrices[:, 3, :3] = moves
+    return matrices
+
+
+def _instances(document: dict[str, Any], binary: np.ndarray[Any, Any], node: dict[str, Any]) -> Floats:
+    """Row-vector matrices of a node's instances, (k, 4, 4), last first like the nodes of a tree."""
     attributes = node["extensions"][INSTANCING]["attributes"]
     if set(attributes) != {"TRANSLATION"}:
         raise UnreadableFile("instances that are turned or scaled are not read")
     offsets = _accessed(document, binary, attributes["TRANSLATION"], 3).astype(np.float64)
     if len(offsets) > _MOST_NODES or not np.isfinite(offsets).all():
         raise UnreadableFile("its instances are too many, or stand nowhere")
-    matrices = np.tile(np.eye(4), (len(offsets), 1, 1))
-    matrices[:, 3, :3] = offsets
-    return list(matrices[::-1])
+    return _translations(offsets)[::-1]
 
 
 def _local(node: dict[str, Any]) -> Floats:

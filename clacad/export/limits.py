@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from math import isqrt
 from pathlib import Path
@@ -20,6 +20,7 @@ from clacad.export.errors import LimitRefused
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.export.forecast import Forecast
+    from clacad.export.request import Quads
     from clacad.export.tessellation import Meshes
     from clacad.sheet import Window
 
@@ -33,7 +34,8 @@ QUADS = (64, 32, 16, 8, 4)
 
 STL_FORMATS = ("stl", "stl-parts", "marked-stl")
 WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
-MESH_FORMATS = STL_FORMATS + WELDED_FORMATS
+REPEATING = ("3mf", "glb")
+"""Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
 MOST_WELDED = 8_000_000
 """Facets up to which a mesh is welded into shared vertices in memory."""
 
@@ -49,8 +51,15 @@ def refuse_uncountable(design: Design) -> None:
     refuse_cells(n1, n2)
 
 
-def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> None:
+def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Quads]) -> None:
     """Refuse a design whose mere count of lenslets is beyond every limit; integer arithmetic only.
+
+    Parameters
+    ----------
+    design : Design
+    formats : sequence of str
+    quads : mapping
+        Format → facet grid asked for; the coarsest counts where nothing was, or "auto".
 
     Raises
     ------
@@ -59,11 +68,14 @@ def refuse_early(design: Design, formats: Sequence[str], quads: int | None) -> N
     refuse_uncountable(design)
     n1, n2 = design.lattice.count
     cells = n1 * n2
-    grid = quads if quads is not None else QUADS[-1]
-    if any(f in MESH_FORMATS for f in formats) and design.lattice.outline is None:
-        faces = 4 if design.pair.form == "biconvex" else 2
-        if any(f in STL_FORMATS for f in formats):
-            _refuse_facets("stl", grid * grid * cells * faces, grid, (n1, n2))
+    if design.lattice.outline is not None:
+        return
+    faces = 4 if design.pair.form == "biconvex" else 2
+    for name in formats:
+        if name in STL_FORMATS:
+            asked = quads.get(name, "auto")
+            grid = QUADS[-1] if asked == "auto" else asked
+            _refuse_facets(name, grid * grid * cells * faces, grid, (n1, n2))
 
 
 def refuse_cells(n1: int, n2: int) -> None:

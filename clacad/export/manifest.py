@@ -33,6 +33,9 @@ class FileRecord:
         fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true ones).
     checks : tuple of str
         What was compared with the design, and agreed, when the file was read back.
+    role : mapping
+        What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little light gets
+        through), role_overstated (declared a master against the forecast) and, of previews, master_quads and master_bytes (None: no grid makes a master).
     """
 
     name: str
@@ -43,6 +46,7 @@ class FileRecord:
     bodies: tuple[str, ...]
     facts: Mapping[str, Any] = field(default_factory=dict)
     checks: tuple[str, ...] = ()
+    role: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Entry of the manifest's `files`."""
@@ -50,7 +54,9 @@ class FileRecord:
             "name": self.name, "sha256": self.sha256, "bytes": self.bytes, "format": self.format, "unit": self.unit,
             "bodies": list(self.bodies), "pose": "sheet frame", "checks": list(self.checks),
         }  # fmt: skip
-        return plain | {key: value for key, value in self.facts.items() if value is not None}
+        return (
+            plain | {key: value for key, value in self.facts.items() if value is not None} | dict(self.role)
+        )
 
 
 @dataclass(frozen=True)

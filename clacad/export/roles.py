@@ -8,7 +8,9 @@ pictures' scenes) carries no light of the law.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 
 class Role(StrEnum):
@@ -28,3 +30,59 @@ WORDS: Mapping[str, Role] = {
 
 NOT_OPTICAL = frozenset({"baffle", "frame", "coupon", "pov", "scene"})
 """Formats and bodies that carry no light of the law, by the words of manifests."""
+
+
+MESHES = ("stl", "stl-parts", "marked-stl", "3mf", "ply", "glb", "marked-3mf")
+"""Formats of facets: what they are good for depends on how fine they are."""
+
+
+def role_of(format: str) -> Role:
+    """Role of the files of a format that holds exact faces, heights, poses, or no optics at all."""
+    return Role.OTHER if format in NOT_OPTICAL else Role.MASTER
+
+
+@dataclass(frozen=True, slots=True)
+class Prospect:
+    """The role a file is given, and what the light through it is forecast to do.
+
+    Parameters
+    ----------
+    role : Role
+    declared : bool
+        Whether the role was asked for; otherwise the forecast decided.
+    quads : int or None
+        Facet grid a cell side; None: the file has no facets, and the rest says nothing.
+    law_rms : float or None, radians
+        Rms direction error to the law; None where too little light gets through.
+    limit : float, radians
+    fit : bool
+        Whether every forecast of light is within the design's limits.
+    master_quads, master_bytes : int or None
+        Facets, and size of the file, that a master of this format would take; None: no grid up to 1024 makes one.
+    """
+
+    role: Role
+    declared: bool = False
+    quads: int | None = None
+    law_rms: float | None = None
+    limit: float = 0.0
+    fit: bool = True
+    master_quads: int | None = None
+    master_bytes: int | None = None
+
+    @property
+    def overstated(self) -> bool:
+        """Declared a master though light through it is forecast beyond the limits."""
+        return self.role is Role.MASTER and not self.fit
+
+    def entry(self) -> dict[str, Any]:
+        """Keys of a file's entry in the manifest."""
+        told: dict[str, Any] = {"role": str(self.role), "role_declared": self.declared}
+        if self.quads is None:
+            return told
+        told["forecast_law_rms"] = self.law_rms
+        if self.overstated:
+            told["role_overstated"] = True
+        if self.role is Role.PREVIEW:
+            told |= {"master_quads": self.master_quads, "master_bytes": self.master_bytes}
+        return told

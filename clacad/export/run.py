@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,14 @@ from clacad import log
 from clacad.export import limits
 from clacad.export import seconds as cost
 from clacad.export.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
-from clacad.export.errors import ExportError, ExportIncomplete, LimitRefused, NotPossible, WorkerDied
+from clacad.export.errors import ExportError, ExportIncomplete, NotPossible, WorkerDied
 from clacad.export.forecast import Forecast, forecast
 from clacad.export.formats import FORMATS, Job, known_formats
+from clacad.export.grade import Grader
 from clacad.export.manifest import FileRecord, Manifest, carried_over, document
+from clacad.export.quads import chosen_quads, with_prospects
 from clacad.export.request import Request
-from clacad.export.tessellation import Meshes, Tessellation
+from clacad.export.tessellation import Meshes
 from clacad.export.worker import Progress, Worker, ended_by_signals
 from clacad.rates import Rates, Span, seconds_of, total
 
@@ -44,18 +47,18 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         report("forecast", 0.0)
         window = _prescribed(made)
         meshes = Meshes(window, request.saddle_bevel)
-        quads = _quads(meshes, request, formats)
-        rows = forecast(meshes, formats, quads, request.step, request.pcurves)
-        if not request.force:
-            limits.refuse_over_limits(meshes, rows, Path(out))
+        rows = _forecast(made, meshes, formats, request, Path(out))
+        quads = {row.quads for row in rows if row.quads is not None}
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
-            job = _job(meshes.at(quads), design, stage, worker, request, report)
-            Rates.here().note(PREPARE, prepare_seconds(formats, quads), time.process_time() - used)
-            records, failures, seconds = _produced(job, formats, rows)
+            job = Job(
+                window, safe_name(design.name), stage, meshes.at(limits.QUADS[-1]), worker, request, report
+            )
+            Rates.here().note(PREPARE, prepare_seconds(quads), time.process_time() - used)
+            records, failures, seconds = _produced(job, meshes, rows)
             if not records:
                 raise next(iter(failures.values()))
-            content = _content(design, window, records, request, quads)
+            content = _content(design, window, records, request)
             content["files"] += carried_over(stage.folder, content)
             content["files"].sort(key=lambda entry: str(entry["name"]))
             facts = {
@@ -71,8 +74,16 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     return manifest
 
 
-def forecast_rows(design: Design, request: Request) -> list[Forecast]:
+def forecast_rows(design: Design, request: Request, out: Path | None = None) -> list[Forecast]:
     """What an export would cost, format by format; writes nothing.
+
+    Parameters
+    ----------
+    design : Design
+    request : Request
+    out : Path or None
+        The folder it would write to: what `export` would refuse is refused here too, unless forced. None: rows of any
+        size are told.
 
     Raises
     ------
@@ -82,22 +93,33 @@ def forecast_rows(design: Design, request: Request) -> list[Forecast]:
     formats = known_formats(request.formats)
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
-    meshes = Meshes(_prescribed(made), request.saddle_bevel)
-    return forecast(meshes, formats, _quads(meshes, request, formats), request.step, request.pcurves)
+    return _forecast(made, Meshes(_prescribed(made), request.saddle_bevel), formats, request, out)
 
 
-def prepare_seconds(formats: Sequence[str], quads: int) -> float:
-    """Modelled seconds of an export before its first file."""
-    return cost.prepare(quads if any(name in limits.MESH_FORMATS for name in formats) else None)
+def _forecast(
+    design: Design, meshes: Meshes, formats: tuple[str, ...], request: Request, out: Path | None
+) -> list[Forecast]:
+    """Rows of all formats, held against the limits before the light through the meshes is forecast."""
+    grader = Grader.of(meshes, design)
+    quads = chosen_quads(grader, request, formats)
+    rows = forecast(meshes, formats, quads, request.step, request.pcurves)
+    if not request.force and out is not None:
+        limits.refuse_over_limits(meshes, rows, out)
+    return with_prospects(grader, rows, request.role)
 
 
-def in_all(formats: Sequence[str], rows: Sequence[Forecast]) -> Span:
+def prepare_seconds(quads: Iterable[int]) -> float:
+    """Modelled seconds of an export before its first file; `quads`: the facet grids that are meshed."""
+    return cost.prepare(sorted(quads))
+
+
+def in_all(rows: Sequence[Forecast]) -> Span:
     """Seconds of a whole export on this machine, from the forecasts of its formats."""
     rates = Rates.here()
-    quads = next((row.quads for row in rows if row.quads is not None), limits.QUADS[-1])
+    quads = {row.quads for row in rows if row.quads is not None}
     return total(
         [
-            rates.span(PREPARE, prepare_seconds(formats, quads)),
+            rates.span(PREPARE, prepare_seconds(quads)),
             *(rates.span(r.task, r.modelled) for r in rows),
         ]
     )
@@ -118,33 +140,8 @@ def _prescribed(design: Design) -> Window:
     return prescribe(design)
 
 
-def _quads(meshes: Meshes, request: Request, formats: tuple[str, ...]) -> int:
-    """Facet grid: as asked, by slope error, or the finest within the limits."""
-    if not any(name in limits.MESH_FORMATS for name in formats):
-        return limits.QUADS[-1]
-    if request.quads is not None:
-        if request.quads < 1:
-            raise LimitRefused(f"quads = {request.quads}; at least 1 is needed")
-        return request.quads
-    if request.slope_error == "auto":
-        return limits.choose_quads(meshes, formats, request.force)
-    return limits.quads_for_slope(meshes.window, float(request.slope_error), request.force)
-
-
-def _job(
-    tessellation: Tessellation,
-    design: Design,
-    stage: Stage,
-    worker: Worker,
-    request: Request,
-    report: Progress,
-) -> Job:
-    stem = safe_name(design.name)
-    return Job(tessellation.window, stem, stage, tessellation, worker, request, report)
-
-
 def _produced(
-    job: Job, formats: tuple[str, ...], rows: Sequence[Forecast]
+    job: Job, meshes: Meshes, rows: Sequence[Forecast]
 ) -> tuple[list[FileRecord], dict[str, ExportError], dict[str, float]]:
     """Make every format; one that fails leaves nothing behind and does not stop the others.
 
@@ -154,12 +151,14 @@ def _produced(
     records: list[FileRecord] = []
     failures: dict[str, ExportError] = {}
     seconds: dict[str, float] = {}
-    for name, row in zip(formats, rows, strict=True):
+    for row in rows:
+        name = row.format
         began, used = time.monotonic(), _used(job.worker)
         before, done = set(job.stage.written()), len(records)
         try:
             with translated(job.stage.folder):
-                records += FORMATS[name](job)
+                one = job if row.quads is None else replace(job, tessellation=meshes.at(row.quads))
+                records += [_with_role(record, row) for record in FORMATS[name](one)]
         except (ExportError, MemoryError, ValueError) as error:
             failures[name] = _failure(name, error)
             log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))
@@ -171,6 +170,10 @@ def _produced(
         for made in records[done:]:
             log.note("file", seconds=round(seconds[name], 4), **made.to_dict())
     return records, failures, seconds
+
+
+def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
+    return record if row.prospect is None else replace(record, role=row.prospect.entry())
 
 
 def _used(worker: Worker) -> float:
@@ -190,9 +193,7 @@ def _failure(name: str, error: Exception) -> ExportError:
     return NotPossible(str(error))
 
 
-def _content(
-    design: Design, window: Window, records: list[FileRecord], request: Request, quads: int
-) -> dict[str, Any]:
+def _content(design: Design, window: Window, records: list[FileRecord], request: Request) -> dict[str, Any]:
     from clacad import __version__
     from clacad.feasibility import feasibility
 

@@ -32,7 +32,7 @@ def mm(window: Window) -> float:
 
 
 def threemf_bytes(meshes: Meshes, quads: int) -> int:
-    """Size of the 3MF file: the text of the first facets and places of each body, deflated."""
+    """Size of the 3MF file without places: the text of the first facets of each body, deflated."""
     from clacad.export import threemf
 
     repeated = instanceable(meshes.window)
@@ -48,12 +48,15 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
         # one stream for all bodies, as in the file: a second body that is like the first takes little room
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
         total += size * part.facet_count / len(corners)
-        if repeated:
-            array = next(f.array for f in (body.front, body.back) if f.array is not None)
-            total += _places_bytes(
-                Places(meshes.window.lattice, meshes.window.shifts[array]), mm(meshes.window)
-            )
     return int(total)
+
+
+def threemf_place_bytes(window: Window) -> int:
+    """Bytes of a 3MF file that say where the repeated cells of each body stand."""
+    arrays = (next(f.array for f in (b.front, b.back) if f.array is not None) for b in window.bodies)
+    return int(
+        sum(_places_bytes(Places(window.lattice, window.shifts[array]), mm(window)) for array in arrays)
+    )
 
 
 def _first_facets(rows: Iterator[Floats]) -> Floats:

@@ -6,20 +6,27 @@ Nothing here knows how the file was written. Lengths in mm.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.export.errors import UnreadableFile
+from clacad.export.placing import applied
+from clacad.export.solid_lenses import WALL, LensPoints, lens_facts, on_lenses
+from clacad.export.solid_walk import Piece, boxes_of, moved, pieces, whole_box
 from clacad.export.step_scan import Scan, patch_points, scan_step
-from clacad.sheet import Window, lens_height_and_normal
+from clacad.sheet import Window
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 KERNEL_BYTES = 24_000_000
 """Files larger than this are scanned only: a kernel would take minutes and gigabytes."""
+
+FEW_FACES = 2000
+"""Faces up to which each is looked at in three places; in its middle, where there are more."""
 
 _GOLDEN = 0.6180339887498949
 
@@ -55,18 +62,40 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
         The file cannot be read.
     """
     size = os.stat(path).st_size
-    scan = scan_step(path)
+    scan = scanned(path)
     facts: dict[str, Any] = {
         "bytes": size, "schema": scan.schema, "name": scan.name, "names": scan.names, "colours": scan.colours,
         "millimetres": scan.millimetres, "solids": scan.solids, "faces": scan.faces, "dangling": scan.dangling,
-        "open_edges": scan.open_edges, "entities": dict(sorted(scan.entities.items())),
+        "open_edges": scan.open_edges, "entities": dict(sorted(scan.entities.items())), "units": list(scan.units),
+        "holds": _held(
+            scan.solids, scan.shells, scan.faces,
+            [
+                (one.name, one.solid, sum(len(scan.shell_faces.get(s, ())) for s in one.shells), len(one.placements))
+                for one in scan.parts
+            ],
+        ),
     }  # fmt: skip
     if window is not None:
-        facts |= _patch_facts(scan, window)
+        facts |= _text_facts(scan, window)
     facts["kernel"] = kernel if kernel is not None else size <= KERNEL_BYTES
     if facts["kernel"]:
+        holds = facts["holds"]
         facts |= _kernel_facts(path, window, lens_faces, points)
+        if holds["solids"] == facts["kernel_solids"]:  # the text knows the names as well
+            facts["holds"] = holds
+        if window is not None and (not facts["patches"] or scan.uneven):
+            facts |= {"placement": _kernel_placement(path, window)}
     return facts
+
+
+def _kernel_placement(path: str | os.PathLike[str], window: Window) -> dict[str, Any] | None:
+    """Where the lenses stand, as the kernel finds them."""
+    several = loaded(path).pieces
+    many = sum(len(piece.faces) for piece in several)
+    lenses = kernel_lenses(several, 3 if many < FEW_FACES else 1)
+    found = lens_facts(window, lenses, [piece.placements for piece in several])
+    placement: dict[str, Any] | None = found["placement"]
+    return placement
 
 
 def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_faces: int = 200, points: int = 24
@@ -88,100 +117,114 @@ def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_f
         "dangling": 0,
         "open_edges": 0,
     }
-    return {"bytes": size, "schema": "BREP", "kernel": True} | counts | facts
+    placement = {} if window is None else {"placement": _kernel_placement(path, window)}
+    return {"bytes": size, "schema": "BREP", "kernel": True} | counts | facts | placement
 
 
-def _patch_facts(scan: Scan, window: Window) -> dict[str, Any]:
-    place, normal, front = patch_points(scan)
-    # The text of an assembly holds the geometry of its one cell, whose centre is the origin.
-    instanced = scan.entities["NEXT_ASSEMBLY_USAGE_OCCURRENCE"] > 0
-    error, angle = lens_distance(window, place, normal, front, instanced)
-    return {
-        "patches": len(place) // 9,
-        "patch_error": float(error.max()) if len(error) else None,
-        "patch_slope_error": float(angle.max()) if len(angle) else None,
-    }
+def _text_facts(scan: Scan, window: Window) -> dict[str, Any]:
+    """Every lens patch of the text, in all its placements, against the window."""
+    found = lens_facts(window, patch_points(scan), [part.placements for part in scan.parts])
+    return found | {"uneven": scan.uneven}
 
 
-def lens_distance(window: Window, place: Floats, normal: Floats, front: Bools, one_cell: bool = False
-                  ) -> tuple[Floats, Floats]:  # fmt: skip
-    """How far points lie from the lens faces of a window.
-
-    Parameters
-    ----------
-    window : Window
-    place : (n, 3), mm
-        In the sheet frame, or in the frame of a cell.
-    normal : (n, 3)
-        Unit, towards +z.
-    front : (n,) bool
-        Whether the point belongs to a front face.
-    one_cell : bool
-        Points are given in the frame of a cell (the one cell of an assembly).
-
-    Returns
-    -------
-    distance : (n,), mm
-        Along the normal, to the nearest lens face of that side; infinite where there is none.
-    angle : (n,), rad
-        Between the normals.
-    """
-    scale = window.unit * 1e3
-    best, angle = np.full(len(place), np.inf), np.full(len(place), np.inf)
-    for face in window.faces:
-        if face.array is None:
-            continue
-        chosen = np.flatnonzero(front == (face.side > 0))
-        at = place[chosen] / scale
-        x, y = at[:, 0], at[:, 1]
-        if not one_cell:
-            shift = window.shifts[face.array]
-            _, x, y = window.lattice.locate(x - shift[0], y - shift[1])
-        z, expected = lens_height_and_normal(face, x, y)
-        away = np.abs((at[:, 2] - z) * expected[:, 2]) * scale
-        turned = np.linalg.norm(np.cross(expected, normal[chosen]), axis=1)
-        closer = away < best[chosen]
-        best[chosen[closer]], angle[chosen[closer]] = away[closer], turned[closer]
-    return best, angle
+def _held(
+    solids: int, shells: int, faces: int, pieces: Sequence[tuple[str, bool, int, int]]
+) -> dict[str, Any]:
+    """What a workshop will find in a file; pieces: (name, whether it is a solid, faces, instances)."""
+    rows = [
+        {"name": name, "solid": solid, "faces": each, "instances": many} for name, solid, each, many in pieces
+    ]
+    return {"solids": solids, "shells": shells, "faces": faces, "prototypes": len(rows), "parts": rows[:64]}
 
 
 # -- the kernel -------------------------------------------------------------------------------------
 
 
-def _kernel_facts(path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int
-                  ) -> dict[str, Any]:  # fmt: skip
+def _kernel_facts(
+    path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int
+) -> dict[str, Any]:
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
-    from OCP.TopAbs import TopAbs_FACE, TopAbs_SOLID
 
     from clacad.brep.kernel import engraved_volume, is_valid, surface_area, volume
 
-    shape = kernel_shape(path)
-    solids = _explored(shape, TopAbs_SOLID)
-    faces = _explored(shape, TopAbs_FACE)
+    found = loaded(path)
+    several = found.pieces
+    solids = [piece for piece in several if piece.solid]
+    many = [len(piece.placements) for piece in several]
+    faces = sum(len(piece.faces) * k for piece, k in zip(several, many, strict=True))
     if not faces:
         raise UnreadableFile(f"{os.fspath(path)}: the CAD kernel finds no face in it; the file is damaged")
-    unique: dict[Any, tuple[Any, int]] = {}
-    for solid in solids:
-        key = solid.TShape()
-        held = unique.get(key)
-        unique[key] = (solid, 1 if held is None else held[1] + 1)
-    engraved = 0.0 if window is None else _engraved(faces, window)
+    engraved = 0.0 if window is None else _engraved(several, window)
     measured = engraved_volume if engraved else volume
+    tolerance = ShapeAnalysis_ShapeTolerance()
+    count = sum(len(piece.placements) for piece in solids)
     facts: dict[str, Any] = {
-        "valid": all(is_valid(solid) for solid, _ in unique.values()),
-        "kernel_solids": len(solids),
-        "kernel_faces": len(faces),
-        "volume": sum(measured(solid) * many for solid, many in unique.values()),
-        "area": sum(surface_area(solid) * many for solid, many in unique.values()),
-        "box": _box(shape),
-        "tolerance": ShapeAnalysis_ShapeTolerance().Tolerance(shape, 1),
-    }
+        "valid": all(is_valid(piece.shape) for piece in solids),
+        "kernel_solids": count,
+        "kernel_faces": faces,
+        "volume": sum(measured(piece.shape) * len(piece.placements) for piece in solids),
+        "area": sum(surface_area(piece.shape) * len(piece.placements) for piece in solids),
+        "box": whole_box(several),
+        "tolerance": max(tolerance.Tolerance(piece.shape, 1) for piece in several),
+        "holds": _held(
+            count, sum(piece.shells * k for piece, k in zip(several, many, strict=True)), faces,
+            [("", piece.solid, len(piece.faces), k) for piece, k in zip(several, many, strict=True)],
+        ),
+    }  # fmt: skip
     if window is not None:
-        facts |= _sampled(faces, window, lens_faces, points) | {"engraved": engraved}
+        facts |= _sampled(several, window, lens_faces, points) | {"engraved": engraved}
     return facts
 
 
-def _engraved(faces: list[Any], window: Window) -> float:
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A file as the kernel read it: its shape, and the pieces of that."""
+
+    shape: Any
+    pieces: list[Piece]
+
+
+def scanned(path: str | os.PathLike[str]) -> Scan:
+    """What the text of a file says; the last one is kept for the next call in this process.
+
+    Raises
+    ------
+    UnreadableFile
+        The file is no STEP file.
+    """
+    key = _state(path)
+    if key not in _SCANNED:
+        _SCANNED.clear()
+        _SCANNED[key] = scan_step(path)
+    return _SCANNED[key]
+
+
+def _state(path: str | os.PathLike[str]) -> tuple[str, int, int]:
+    found = os.stat(path)
+    return (os.fspath(path), found.st_size, found.st_mtime_ns)
+
+
+_SCANNED: dict[tuple[str, int, int], Scan] = {}
+_KEPT: dict[tuple[str, int, int], Loaded] = {}
+
+
+def loaded(path: str | os.PathLike[str]) -> Loaded:
+    """What the kernel reads from a file; kept for the next call in this process.
+
+    Raises
+    ------
+    UnreadableFile
+        The kernel cannot read it.
+    """
+    key = _state(path)
+    if key not in _KEPT:
+        _KEPT.clear()
+        shape = kernel_shape(path)
+        _KEPT[key] = Loaded(shape, pieces(shape))
+    return _KEPT[key]
+
+
+def _engraved(several: list[Piece], window: Window) -> float:
     """Volume (mm³) of letters engraved in the borders: area of their floors times depth."""
     from clacad.brep.kernel import surface_area
     from clacad.fixture.mark import pockets
@@ -190,7 +233,10 @@ def _engraved(faces: list[Any], window: Window) -> float:
     room = pockets(window)
     if not room:
         return 0.0
-    corners = np.array([_box(face) for face in faces]) / scale
+    # letters stand in borders, of which there is one; a cell that is repeated has none
+    alone = [piece for piece in several if len(piece.placements) == 1]
+    faces = [moved(face, piece.placements[0]) for piece in alone for face in piece.faces]
+    corners = boxes_of(faces) / scale
     total = 0.0
     for pocket in room:
         for number in np.flatnonzero(pocket.on_floor(corners, 1e-6 / scale)):
@@ -231,63 +277,71 @@ def _own_shape(path: str) -> Any:
     return shape
 
 
-def _explored(shape: Any, kind: Any) -> list[Any]:
-    from OCP.TopAbs import TopAbs_FACE
-    from OCP.TopExp import TopExp_Explorer
-    from OCP.TopoDS import TopoDS
-
-    if shape.IsNull():
-        return []
-    explorer, found = TopExp_Explorer(shape, kind), []
-    while explorer.More():
-        found.append(TopoDS.Face(explorer.Current()) if kind == TopAbs_FACE else explorer.Current())
-        explorer.Next()
-    return found
-
-
-def _box(shape: Any) -> list[list[float]]:
-    from OCP.Bnd import Bnd_Box
-    from OCP.BRepBndLib import BRepBndLib
-
-    box = Bnd_Box()
-    BRepBndLib.Add_s(shape, box, False)
-    box.SetGap(0.0)
-    low, high = box.CornerMin(), box.CornerMax()
-    return [[low.X(), low.Y(), low.Z()], [high.X(), high.Y(), high.Z()]]
-
-
-def _sampled(faces: list[Any], window: Window, lens_faces: int, points: int) -> dict[str, Any]:
+def _sampled(several: list[Piece], window: Window, lens_faces: int, points: int) -> dict[str, Any]:
     """Sample curved faces inside their trimmed borders and measure them against the window."""
-    curved = [face for face in faces if _curved(face)]
-    step = max(1, len(curved) // lens_faces)
-    place, normal, front = [], [], []
-    for face in curved[::step]:
-        at, way, outward = _face_points(face, points)
-        place.append(at)
-        normal.append(way)
-        front.append(np.full(len(at), outward < 0.0))
-    if not place:
+    curved = [(number, face) for number, piece in enumerate(several) for face in piece.faces if _curved(face)]
+    where = [several[number].placements for number, _ in curved]
+    ends = np.cumsum([len(placements) for placements in where], dtype=np.int64)
+    if not len(ends):
         return {"lens_error": None, "lens_slope_error": None, "lens_points": 0, "lens_faces": 0}
-    error, angle = lens_distance(window, np.concatenate(place), np.concatenate(normal), np.concatenate(front))
+    held: dict[int, tuple[Floats, Floats]] = {}
+    place, outward = [], []
+    for at in range(0, int(ends[-1]), max(1, int(ends[-1]) // lens_faces)):
+        number = int(np.searchsorted(ends, at, side="right"))
+        if number not in held:
+            held[number] = _face_points(curved[number][1], points)
+        here = where[number][at - int(ends[number])]
+        place.append(applied(here, held[number][0]))
+        outward.append(held[number][1] @ here[:, :3].T)
+    lens = np.concatenate(outward)
+    upright = np.abs(lens[:, 2]) > WALL
+    error, angle, _ = on_lenses(window, np.concatenate(place)[upright], lens[upright])
     return {
-        "lens_error": float(error.max()), "lens_slope_error": float(angle.max()), "lens_points": len(error),
-        "lens_faces": len(curved),
+        "lens_error": float(error.max()) if len(error) else None,
+        "lens_slope_error": float(angle.max()) if len(error) else None,
+        "lens_points": len(error), "lens_faces": int(ends[-1]),
     }  # fmt: skip
+
+
+def kernel_lenses(several: list[Piece], each: int = 3) -> LensPoints:
+    """Points of every curved face of every piece, in its piece's frame, as the kernel reads them."""
+    place, outward, part = [np.empty((0, 3))], [np.empty((0, 3))], []
+    counts = []
+    for number, piece in enumerate(several):
+        for face in piece.faces:
+            if _curved(face):
+                at, way = _face_points(face, each)
+                if len(at):
+                    place.append(at)
+                    outward.append(way)
+                    counts.append(len(at))
+                    part.append(number)
+    patch = np.repeat(np.arange(len(part)), counts)
+    return LensPoints(
+        np.concatenate(place), np.concatenate(outward), patch.astype(np.int64), np.array(part, dtype=np.int64)
+    )
 
 
 def _curved(face: Any) -> bool:
     """Whether a face lies on a surface curved both ways (a lens), not on a plane or a ruled wall."""
     from OCP.BRepAdaptor import BRepAdaptor_Surface
-    from OCP.GeomAbs import GeomAbs_BSplineSurface
-
-    surface = BRepAdaptor_Surface(face, False)
-    return bool(
-        surface.GetType() == GeomAbs_BSplineSurface and min(surface.UDegree(), surface.VDegree()) >= 2
+    from OCP.GeomAbs import (
+        GeomAbs_BezierSurface,
+        GeomAbs_BSplineSurface,
+        GeomAbs_Sphere,
+        GeomAbs_SurfaceOfRevolution,
+        GeomAbs_Torus,
     )
 
+    surface = BRepAdaptor_Surface(face, False)
+    kind = surface.GetType()
+    if kind in (GeomAbs_BSplineSurface, GeomAbs_BezierSurface):
+        return bool(min(surface.UDegree(), surface.VDegree()) >= 2)
+    return kind in (GeomAbs_Sphere, GeomAbs_Torus, GeomAbs_SurfaceOfRevolution)
 
-def _face_points(face: Any, count: int) -> tuple[Floats, Floats, float]:
-    """Points (k, 3) inside a face, unit normals towards +z, and the sign of the outward normal's z."""
+
+def _face_points(face: Any, count: int) -> tuple[Floats, Floats]:
+    """Points (k, 3) inside a face and outward unit normals (k, 3)."""
     from OCP.BRep import BRep_Tool
     from OCP.BRepClass import BRepClass_FaceClassifier
     from OCP.BRepTools import BRepTools
@@ -297,18 +351,16 @@ def _face_points(face: Any, count: int) -> tuple[Floats, Floats, float]:
     surface = BRep_Tool.Surface_s(face)
     u0, u1, v0, v1 = BRepTools.UVBounds_s(face)
     inside = BRepClass_FaceClassifier()
+    sense = -1.0 if face.Orientation() == TopAbs_REVERSED else 1.0
     place, normal = [], []
-    outward = 1.0
     for n in range(count):
-        u, v = u0 + (u1 - u0) * (n + 0.5) / count, v0 + (v1 - v0) * ((n * _GOLDEN) % 1.0)
+        u, v = u0 + (u1 - u0) * (n + 0.5) / count, v0 + (v1 - v0) * ((0.5 + (n - count // 2) * _GOLDEN) % 1.0)
         inside.Perform(face, gp_Pnt2d(u, v), 1e-9)
         if inside.State() != TopAbs_IN:
             continue
         point, along, across = gp_Pnt(), gp_Vec(), gp_Vec()
         surface.D1(u, v, point, along, across)
-        way = along.Crossed(across)
-        outward = way.Z() * (-1.0 if face.Orientation() == TopAbs_REVERSED else 1.0)
-        up = np.array([way.X(), way.Y(), way.Z()]) * np.sign(way.Z())
+        way = sense * np.cross([along.X(), along.Y(), along.Z()], [across.X(), across.Y(), across.Z()])
         place.append([point.X(), point.Y(), point.Z()])
-        normal.append(up / np.linalg.norm(up))
-    return np.array(place).reshape(-1, 3), np.array(normal).reshape(-1, 3), outward
+        normal.append(way / np.linalg.norm(way))
+    return np.array(place).reshape(-1, 3), np.array(normal).reshape(-1, 3)

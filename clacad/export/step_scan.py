@@ -1,7 +1,7 @@
 """Scan a STEP file's own text: is it whole, are its shells closed, do its lens patches lie on the design?
 
 No CAD kernel and none of the writer's code: a second opinion that also reads files far too large for a kernel.
-Lengths in mm.
+Lengths in mm, whatever unit the file is in; every part in all its placements.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.export.errors import UnreadableFile
+from clacad.export.solid_lenses import LensPoints
+from clacad.export.step_assembly import NUMBER, SHELLS, Assembly, Lookup, Standing, Vectors
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +27,14 @@ _STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
 _ENTITY = re.compile(r"\s*#(\d+)\s*=\s*\(?\s*([A-Z0-9_]+)")
 _REFERENCE = re.compile(r"#(\d+)")
 _STRING = re.compile(r"'((?:[^']|'')*)'")
-_NUMBER = re.compile(r"[-+]?\d+\.\d*(?:E[-+]?\d+)?")
+GEOMETRY = frozenset((
+    "CARTESIAN_POINT", "ORIENTED_EDGE", "EDGE_CURVE", "EDGE_LOOP", "VERTEX_POINT", "FACE_BOUND", "FACE_OUTER_BOUND",
+    "ADVANCED_FACE", "LINE", "VECTOR", "PLANE", "B_SPLINE_CURVE_WITH_KNOTS", "BOUNDED_CURVE", "PCURVE", "SURFACE_CURVE",
+    "DEFINITIONAL_REPRESENTATION", "SEAM_CURVE", "CIRCLE", "AXIS2_PLACEMENT_2D", "BOUNDED_SURFACE",
+    "B_SPLINE_SURFACE_WITH_KNOTS", "STYLED_ITEM", "OVER_RIDING_STYLED_ITEM", "COLOUR_RGB", "CLOSED_SHELL", "OPEN_SHELL",
+))  # fmt: skip
+"""Entities that no assembly is made of; there are many of them."""
+PATCHES = ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS", "B_SPLINE_SURFACE", "RATIONAL_B_SPLINE_SURFACE")
 _CHUNK = 1 << 22
 LONGEST = 1 << 28
 """Characters of one statement; a shell of ten million faces has fewer."""
@@ -39,31 +48,46 @@ class Scan:
     ----------
     schema, name : str
     millimetres : bool
-        Whether the file's lengths are millimetres.
+        Whether all lengths of the file are written in millimetres.
+    units : tuple of float
+        Millimetres per unit of length, of every representation that says so.
     entities : number of entities of every type
     names : names of products and solids
     colours : (red, green, blue) of every colour, sRGB
-    solids, faces : counted once per instance in the assembly
+    solids, faces, shells : counted once per instance in the assembly
     dangling : number of references to entities that are not there
     open_edges : number of edges not used once in each direction
-    points : dict-like arrays of all 3-D points
-    patches : (pole numbers (m, n), weights (m, n), front) of the surface of every face named as a curved one
+    parts : list of Standing
+        Every solid and bare shell, with its placements.
+    points : Vectors
+        All 3-D points, in the file's unit.
+    patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier patch
+    uneven : number of surfaces curved both ways that are more than one span; they are not evaluated here
+    face_ids, face_surfaces : number of every face, and of its surface
+    reversed_faces : faces that look against their surface's own normal
+    shell_faces : faces of every shell
     """
 
     schema: str = ""
     name: str = ""
     millimetres: bool = False
+    units: tuple[float, ...] = ()
     entities: Counter[str] = field(default_factory=Counter)
     names: list[str] = field(default_factory=list)
     colours: list[tuple[float, ...]] = field(default_factory=list)
     solids: int = 0
     faces: int = 0
+    shells: int = 0
     dangling: int = 0
     open_edges: int = 0
-    point_ids: array[int] = field(default_factory=lambda: array("q"))
-    point_values: array[float] = field(default_factory=lambda: array("d"))
+    parts: list[Standing] = field(default_factory=list)
+    points: Vectors = field(default_factory=Vectors)
     patches: dict[int, tuple[list[int], tuple[int, int], list[float]]] = field(default_factory=dict)
-    fronts: dict[int, bool] = field(default_factory=dict)
+    uneven: int = 0
+    face_ids: array[int] = field(default_factory=lambda: array("q"))
+    face_surfaces: array[int] = field(default_factory=lambda: array("q"))
+    reversed_faces: set[int] = field(default_factory=set)
+    shell_faces: dict[int, array[int]] = field(default_factory=dict)
 
 
 def statements(path: str | os.PathLike[str]) -> Iterator[str]:
@@ -94,19 +118,10 @@ def statements(path: str | os.PathLike[str]) -> Iterator[str]:
         raise UnreadableFile(f"{os.fspath(path)}: ends in the middle of a statement; the file is cut short")
 
 
-class _Graph:
-    """What the assembly structure and the shells need, collected while scanning."""
+class _Edges:
+    """How often every edge is used, and which way."""
 
     def __init__(self) -> None:
-        self.components: dict[int, list[int]] = {}
-        self.shape_of: dict[int, int] = {}
-        self.items: dict[int, list[int]] = {}
-        self.represented: dict[int, list[int]] = {}
-        self.shells: dict[int, int] = {}
-        self.shell_faces: dict[int, int] = {}
-        self.defined: set[int] = set()
-        self.highest = 0
-        self.used: Counter[int] = Counter()
         self.uses: dict[int, int] = {}
         self.turned: set[int] = set()
 
@@ -132,7 +147,7 @@ def scan_step(path: str | os.PathLike[str]) -> Scan:
 
 
 def _scanned(path: str | os.PathLike[str]) -> Scan:
-    scan, graph = Scan(), _Graph()
+    scan, edges, assembly = Scan(), _Edges(), Assembly()
     defined, referred = array("q"), array("q")
     last = ""
     for statement in statements(path):
@@ -143,19 +158,45 @@ def _scanned(path: str | os.PathLike[str]) -> Scan:
             continue
         number, kind = int(match.group(1)), match.group(2)
         body = statement[match.end() :]
+        bare = _STRING.sub("''", body) if "'" in body else body
         defined.append(number)
         scan.entities[kind] += 1
-        references = [int(found) for found in _REFERENCE.findall(_STRING.sub("''", body))]
+        references = [int(found) for found in _REFERENCE.findall(bare)]
         referred.extend(references)
-        _collect(scan, graph, number, kind, body, references)
+        _collect(scan, edges, number, kind, bare, references)
+        if kind not in GEOMETRY:
+            assembly.collect(number, kind, kind + bare, references, _title(scan, kind, body))
     if last != "END-ISO-10303-21":
         raise UnreadableFile(f"{os.fspath(path)}: has no end statement; the file is cut short")
     if scan.entities["ADVANCED_FACE"] == 0:
         raise UnreadableFile(f"{os.fspath(path)}: holds no face")
-    if graph.turned:
-        _count_turned(path, graph)
-    _finish(scan, graph, np.frombuffer(defined, dtype=np.int64), np.frombuffer(referred, dtype=np.int64))
+    if edges.turned:
+        _count_turned(path, edges)
+    # not a table of all numbers: a stranger's file may name one of 10^18
+    known = np.unique(np.frombuffer(defined, dtype=np.int64))
+    scan.dangling = int(np.count_nonzero(~np.isin(np.frombuffer(referred, dtype=np.int64), known)))
+    scan.open_edges = sum(uses != 3 for uses in edges.uses.values())
+    _place(scan, assembly)
     return scan
+
+
+def _title(scan: Scan, kind: str, body: str) -> str:
+    """Name of a product or solid."""
+    if kind not in ("PRODUCT", "MANIFOLD_SOLID_BREP"):
+        return ""
+    scan.names.append(_STRING.findall(body)[0])
+    return scan.names[-1]
+
+
+def _place(scan: Scan, assembly: Assembly) -> None:
+    scan.units = tuple(sorted(assembly.units()))
+    scan.millimetres = scan.units == (1.0,)
+    scan.parts = assembly.standing(scan.points.lookup())
+    for part in scan.parts:
+        many = len(part.placements)
+        scan.solids += many * part.solid
+        scan.shells += many * len(part.shells)
+        scan.faces += many * sum(len(scan.shell_faces.get(shell, ())) for shell in part.shells)
 
 
 def _header(scan: Scan, statement: str) -> None:
@@ -165,48 +206,45 @@ def _header(scan: Scan, statement: str) -> None:
         scan.schema = _STRING.findall(statement)[0]
 
 
-def _collect(scan: Scan, graph: _Graph, number: int, kind: str, body: str, references: list[int]) -> None:
+def _collect(scan: Scan, edges: _Edges, number: int, kind: str, body: str, references: list[int]) -> None:
     if kind == "CARTESIAN_POINT":
-        values = [float(value) for value in _NUMBER.findall(body)]
-        if len(values) == 3:
-            scan.point_ids.append(number)
-            scan.point_values.extend(values)
+        scan.points.add(number, body)
     elif kind == "ORIENTED_EDGE":
-        _use(graph, references[0], ".T." in body)
+        _use(edges, references[0], ".T." in body)
     elif kind in ("FACE_BOUND", "FACE_OUTER_BOUND") and ".F." in body:
-        graph.turned.add(references[0])
+        edges.turned.add(references[0])
     elif kind == "ADVANCED_FACE":
-        scan.fronts[references[-1]] = ".F." in body
-    elif kind in ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS"):
-        _surface(scan, number, body, references)
-    elif kind == "LENGTH_UNIT":
-        scan.millimetres = "SI_UNIT(.MILLI.,.METRE.)" in body.replace(" ", "")
+        scan.face_ids.append(number)
+        scan.face_surfaces.append(references[-1])
+        if ".F." in body:
+            scan.reversed_faces.add(number)
+    elif kind in PATCHES:
+        _surface(scan, number, kind + body, references)
     elif kind == "COLOUR_RGB":
-        scan.colours.append(tuple(float(value) for value in _NUMBER.findall(body)))
-    elif kind in ("PRODUCT", "MANIFOLD_SOLID_BREP"):
-        scan.names.append(_STRING.findall(body)[0])
-    _structure(graph, number, kind, references)
+        scan.colours.append(tuple(float(value) for value in NUMBER.findall(body)))
+    elif kind in SHELLS:
+        scan.shell_faces[number] = array("q", references)
 
 
-def _use(graph: _Graph, edge: int, forward: bool) -> None:
+def _use(edges: _Edges, edge: int, forward: bool) -> None:
     """Count one use of an edge: 1 forward, 2 backward, 4 and more a second one the same way."""
-    sense, uses = 1 if forward else 2, graph.uses.get(edge, 0)
-    graph.uses[edge] = uses + (sense if not uses & sense else 4)
+    sense, uses = 1 if forward else 2, edges.uses.get(edge, 0)
+    edges.uses[edge] = uses + (sense if not uses & sense else 4)
 
 
-def _count_turned(path: str | os.PathLike[str], graph: _Graph) -> None:
+def _count_turned(path: str | os.PathLike[str], edges: _Edges) -> None:
     """Count the uses of edges again, those of loops that their face takes the other way round the other way.
 
     Loops may stand before or after their edges and bounds, so the text is read twice more; few writers need it.
     """
     turned: set[int] = set()
     for number, kind, body in _entities(path):
-        if kind == "EDGE_LOOP" and number in graph.turned:
+        if kind == "EDGE_LOOP" and number in edges.turned:
             turned.update(int(found) for found in _REFERENCE.findall(body))
-    graph.uses.clear()
+    edges.uses.clear()
     for number, kind, body in _entities(path):
         if kind == "ORIENTED_EDGE":
-            _use(graph, int(_REFERENCE.findall(body)[0]), (".T." in body) != (number in turned))
+            _use(edges, int(_REFERENCE.findall(body)[0]), (".T." in body) != (number in turned))
 
 
 def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
@@ -216,65 +254,74 @@ def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
             yield int(match.group(1)), match.group(2), _STRING.sub("''", statement[match.end() :])
 
 
-def _structure(graph: _Graph, number: int, kind: str, references: list[int]) -> None:
-    if kind == "NEXT_ASSEMBLY_USAGE_OCCURRENCE":
-        graph.components.setdefault(references[0], []).append(references[1])
-    elif kind == "PRODUCT_DEFINITION_SHAPE":
-        graph.shape_of[number] = references[0]
-    elif kind == "SHAPE_DEFINITION_REPRESENTATION":
-        graph.represented.setdefault(references[0], []).append(references[1])
-    elif kind in ("ADVANCED_BREP_SHAPE_REPRESENTATION", "SHAPE_REPRESENTATION"):
-        graph.items[number] = references
-    elif kind == "MANIFOLD_SOLID_BREP":
-        graph.shells[number] = references[0]
-    elif kind == "CLOSED_SHELL":
-        graph.shell_faces[number] = len(references)
-
-
 def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
-    degrees = re.search(r"B_SPLINE_SURFACE\(\s*(\d+)\s*,\s*(\d+)", body) or re.search(
-        r"\(\s*''\s*,(\d+),(\d+)", body
-    )
+    body = "".join(body.split())
+    degrees = re.search(r"B_SPLINE_SURFACE(?:_WITH_KNOTS)?\(\s*(?:''\s*,)?\s*(\d+)\s*,\s*(\d+)", body)
     if degrees is None:
         return
     m, n = int(degrees.group(1)) + 1, int(degrees.group(2)) + 1
-    if min(m, n) < 3 or len(references) != m * n:
-        return  # a wall, or a surface of more than one span that this scan does not evaluate
-    rational = body.find("RATIONAL_B_SPLINE_SURFACE")
+    if min(m, n) < 3:
+        return  # a wall
+    if len(references) != m * n:
+        scan.uneven += 1
+        return
+    rational = body.find("RATIONAL_B_SPLINE_SURFACE(")
     weights = (
-        [float(value) for value in _NUMBER.findall(body[rational:])] if rational >= 0 else [1.0] * (m * n)
+        [float(value) for value in NUMBER.findall(body[rational:])][: m * n]
+        if rational >= 0
+        else [1.0] * (m * n)
     )
     scan.patches[number] = (references, (m, n), weights)
 
 
-def _finish(scan: Scan, graph: _Graph, defined: NDArray[np.int64], referred: NDArray[np.int64]) -> None:
-    # not a table of all numbers: a stranger's file may name one of 10^18
-    scan.dangling = int(np.count_nonzero(~np.isin(referred, np.unique(defined))))
-    scan.open_edges = sum(uses != 3 for uses in graph.uses.values())
-    roots = set(graph.shape_of.values()) - {
-        child for children in graph.components.values() for child in children
-    }
-    held: dict[int, tuple[int, int]] = {}
-    for shape, representations in graph.represented.items():
-        solids = [s for r in representations for s in graph.items.get(r, []) if s in graph.shells]
-        faces = sum(graph.shell_faces.get(graph.shells[s], 0) for s in solids)
-        held[graph.shape_of.get(shape, -1)] = (len(solids), faces)
-    counted: dict[int, tuple[int, int]] = {}
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Bézier patches of one degree, of faces that stand somewhere.
 
-    def count(definition: int) -> tuple[int, int]:
-        if definition not in counted:
-            counted[definition] = held.get(definition, (0, 0))
-            inside = [count(child) for child in graph.components.get(definition, [])]
-            own = held.get(definition, (0, 0))
-            counted[definition] = (own[0] + sum(c[0] for c in inside), own[1] + sum(c[1] for c in inside))
-        return counted[definition]
+    poles : (k, m, n, 3), mm, in the frame of their part
+    weights : (k, m, n)
+    sense : (k,)
+        −1 where the face looks against du × dv.
+    part : (k,)
+        Their part, an index into `Scan.parts`.
+    """
 
-    definitions = {graph.shape_of[shape] for shape in graph.represented if shape in graph.shape_of}
-    totals = [count(definition) for definition in roots & definitions]
-    scan.solids, scan.faces = sum(t[0] for t in totals), sum(t[1] for t in totals)
+    poles: Floats
+    weights: Floats
+    sense: Floats
+    part: NDArray[np.int64]
 
 
-def patch_points(scan: Scan, per_side: int = 3) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def patches_of(scan: Scan) -> list[Patches]:
+    """Every lens patch of every part that stands somewhere, grouped by degree."""
+    ids = np.frombuffer(scan.face_ids, dtype=np.int64)
+    surfaces = np.frombuffer(scan.face_surfaces, dtype=np.int64)
+    order = np.argsort(ids, kind="stable")
+    found: dict[tuple[int, int], list[tuple[int, float, int]]] = {}
+    for number, part in enumerate(scan.parts):
+        for shell in part.shells if len(part.placements) else ():
+            faces = np.frombuffer(scan.shell_faces.get(shell, array("q")), dtype=np.int64)
+            at = np.minimum(np.searchsorted(ids, faces, sorter=order), len(ids) - 1)
+            for face, surface in zip(faces.tolist(), surfaces[order[at]].tolist(), strict=True):
+                if surface in scan.patches:
+                    sense = -1.0 if face in scan.reversed_faces else 1.0
+                    found.setdefault(scan.patches[surface][1], []).append((surface, sense, number))
+    points = scan.points.lookup() if found else None
+    return [] if points is None else [_gathered(scan, points, shape, rows) for shape, rows in found.items()]
+
+
+def _gathered(
+    scan: Scan, points: Lookup, shape: tuple[int, int], rows: list[tuple[int, float, int]]
+) -> Patches:
+    numbers = np.array([scan.patches[surface][0] for surface, _, _ in rows], dtype=np.int64)
+    part = np.array([number for _, _, number in rows], dtype=np.int64)
+    unit = np.array([one.unit for one in scan.parts])[part]
+    poles = points.values[points.rows(numbers.ravel())].reshape(-1, *shape, 3) * unit[:, None, None, None]
+    weights = np.array([scan.patches[surface][2] for surface, _, _ in rows]).reshape(-1, *shape)
+    return Patches(poles, weights, np.array([sense for _, sense, _ in rows]), part)
+
+
+def patch_points(scan: Scan, per_side: int = 3) -> LensPoints:
     """Points of the middle of every curved patch, evaluated from the text.
 
     Parameters
@@ -282,37 +329,19 @@ def patch_points(scan: Scan, per_side: int = 3) -> tuple[Floats, Floats, NDArray
     scan : Scan
     per_side : int
         Points along each parameter, from 0.3 to 0.7.
-
-    Returns
-    -------
-    points : (k, 3), mm
-    normals : (k, 3)
-        Unit, towards +z.
-    front : (k,) bool
-        Whether the patch's face looks towards −z.
     """
-    ids = np.frombuffer(scan.point_ids, dtype=np.int64)
-    values = np.frombuffer(scan.point_values, dtype=np.float64).reshape(-1, 3)
-    row = np.full(int(ids.max()) + 1, -1)
-    row[ids] = np.arange(len(ids))
-    shapes: dict[tuple[int, int], list[int]] = {}
-    for number, (_, shape, _) in scan.patches.items():
-        if number in scan.fronts:
-            shapes.setdefault(shape, []).append(number)
-    points, normals, fronts = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty(0, dtype=bool)]
     t = np.linspace(0.3, 0.7, per_side)
-    for (m, n), numbers in shapes.items():
-        poles = values[row[np.array([scan.patches[number][0] for number in numbers])]].reshape(-1, m, n, 3)
-        weights = np.array([scan.patches[number][2] for number in numbers]).reshape(-1, m, n)
-        place, normal = _evaluate(poles, weights, t)
-        points.append(place)
-        normals.append(normal)
-        fronts.append(np.repeat([scan.fronts[number] for number in numbers], per_side * per_side))
-    return np.concatenate(points), np.concatenate(normals), np.concatenate(fronts)
+    found, each, done = [LensPoints.none()], per_side * per_side, 0
+    for group in patches_of(scan):
+        place, normal = _evaluate(group.poles, group.weights, t)
+        patch = done + np.repeat(np.arange(len(group.part)), each)
+        done += len(group.part)
+        found.append(LensPoints(place, normal * np.repeat(group.sense, each)[:, None], patch, group.part))
+    return LensPoints.joined(found)
 
 
 def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Points and normals of rational Bézier patches (k, m, n) at the grid t × t, by de Casteljau."""
+    """Points and unit normals du × dv of rational Bézier patches (k, m, n) at the grid t × t, by de Casteljau."""
     homogeneous = np.concatenate([poles * weights[..., None], weights[..., None]], axis=-1)
     points, normals = [], []
     for u in t:
@@ -325,7 +354,7 @@ def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats
             along = (place_u[:, :3] - point * place_u[:, 3:]) / w
             across = (place_v[:, :3] - point * place_v[:, 3:]) / w
             normal = np.cross(along, across)
-            normal *= np.sign(normal[:, 2:]) / np.linalg.norm(normal, axis=1, keepdims=True)
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             points.append(point)
             normals.append(normal)
     return np.stack(points, axis=1).reshape(-1, 3), np.stack(normals, axis=1).reshape(-1, 3)

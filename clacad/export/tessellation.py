@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.export.compare import WALL, Promise
-from clacad.export.filemesh import Floats
+from clacad.export.filemesh import Floats, Ints
+from clacad.export.limits import REPEATING
 from clacad.export.pieces import Piece, Places
 from clacad.sheet import Body, Face, Land, Window, lens_height_and_normal
 
@@ -52,6 +53,13 @@ class Tessellation:
         from clacad.mesh import tessellate
 
         return tessellate(one_cell(self.window), quads=self.quads, saddle_bevel=self.saddle_bevel)
+
+    @cached_property
+    def single(self) -> Mesh:
+        """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not repeated."""
+        from clacad.mesh import tessellate
+
+        return tessellate(self.window.with_cells((1, 1)), quads=self.quads, saddle_bevel=self.saddle_bevel)
 
     def promise(self, instanced: bool, single: bool, bodies: Sequence[str] | None = None) -> Promise:
         """What a file of this mesh, or of some of its bodies, must be found to be."""
@@ -110,7 +118,7 @@ class Meshes:
 
     def welded(self, quads: int, format: str) -> int:
         """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
-        repeats = format != "ply" and instanceable(self.window)
+        repeats = format in REPEATING and instanceable(self.window)
         return self.at(quads).cell.facet_count if repeats else self.facets(quads)
 
 
@@ -152,19 +160,30 @@ def _piece(window: Window, body: Body, rows: Iterator[Floats], places: Places | 
 def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
     """Weld facets (n, 3, 3) whose corners and normals agree bit by bit into a piece."""
     both = np.concatenate([corners + 0.0, normals + 0.0], axis=2).reshape(-1, 6)
-    unique, index = np.unique(both.view([("", np.float64)] * 6).ravel(), return_inverse=True)
-    table = unique.view(np.float64).reshape(-1, 6)
-    shared, inverse = _in_first_use_order(table, index.reshape(-1))
+    first, inverse = _same_rows(both.view(np.uint64))
+    shared = both[first]
     return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], None, body.index)
 
 
-def _in_first_use_order(table: Floats, index: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:  # fmt: skip
-    """Number vertices in the order the facets meet them, which compresses and caches better than sorted."""
-    _, first = np.unique(index, return_index=True)
+def _same_rows(words: np.ndarray[Any, np.dtype[np.uint64]]) -> tuple[Ints, Ints]:
+    """First row of each kind of row (k,), in the order they come, and the kind of every row (n,).
+
+    Vertices numbered as the facets meet them compress and cache better than sorted ones. Rows are told apart by a
+    hash; rows of one hash that differ make it fall back on sorting the rows themselves.
+    """
+    key = words[:, 0].copy()
+    for column in words.T[1:]:
+        key ^= key >> np.uint64(29)
+        key *= np.uint64(0xBF58476D1CE4E5B9)
+        key += column * np.uint64(0x9E3779B97F4A7C15)
+    key ^= key >> np.uint64(32)
+    _, first, kind = np.unique(key, return_index=True, return_inverse=True)
+    if (words[first[kind]] != words).any():
+        _, first, kind = np.unique(words, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return table[order], rank[index]
+    return first[order], rank[kind.reshape(-1)]
 
 
 def exact_normals(window: Window, faces: Sequence[Face], corners: Floats) -> Floats:

@@ -26,6 +26,8 @@ FLAT_LIMIT = 50_000
 """Up to this many places components are written in one level, which every reader tried understands."""
 
 MOST_FACETS = 100_000_000
+"""Facets that may be written in a file; at how many places they stand is MOST_PLACES' business."""
+
 MOST_PLACES = 10_000_000
 NAMESPACE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 MODEL = "3D/3dmodel.model"
@@ -358,6 +360,6 @@ def _part(model: _Model, number: str, placements: Floats) -> Part:
         raise model.fail(f"object {number} has a vertex that is not a number")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise model.fail(f"object {number} has a triangle that uses a vertex it does not have")
-    if len(triangles) * len(placements) > MOST_FACETS:
-        raise model.fail(f"more than {MOST_FACETS} triangles when expanded")
+    if len(triangles) > MOST_FACETS:
+        raise model.fail(f"more than {MOST_FACETS} triangles")
     return Part(found.name, vertices, triangles, placements=placements)

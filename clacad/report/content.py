@@ -88,11 +88,13 @@ class Content:
 
     @property
     def verdicts(self) -> list[dict[str, str]]:
-        """What is said of each file: the first screen holds one line a file."""
+        """What is said of each file, and what a workshop finds in it: the first screen holds one line a file."""
+        holds = {file["name"]: file["size"] for file in self.files}
         return [
             {
                 "name": one.name, "role": one.role.value + ("" if one.declared or one.role.value != "shape-preview" else " (not declared)"),
                 "word": one.word, "css": _CSS.get(one.word, "fail"),
+                "holds": holds.get(one.name, ""),
                 "rms": "–" if one.rms is None else f"{1e3 * one.rms:.3g}",
                 "limit": "–" if one.limit is None else f"{1e3 * one.limit:.3g}", "sentence": one.sentence,
             }
@@ -143,12 +145,11 @@ class Content:
         """The files that were judged."""
         found = []
         for one in self.report.files:
+            size = ""
             if one.mesh is not None:
-                size = f"{one.mesh.measure.facets:,} triangles"
+                size = one.mesh.facts.get("holds", {}).get("words", f"{one.mesh.measure.facets:,} triangles")
             elif one.solid:
-                size = f"{one.solid.get('kernel_solids', one.solid.get('solids', ''))} solids"
-            else:
-                size = ""
+                size = str(one.solid.get("holds_words", ""))
             found.append({
                 "name": one.subject.name, "note": one.note, "format": one.subject.format, "size": size,
                 "bytes": f"{one.subject.bytes:,}", "sha256": one.subject.sha256,

@@ -76,6 +76,8 @@ def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tr
 
 def soup_of(found: Any, window: Window) -> TriangleSoup:
     """Triangles of a `FileMesh`, every placement expanded, in the window's units."""
+    if not found.expandable:
+        raise ValueError(f"the mesh stands for {found.facet_count} triangles: too many to hold them all")
     corners, normals = [], []
     for part in found.parts:
         own = part.corners(0, part.facet_count)

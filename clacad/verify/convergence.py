@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.bundle import bundle
+from clacad.export.grade import Grader
+from clacad.export.limits import size_text
+from clacad.export.quads import Needed, masters
+from clacad.export.tessellation import Meshes
 from clacad.law import Law, angle_between
 from clacad.rays import Fate
 from clacad.sheet import Window
@@ -23,6 +28,8 @@ if TYPE_CHECKING:
 QUADS = (4, 8, 16, 32)
 RAYS = 65536
 FIT_FIELD = 0.35
+FORMATS = ("3mf", "glb", "stl", "ply")
+"""Mesh formats of which is said what a master takes."""
 ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
 """Allowed orders: the direction error falls as the facet size, the mean slope and with it eta as its square."""
 
@@ -36,6 +43,10 @@ class Convergence:
     fitted : (k,), relative error of the fitted eta
     order_direction, order_fitted : float
         Fitted exponents of the facet size.
+    masters : mapping
+        Format → the facets and bytes at which light through a file of it meets the design's limits; empty: at none.
+    law_rms : float, radians
+        The limit of that light.
     """
 
     quads: Floats
@@ -43,6 +54,8 @@ class Convergence:
     fitted: Floats
     order_direction: float
     order_fitted: float
+    masters: Mapping[str, Needed] = field(default_factory=dict)
+    law_rms: float = 0.0
 
 
 def converge(
@@ -74,7 +87,16 @@ def converge(
         etas.append(max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0)))
     size = np.log(1.0 / np.array(quads, dtype=np.float64))
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
-    return Convergence(np.array(quads), np.array(errors), np.array(etas), *slopes)
+    grader = Grader.of(Meshes(window), design)
+    return Convergence(
+        np.array(quads),
+        np.array(errors),
+        np.array(etas),
+        slopes[0],
+        slopes[1],
+        masters(grader, FORMATS),
+        grader.limits.rms,
+    )
 
 
 def convergence_check(found: Convergence | None, why: str = "") -> Check:
@@ -94,9 +116,24 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
         f"quads a side: {row}; the direction error falls as the facet size to the power {found.order_direction:.2f}, "
         f"that of eta to the power {found.order_fitted:.2f}"
     )
+    sentence += f"; {_masters_text(found)}"
     good = low <= found.order_direction <= high and found.fitted[-1] <= found.fitted[0]
     return Check(
         "convergence", "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
-        detail={"quads": found.quads, "direction": found.direction, "eta": found.fitted, "order_eta": found.order_fitted},
+        detail={"quads": found.quads, "direction": found.direction, "eta": found.fitted, "order_eta": found.order_fitted,
+                "masters": {name: asdict(one) for name, one in found.masters.items()}},
         **common,
     )  # fmt: skip
+
+
+def _masters_text(found: Convergence) -> str:
+    """At how many quads a mesh of this design is a master, and how large such a file is."""
+    limit = f"{1e3 * found.law_rms:.3g} mrad rms"
+    if not found.masters:
+        return f"no mesh of up to 1024 quads is a master (light within {limit} of the law)"
+    quads = next(iter(found.masters.values())).quads
+    files = ", ".join(
+        f"{name} {size_text(one.bytes)}{'' if one.fits else ' (beyond the limits of export)'}"
+        for name, one in found.masters.items()
+    )
+    return f"a mesh is a master (light within {limit} of the law) from {quads} quads a side: {files}"

@@ -92,7 +92,7 @@ def _box(subject: Subject) -> NDArray[np.float64]:
     if subject.is_solid:
         from clacad.export.step_scan import scan_step
 
-        points = np.frombuffer(scan_step(subject.path).point_values, dtype=np.float64).reshape(-1, 3)
+        points = scan_step(subject.path).points.lookup().values
         return np.asarray(np.ptp(points, axis=0))
     from clacad.export.readers import read_mesh
 

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.bundle import central_cell
 from clacad.export.compare import rounding
+from clacad.export.instances import levels as levels
+from clacad.export.instances import owner as owner
 from clacad.export.truth import distance_to_face
-from clacad.feasibility import body_range
 from clacad.fixture.mark import pockets
 from clacad.mesh.bevel import in_corners
-from clacad.sheet import Body, Face, Window, lens_height
-from clacad.trace.facets import WALL, AnyFace, ExactFace, FacetBody, Floats, facet_face, on_land
+from clacad.sheet import Face, Window, lens_height
+from clacad.trace.facets import WALL, AnyFace, ExactFace, FacetBody, FacetFace, Floats, facet_face, on_land
 
 RANDOM_CELLS = 4
+SLIVER = 1e-4
+"""Twice a facet's area over the square of its longest edge, below which its own normal says little."""
+
+UNIT_ROOM = 1e-3
+"""How far from 1 the length of a stored normal may be."""
+
 Cell = tuple[int, int]
 Key = tuple[int, int, int]
 """Body, side (0 front, 1 back), number of the chosen cell."""
@@ -61,6 +68,13 @@ class Gathered:
         Where that is.
     engraved : float
         Volume of the letters engraved where the design has room for them (length³): their floors' area times depth.
+    normals : mapping
+        Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the file has none.
+    stored, odd, inward : int
+        Facets that were met with stored normals; with one that is no unit vector, and with one that points inward.
+    repeats : mapping
+        Key → list of (number of a chosen cell, (3,) shift): this cell's facets are, besides its own, those of that
+        cell moved. So an instanced file costs one cell.
     """
 
     cells: tuple[Cell, ...]
@@ -71,11 +85,32 @@ class Gathered:
     farthest: float = 0.0
     farthest_cell: Cell | None = None
     engraved: float = 0.0
+    normals: dict[Key, list[Floats]] = field(default_factory=dict)
+    stored: int = 0
+    odd: int = 0
+    inward: int = 0
+    repeats: dict[Key, list[tuple[int, Floats]]] = field(default_factory=dict)
+    binned: dict[tuple[Key, bool], FacetFace] = field(default_factory=dict, repr=False)
 
     def corners(self, body: int, side: int, cell: int) -> Floats:
         """Facets (k, 3, 3) of one side of one body over one of the chosen cells."""
-        found = self.facets.get((body, side, cell), [])
+        found = list(self.facets.get((body, side, cell), []))
+        for source, shift in self.repeats.get((body, side, cell), []):
+            found += [corners + shift for corners in self.facets.get((body, side, source), [])]
         return np.concatenate(found) if found else np.empty((0, 3, 3))
+
+    def corner_normals(self, body: int, side: int, cell: int) -> Floats | None:
+        """Normals (k, 3, 3) stored for the corners of those facets, in their order; None where the file has none."""
+        cells = [cell, *(source for source, _ in self.repeats.get((body, side, cell), []))]
+        found = [normals for c in cells for normals in self.normals.get((body, side, c), [])]
+        return np.concatenate(found) if found else None
+
+    def source(self, cell: int) -> int:
+        """The chosen cell of which this one is nothing but a copy, displaced by whole pitches; itself if it is none."""
+        keys = [key for key in (*self.facets, *self.repeats) if key[2] == cell]
+        sources = {source for key in keys for source, _ in self.repeats.get(key, [])}
+        alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
+        return sources.pop() if alone and len(sources) == 1 else cell
 
 
 class Gatherer:
@@ -98,14 +133,19 @@ class Gatherer:
         for number, (i, j) in enumerate(self.result.cells):
             self._table[i - self._first[0], j - self._first[1]] = number
 
-    def look(self, corners: Floats) -> None:
-        """Take a chunk (k, 3, 3) in design units."""
+    def look(self, corners: Floats, normals: Floats | None = None, times: int = 1) -> None:
+        """Take a chunk (k, 3, 3) in design units, with the normals stored for its corners.
+
+        times : places where these facets stand; they are counted so often, and kept where they are.
+        """
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1)
         optical = np.abs(normal[:, 2]) > WALL * length
-        self.result.degenerate += int((length == 0.0).sum())
-        self.result.optical += int(optical.sum())
-        self.result.walls += int((~optical).sum())
+        self.result.degenerate += times * int((length == 0.0).sum())
+        self.result.optical += times * int(optical.sum())
+        self.result.walls += times * int((~optical).sum())
+        if normals is not None:
+            self._weigh(corners, normal, normals, times)
         upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
         middle = corners.mean(axis=1)
         if self._bevel > 0.0:  # bevels at saddles are no optical faces
@@ -122,6 +162,29 @@ class Gatherer:
                 if len(rows):
                     self._keep(number, side, owner(piece, face), corners[rows], middle[rows])
                     self._hold(face, owner(piece, face), middle[rows], upright[rows])
+                    if normals is not None:
+                        self._keep_normals(number, side, owner(piece, face), normals[rows], middle[rows])
+
+    def _weigh(self, corners: Floats, normal: Floats, normals: Floats, times: int) -> None:
+        """Count facets whose stored normals are no unit vectors, or point inward."""
+        longest = np.abs(np.roll(corners, 1, axis=1) - corners).max(axis=(1, 2))
+        broad = np.linalg.norm(normal, axis=1) > SLIVER * longest**2  # which way a sliver looks is rounding
+        with np.errstate(invalid="ignore", over="ignore"):
+            unit = np.abs(np.linalg.norm(normals, axis=2) - 1.0) <= UNIT_ROOM
+            inward = broad & (np.einsum("kcx,kx->k", normals, normal) < 0.0)
+        self.result.stored += times * len(normals)
+        self.result.odd += times * int((~unit).any(axis=1).sum())
+        self.result.inward += times * int(inward.sum())
+
+    def hold(self, corners: Floats) -> None:
+        """Hold facets (k, 3, 3) of one more place against the design; they are not counted and not kept."""
+        aside = Gatherer(self.window, self.result.cells[:1], self._bevel)
+        aside.look(corners)
+        if aside.result.farthest > self.result.farthest:
+            self.result.farthest, self.result.farthest_cell = (
+                aside.result.farthest,
+                aside.result.farthest_cell,
+            )
 
     def _hold(self, face: Face, array: int, middle: Floats, upright: Floats) -> None:
         """Hold every facet against the face it is on: a lenslet that is not among the chosen may be wrong too."""
@@ -135,29 +198,24 @@ class Gatherer:
             self.result.farthest_cell = (int(index[0, 0]), int(index[0, 1]))
 
     def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
+        number = self._chosen(array, middle)
+        for cell in np.unique(number[number >= 0]):
+            self.result.facets.setdefault((body, side, int(cell)), []).append(corners[number == cell].copy())
+
+    def _keep_normals(self, body: int, side: int, array: int, normals: Floats, middle: Floats) -> None:
+        number = self._chosen(array, middle)
+        for cell in np.unique(number[number >= 0]):
+            self.result.normals.setdefault((body, side, int(cell)), []).append(normals[number == cell].copy())
+
+    def _chosen(self, array: int, middle: Floats) -> NDArray[np.int64]:
+        """Number of the chosen cell (k,) under each point (k, 3); −1 for the other cells."""
         shift = self.window.shifts[array]
         index, _, _ = self.window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
         place = index - self._first
         known = ((place >= 0) & (place < self._table.shape)).all(axis=1)
         number = np.full(len(place), -1, dtype=np.int64)
         number[known] = self._table[place[known, 0], place[known, 1]]
-        for cell in np.unique(number[number >= 0]):
-            self.result.facets.setdefault((body, side, int(cell)), []).append(corners[number == cell].copy())
-
-
-def owner(body: Body, face: Face) -> int:
-    """Array whose grid a face is looked at in: its own, or its body's other face's for a plane."""
-    if face.array is not None:
-        return face.array
-    other = body.back if face is body.front else body.front
-    assert other.array is not None
-    return other.array
-
-
-def levels(window: Window) -> Floats:
-    """Heights (bodies − 1,) midway between the bodies of a window."""
-    ranges = [body_range(window, body) for body in window.bodies]
-    return np.array([0.5 * (a[1] + b[0]) for a, b in zip(ranges, ranges[1:], strict=False)])
+        return number
 
 
 def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[str] | None = None,
@@ -180,14 +238,34 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
             shift = window.shifts[owner(body, face)]
             place = centre + np.asarray(shift)
             if present is None or body.name in present:
-                corners = found.corners(number, side, cell)
-                corners = onto_face(window, face, corners, place) if onto_design else corners
-                flat = on_land(window, face, found.corners(number, side, cell))
-                faces.append(facet_face(corners, np.array([*place, body.front.vertex[2]]), flat))
+                faces.append(_faceted(window, found, (number, side, cell), place, onto_design))
             else:
                 faces.append(ExactFace(face, np.array([*place, 0.0]), window))
         bodies.append(FacetBody(faces[0], faces[1], body.index))
     return tuple(bodies)
+
+
+def _faceted(window: Window, found: Gathered, key: Key, place: Floats, onto_design: bool) -> FacetFace:
+    """The facets of one side of a body over the chosen cell at `place` (2,); of copies of a cell, its moved."""
+    number, side, cell = key
+    source = found.source(cell)
+    if source != cell:
+        steps = np.array([found.cells[source], found.cells[cell]], dtype=np.int64)
+        whole = np.diff(window.lattice.centres(steps), axis=0)[0]
+        one = _faceted(window, found, (number, side, source), place - whole, onto_design)
+        shift = found.repeats[key][0][1] if key in found.repeats else np.array([*whole, 0.0])
+        return replace(one, origin=one.origin + shift)
+    if (key, onto_design) in found.binned:
+        return found.binned[key, onto_design]
+    body = window.bodies[number]
+    face = (body.front, body.back)[side]
+    corners = found.corners(number, side, cell)
+    flat = on_land(window, face, corners)
+    corners = onto_face(window, face, corners, place) if onto_design else corners
+    made = facet_face(corners, np.array([*place, body.front.vertex[2]]), flat)
+    if found.repeats:
+        found.binned[key, onto_design] = made
+    return made
 
 
 def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:

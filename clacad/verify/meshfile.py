@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.export.closed import measure
+from clacad.export.closed import Measure, measure
 from clacad.export.filemesh import FileMesh
+from clacad.export.instances import Standing, joined, measure_repeated, standing
 from clacad.export.roles import Role
 from clacad.feasibility import body_range
 from clacad.sheet import Window
@@ -18,8 +19,10 @@ from clacad.verify.checks import Check
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.gather import Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshlight import MeshEvidence, light_checks
+from clacad.verify.meshnormals import normals_check
 from clacad.verify.meshshape import chord_volume, shape_check, volume_check
-from clacad.verify.wholeness import closed_check, pieces_check, scale_check
+from clacad.verify.placed import look_at_places, placement_check
+from clacad.verify.wholeness import COUNTED_FACETS, closed_check, holding, pieces_check, scale_check
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -56,10 +59,19 @@ def judge_mesh(
         float(stated.get("saddle_bevel", 0.0)) * (1.0 if stated.get("unit") == "m" else 1e-3) / window.unit
     )
     gatherer = Gatherer(window, chosen_cells(window), bevel)
-    found = measure(_looked_at(mesh, factor, gatherer, progress), origin=np.zeros(3))
+    places = standing(mesh, window, factor)
+    found = _measured(mesh, factor, gatherer, places, progress)
     gathered = gatherer.result
-    checks = [closed_check(found, gathered, mesh, name), scale_check(design, held, found, name)]
-    checks += pieces_check(held, found, mesh, name, stated)
+    pieces = pieces_check(held, found, mesh, name, stated)
+    shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
+    holds = holding(mesh, shells)
+    checks = [
+        closed_check(found, gathered, mesh, name, holds),
+        scale_check(design, held, found, name),
+        *pieces,
+    ]
+    if places is not None:
+        checks.append(placement_check(design, places, name))
     reach = max(abs(z) for z in window.z_range)
     checks.append(volume_check(held, reach, chord_volume(window, gathered, 0), found, gathered, name, stated))
     off = [
@@ -67,8 +79,10 @@ def judge_mesh(
         for k in range(len(gathered.cells))
     ]
     checks.append(shape_check(design, window, gathered, off, name, stated, present))
+    stored = normals_check(design, window, gathered, off, name)
+    checks += [] if stored is None else [stored]
     light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
-    return checks + light, evidence
+    return checks + light, replace(evidence, facts={**evidence.facts, "holds": holds})
 
 
 def held_part(window: Window, present: Sequence[str] | None) -> Window:
@@ -80,11 +94,30 @@ def held_part(window: Window, present: Sequence[str] | None) -> Window:
     return replace(window, bodies=bodies, z_range=(min(low), max(high)))
 
 
+def _measured(
+    mesh: FileMesh, factor: float, gatherer: Gatherer, places: Standing | None, progress: Progress
+) -> Measure:
+    """Measure a file and gather its facets: parts that stand for cells once, all else wherever it stands."""
+    cells = set() if places is None else {id(part) for p in places.places for part in p.parts}
+    repeated = measure_repeated(replace(mesh, parts=tuple(p for p in mesh.parts if id(p) in cells)), factor)
+    if places is not None and repeated.imbalance != (0, 0) and mesh.facet_count <= COUNTED_FACETS:
+        places, cells, repeated = (
+            None,
+            set(),
+            measure(()),
+        )  # open by themselves: closed by their neighbours, perhaps
+    rest = replace(mesh, parts=tuple(part for part in mesh.parts if id(part) not in cells))
+    found = measure(_looked_at(rest, factor, gatherer, progress), origin=np.zeros(3))
+    for one in () if places is None else places.places:
+        look_at_places(gatherer, one, factor, places.limit if places is not None else 0.0)
+    return joined([one for one in (found, repeated) if one.facets])
+
+
 def _looked_at(mesh: FileMesh, factor: float, gatherer: Gatherer, progress: Progress) -> Iterator[Floats]:
     total, done = max(1, mesh.facet_count), 0
-    for chunk in mesh.chunks():
+    for chunk, normals in mesh.pairs():
         corners = chunk * factor
-        gatherer.look(corners)
+        gatherer.look(corners, normals)
         done += len(corners)
         progress("reading triangles", done / total)
         yield corners

@@ -11,10 +11,10 @@ import numpy as np
 from clacad.export.closed import Measure
 from clacad.export.truth import Integral, body_volume, whole_extent
 from clacad.sheet import Body, Window
-from clacad.trace.facets import on_land
+from clacad.trace.facets import Floats, on_land
 from clacad.verify.checks import Check, judge, not_run
-from clacad.verify.deviation import Deviation, corner_distance
-from clacad.verify.gather import Gathered, exact_height, owner
+from clacad.verify.deviation import FEWER, POINTS, Deviation, corner_distance, deviation, forecast_rms
+from clacad.verify.gather import Gathered, exact_height, owner, telescopelet
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -114,25 +114,27 @@ def shape_check(
             return not_run("shape", "no triangles lie where the design has its faces", **common)
         return Check("shape", "fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
     worst = float(max(d.distance.max() for d in off))
-    at_corners = max(_corners(window, gathered, k, present) for k in range(len(off)))
+    own = [
+        k for k in range(len(off)) if gathered.source(k) == k
+    ]  # what is a copy of another cell is as that is
+    at_corners = max(_corners(window, gathered, k, present) for k in own)
     rms = float(np.max([d.slope_rms.max() for d in off]))
+    clean = [clean_cut(window, gathered, k, present) for k in own]
     detail: dict[str, Any] = {
         "distance": worst,
         "corners": at_corners,
         "everywhere": gathered.farthest,
         "slope_error": off[0].slope_rms,
+        "slope_error_clean": clean[0].slope_rms,
     }
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
+    sag = float(max(d.distance.max() for d in clean))
+    limit, source = design.check.shape * sag + rounding, "the design cut into the same facets"
     if "sag_error_max" in stated:
-        limit = (
-            design.check.shape * float(stated["sag_error_max"]) * _millimetres(stated) / window.unit
-            + rounding
-        )
-        source = "stated sag error of the file"
-    else:
-        limit = design.check.shape * own_sag_error(gathered) + rounding
-        source = "what facets of this size and bend give"
+        told = float(stated["sag_error_max"]) * _millimetres(stated) / window.unit
+        if told <= design.check.file_rms * sag:  # more than such facets can be off is no promise
+            limit, source = design.check.shape * told + rounding, "stated sag error of the file"
     sentence = (
         f"facets lie up to {worst:.4g} {design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
         f"slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
@@ -146,6 +148,14 @@ def shape_check(
         if rms > design.check.file_rms * told:
             return Check("shape", "fail", f"{sentence}: steeper facets than stated", rms, told, detail=detail,
                          source="stated slope error of the file", **{**common, "unit": "rad"})  # fmt: skip
+    rough, room = _roughness(design, window, gathered, own, off, clean)
+    if rough > room:
+        sentence += (
+            f": {1e3 * rough:.4g} mrad rms from those of the design cut into the same facets, which are "
+            f"{1e3 * float(np.max([d.slope_rms.max() for d in clean])):.4g} off"
+        )
+        return Check("shape", "fail", sentence, rough, room, detail=detail,
+                     source="slope error of the design cut into the same facets", **{**common, "unit": "rad"})  # fmt: skip
     return judge(
         "shape",
         max(worst, at_corners, gathered.farthest),
@@ -155,6 +165,68 @@ def shape_check(
         detail=detail,
         **common,
     )
+
+
+def clean_cut(
+    window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None = None
+) -> Deviation:
+    """The design cut into the very facets of a file, against the design: what these facets cannot but be off.
+
+    Every corner over a chosen cell is moved along z onto the design's face; places are those of `deviation`.
+    """
+    bodies = telescopelet(window, gathered, cell, present, onto_design=True)
+    return deviation(window, bodies, FEWER if cell else POINTS)
+
+
+def clean_forecast(
+    window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None = None
+) -> float:
+    """Direction error (radians) that the facets of a file would make over a chosen cell if their corners lay on the
+    design's faces: `forecast_rms` of the clean cut, which noise in the file's heights cannot widen.
+    """
+    return forecast_rms(window, clean_cut(window, gathered, cell, present))
+
+
+def _roughness(
+    design: Design, window: Window, gathered: Gathered, cells: Sequence[int], off: Sequence[Deviation],
+    clean: Sequence[Deviation],
+) -> tuple[float, float]:  # fmt: skip
+    """Rms (radians) by which the slopes of a file's facets differ from those of the clean cut, and its limit: of the
+    face and cell that come nearest to theirs.
+
+    What is above the clean cut's own slope error e may be e (check.file_rms − 1), so that in the worst case all of it
+    is check.file_rms e; and what rounding to float32 does.
+    """
+    found = (0.0, np.inf)
+    for number, ideal in zip(cells, clean, strict=True):
+        apart = off[number].slope - ideal.slope
+        for face, (body, side) in enumerate((b, s) for b in range(len(window.bodies)) for s in (0, 1)):
+            known = np.isfinite(apart[face]).all(axis=1)
+            if not known.any():
+                continue
+            rms = float(np.sqrt((apart[face][known] ** 2).sum(axis=1).mean()))
+            room = (design.check.file_rms - 1.0) * float(ideal.slope_rms[face])
+            room += _rounding_slope(window, gathered.corners(body, side, number))
+            if rms * found[1] > found[0] * room or found[1] == np.inf:
+                found = rms, room
+    return found
+
+
+def _rounding_slope(window: Window, corners: Floats) -> float:
+    """Rms slope error (radians) of facets (k, 3, 3) whose coordinates are rounded to float32."""
+    (ax, ay), (bx, by) = ((corners[:, k, :2] - corners[:, 0, :2]).T for k in (1, 2))
+    twice = np.abs(ax * by - ay * bx)
+    edges = np.linalg.norm((np.roll(corners, -1, axis=1) - corners)[..., :2], axis=2).max(axis=1, initial=0.0)
+    good = twice > 1e-12 * edges**2
+    if not good.any():
+        return 0.0
+    normal = np.cross(corners[good, 1] - corners[good, 0], corners[good, 2] - corners[good, 0])
+    steep = np.linalg.norm(normal[:, :2], axis=1) / np.maximum(np.abs(normal[:, 2]), 1e-300)
+    off = 2.0**-24 * (np.abs(window.z_range).max() + steep * max(abs(v) for v in whole_extent(window)))
+    slope = (
+        2.0 * off * edges[good] / twice[good]
+    )  # two corners off in opposite senses, over the facet's least height
+    return float(np.sqrt((slope**2 * twice[good]).sum() / twice[good].sum()))
 
 
 def _corners(window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None) -> float:

@@ -434,7 +434,7 @@ def _judge_faces(
     design: Design, window: Window | None, whole: Window, subject: Subject, rays: int, progress: Progress
 ) -> tuple[list[Check], FileReport]:
     """Judge a STEP or BREP file."""
-    found, facts = judge_solid(design, whole, subject.path, subject.entry, progress)
+    found, facts = judge_solid(design, whole, subject.path, subject.entry, progress, rays, subject.role)
     if not subject.entry and lies_elsewhere(found):
         found, evidence, placed = judge_turned(design, window, subject, found, rays, progress)
         if placed is not None:

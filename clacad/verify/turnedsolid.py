@@ -18,10 +18,12 @@ from clacad.verify.gather import Progress
 from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.registration import Placed, place
 from clacad.verify.returned import judge_returned
-from clacad.verify.solidfile import judge_solid
+from clacad.verify.solidfile import judge_solid, lies_elsewhere
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+__all__ = ["judge_turned", "lies_elsewhere"]
 
 FINE = 400.0
 """Facets are made this many times flatter than the flatter lens is high."""
@@ -30,12 +32,6 @@ SECONDS = 600.0
 MILLIMETRE = 1e-3
 KEPT = ("readable", "closed", "solids")
 """What the kernel says of a file wherever the part lies in it."""
-
-
-def lies_elsewhere(checks: Sequence[Check]) -> bool:
-    """Whether a readable STEP file does not have its faces where the design has them."""
-    states = {check.id: check.state for check in checks}
-    return states.get("readable") == "pass" and states.get("shape") != "pass"
 
 
 def judge_turned(
@@ -72,7 +68,7 @@ def judge_turned(
         if (
             placed.pose.untouched and placed.whole
         ):  # the file's own frame after all: judged as exactly as it can be
-            exact, _ = judge_solid(design, placed.window, subject.path, {}, progress)
+            exact, _ = judge_solid(design, placed.window, subject.path, {}, progress, rays)
             return [*exact[:1], *placed.checks, *exact[1:]], None, placed
         found, evidence = judge_returned(design, placed, subject.name, rays, progress)
     return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
