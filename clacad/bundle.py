@@ -67,15 +67,8 @@ def middle_direction(window: Window, centre: str = "axis") -> Floats:
 
 
 def over_cell(window: Window, unit_square: Floats) -> Floats:
-    """Points (n, 2) spread evenly over a cell, from points of the unit square (n, 2): the lattice's own
-    parallelogram, folded into the cell about its centre.
-    """
-    lattice = window.lattice
-    u, v = unit_square[:, 0] - 0.5, unit_square[:, 1] - 0.5
-    (ax, ay), (bx, by) = lattice.a1, lattice.a2
-    centre = lattice.centres(np.zeros((1, 2), dtype=np.int64))[0]
-    _, x, y = lattice.locate(centre[0] + u * ax + v * bx, centre[1] + u * ay + v * by)
-    return np.column_stack([x, y])
+    """Points (n, 2) spread evenly over a cell of the window; see `Lattice.over_cell`."""
+    return window.lattice.over_cell(unit_square)
 
 
 def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:

@@ -234,6 +234,17 @@ class Lattice:
         j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])
         return np.stack([i, j], axis=-1), local_x, local_y
 
+    def over_cell(self, unit_square: Floats) -> Floats:
+        """Points (n, 2) spread evenly over a cell, from its centre (lengths).
+
+        They come from points of the unit square (n, 2): the parallelogram of the lattice vectors, folded into the cell.
+        """
+        u, v = unit_square[:, 0] - 0.5, unit_square[:, 1] - 0.5
+        (ax, ay), (bx, by) = self.a1, self.a2
+        centre = self.centres(np.zeros((1, 2), dtype=np.int64))[0]
+        _, x, y = self.locate(centre[0] + u * ax + v * bx, centre[1] + u * ay + v * by)
+        return np.column_stack([x, y])
+
     def _locate_hexagonal(self, x: Floats, y: Floats, x_low: Floats | float, y_low: Floats | float
                           ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
         x0, y0 = self.first_centre

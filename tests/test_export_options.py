@@ -216,3 +216,17 @@ def test_marked_bodies_are_files_that_read_back(tmp_path: Path) -> None:
         "plano.array2.marked.step",
     ]
     assert all(entry["solids"] == 1 for entry in manifest.files)
+
+
+def test_the_forecast_of_gdsii_counts_the_levels_that_are_asked_for(tmp_path: Path) -> None:
+    """Whatever was asked for, 64 levels were forecast."""
+    pytest.importorskip("gdstk", reason="the extra gds is not installed")
+    path = str(DESIGNS / "slab.toml")
+    for levels in (2, 64, 256):
+        out = tmp_path / str(levels)
+        asked = ("export", path, "-o", str(out), "--format", "gds", "--cells", "2x2", "--grey-levels", str(levels),
+                 "--json")  # fmt: skip
+        said = json.loads(ran(*asked, "--dry-run").stdout)[0]["bytes"]
+        assert ran(*asked).exit_code == 0
+        written = sum(file.stat().st_size for file in out.iterdir() if ".gds" in file.name)
+        assert said == pytest.approx(written, rel=0.2)

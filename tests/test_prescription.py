@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from clacad import Design, DesignError, Interface, Rays, prescribe, trace_sequence
+from clacad import Design, DesignError, Fate, Interface, Rays, prescribe, trace, trace_sequence
 from clacad.law import angle_between
 from clacad.sheet import column, lens_height
 
@@ -209,6 +209,33 @@ def test_the_best_recipe_has_the_least_rms_error_at_the_asked_separation():
     assert window_of(pair__confocal="best", pair__thickness="auto", body__neck=0.0001).recipe == recipe
 
 
+def test_the_best_recipe_of_a_hexagonal_sheet_is_best_over_the_hexagon_and_not_over_the_box_around_it():
+    def sheet(n):
+        return window_of(
+            lattice__kind="hexagonal", lattice__pitch=0.0006, lattice__count=[n, n], law__eta=[-0.5, -1.0],
+            pair__separation=0.005, pair__thickness=0.0002, pair__confocal="best",
+        )  # fmt: skip
+
+    window, half = sheet(7), 0.0003
+    rng = np.random.default_rng(6)
+    place = rng.uniform(-2.0 * half, 2.0 * half, (40000, 2))
+    normals = [(1.0, 0.0), (0.5, np.sqrt(0.75)), (-0.5, np.sqrt(0.75))]
+    place = place[(np.abs(place @ np.array(normals).T) < half).all(axis=1)]
+    slope, azimuth = rng.uniform(size=len(place)), rng.uniform(0.0, 2.0 * np.pi, len(place))
+    slope = np.tan(np.radians(1.0)) * np.sqrt(slope)
+    direction = np.column_stack([slope * np.cos(azimuth), slope * np.sin(azimuth), np.ones(len(place))])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    place += window.lattice.centres(np.array([2, 3]))
+    start = np.column_stack([place, np.zeros(len(place))]) - 0.005 * direction / direction[:, 2:]
+    found = trace(window, Rays(start, direction), path="numpy")
+    straight = found.fate == Fate.ALIVE
+    error = angle_between(found.direction, window.law.refract(direction))[straight]
+    rms = np.sqrt(np.mean(error**2))
+    assert window.recipe["law_rms_end"] == pytest.approx(rms, rel=0.02)
+    assert rms < 1.1e-3  # 1.21e-3 with the scale that is best over the box
+    assert sheet(8).recipe == window.recipe  # the lens does not depend on how many there are
+
+
 def test_kappa_carries_the_sign_of_a_concave_face():
     body = window_of(law__eta=[0.25, 0.25], pair__thickness="auto").bodies[1]
     assert body.front.surface.curvature_x < 0
@@ -290,8 +317,6 @@ def test_a_round_displaced_slab_keeps_only_cells_whose_partners_lie_inside_too()
 
 @pytest.mark.parametrize("recipe", ["exact", "thin", "best"])
 def test_the_ideal_pair_obeys_the_law_exactly_whatever_the_recipe(recipe):
-    from clacad import Fate, trace
-
     window = window_of(
         pair__confocal=recipe, pair__thickness="auto", law__delta=[0.01, -0.005], law__euler=[20.0, 1.0, 40.0]
     )

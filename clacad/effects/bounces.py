@@ -36,9 +36,10 @@ def split_quickly(window: Window, rays: Rays, setting: Setting) -> tuple[Light, 
     """
     from clacad.effects.kernel_bounces import bounce_pass
     from clacad.trace import trace
+    from clacad.trace.packing import pack
 
     layout = lay_out(window)
-    faces, lattice = packed_faces(layout), packed_lattice(layout)
+    faces, lattice, runs = packed_faces(layout), packed_lattice(layout), pack(layout).rows
     done = np.zeros(len(rays), dtype=bool)
     parts = []
     every = np.arange(len(rays))
@@ -57,7 +58,7 @@ def split_quickly(window: Window, rays: Rays, setting: Setting) -> tuple[Light, 
         flux = np.zeros((len(rows), paths))
         layer = rules.ratio if setting.coating == "quarter-wave" else 0.0
         bounce_pass(
-            faces, lattice, index, rates, layer, setting.order, rows, unit_rows(part.direction), result.hits,
+            faces, lattice, runs, index, rates, layer, setting.order, rows, unit_rows(part.direction), result.hits,
             result.directions, position, direction, flux,
         )  # fmt: skip
         lit = flux > 0.0
@@ -101,4 +102,5 @@ def packed_lattice(layout: Layout) -> Floats:
     pitch = lattice.pitch
     row = lattice.a2[1] if lattice.hexagonal else pitch[1]
     x, y = lattice.first_centre
-    return np.array([float(lattice.hexagonal), pitch[0], row, x, y, layout.margin])
+    opaque = float(layout.window.land.opaque)
+    return np.array([float(lattice.hexagonal), pitch[0], row, x, y, layout.margin, *lattice.count, opaque])

@@ -1,9 +1,9 @@
 """Split paths, compiled: partial reflections followed from lens to lens.
 
 The quick twin of `clacad.effects.follow` for light that went through lenses only: from every recorded hit a part is
-reflected, meets the faces it came through again, each in the lenslet it stands before, and is reflected forward once
-more. What a walk would have to decide (steps between lenslets, seams, the sheet's edge, total reflection) ends the
-path here; that is a few per cent of light that is itself a few per cent.
+reflected, meets the faces it came through again, each in the lenslet it stands before or on the flat border, and is
+reflected forward once more. What a walk would have to decide (steps between lenslets, seams, the sheet's edge, total
+reflection) ends the path here; that is a few per cent of light that is itself a few per cent.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from clacad.trace.compiled import exact
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Runs = NDArray[np.int64]
 Ray = tuple[float, float, float, float, float, float]
 
 # columns of a face's row
@@ -24,7 +25,7 @@ CX, CY, KAPPA, SIDE, VX, VY, VZ, SHIFT_X, SHIFT_Y, STRUCTURED, ROTATION = range(
 LAND, MID_X, MID_Y, HALF_X, HALF_Y, RADIUS, COLUMNS = 19, 20, 21, 22, 23, 24, 25
 
 # the lattice's numbers
-HEXAGONAL, PITCH, ROW, ORIGIN_X, ORIGIN_Y, MARGIN = range(6)
+HEXAGONAL, PITCH, ROW, ORIGIN_X, ORIGIN_Y, MARGIN, N1, N2, OPAQUE = range(9)
 
 
 @exact
@@ -59,22 +60,37 @@ def reflected_share(turn: float, n1: float, n2: float, layer: float) -> float:
 
 
 @exact
-def centred(lattice: Floats, x: float, y: float) -> tuple[float, float]:
-    """Give x, y from the centre of the cell they lie in."""
+def centred(lattice: Floats, x: float, y: float) -> tuple[float, float, float, float]:
+    """Give x, y from the centre of the cell they lie in, and that cell's i, j."""
     pitch, row = lattice[PITCH], lattice[ROW]
     x, y = x - lattice[ORIGIN_X], y - lattice[ORIGIN_Y]
     if lattice[HEXAGONAL] == 0.0:
-        return x - pitch * floor(x / pitch + 0.5), y - row * floor(y / row + 0.5)
+        i, j = float(floor(x / pitch + 0.5)), float(floor(y / row + 0.5))
+        return x - pitch * i, y - row * j, i, j
     # nearest of the two rows' nearest cells: cells of this lattice are its Voronoi cells
     best_x, best_y, best = 0.0, 0.0, np.inf
+    best_i, best_j = -1.0, -1.0
     below = floor(y / row)
     for upper in range(2):
         j = float(below) + upper
         along = x - 0.5 * pitch * j
-        u, v = along - pitch * floor(along / pitch + 0.5), y - row * j
+        i = float(floor(along / pitch + 0.5))
+        u, v = along - pitch * i, y - row * j
         if u * u + v * v < best:
             best_x, best_y, best = u, v, u * u + v * v
-    return best_x, best_y
+            best_i, best_j = i, j
+    return best_x, best_y, best_i, best_j
+
+
+@exact
+def has_cell(lattice: Floats, runs: Runs, i: float, j: float) -> bool:
+    """Whether the sheet has this cell; a plain lattice has no table of rows."""
+    if not 0.0 <= j < lattice[N2]:
+        return False
+    if len(runs) == 0:
+        return bool(0.0 <= i < lattice[N1])
+    row = int(j)
+    return bool(runs[row, 0] <= i < runs[row, 1])
 
 
 @exact
@@ -88,8 +104,31 @@ def in_lens(lattice: Floats, x: float, y: float) -> bool:
 
 
 @exact
-def meet(face: Floats, lattice: Floats, ray: Ray) -> tuple[float, float, float, float]:
-    """Distance to a face along a ray of the sheet frame and the unit normal there; NaN where there is no lens."""
+def within(face: Floats, x: float, y: float) -> bool:
+    """Whether a point of the sheet frame lies well inside the body's footprint."""
+    mx, my = x - face[MID_X], y - face[MID_Y]
+    return bool(abs(mx) < face[HALF_X] and abs(my) < face[HALF_Y] and mx * mx + my * my < face[RADIUS] ** 2)
+
+
+@exact
+def meet(face: Floats, lattice: Floats, runs: Runs, ray: Ray) -> tuple[float, float, float, float]:
+    """Distance to a face along a ray of the sheet frame and the unit normal there; NaN where the walk must decide."""
+    t, nx, ny, nz = meet_lens(face, lattice, runs, ray)
+    if t == t or face[STRUCTURED] == 0.0 or lattice[OPAQUE] != 0.0:
+        return t, nx, ny, nz
+    x, y, z, u, v, w = ray
+    t = (face[LAND] - z) / w
+    px, py = x + t * u, y + t * v
+    if t >= 0.0 and within(face, px, py):
+        _, _, i, j = centred(lattice, px - face[SHIFT_X], py - face[SHIFT_Y])
+        if not has_cell(lattice, runs, i, j):
+            return t, 0.0, 0.0, 1.0
+    return np.nan, nx, ny, nz
+
+
+@exact
+def meet_lens(face: Floats, lattice: Floats, runs: Runs, ray: Ray) -> tuple[float, float, float, float]:
+    """Distance to the lens of a face and the unit normal there; NaN where there is none."""
     x, y, z, u, v, w = ray
     t = (face[VZ] - z) / w
     t_hit = np.nan
@@ -98,12 +137,11 @@ def meet(face: Floats, lattice: Floats, ray: Ray) -> tuple[float, float, float, 
     for _ in range(2):
         # first the cell under the vertex plane, then the cell under the hit
         px, py, pz = x + t * u, y + t * v, z + t * w
-        mx, my = px - face[MID_X], py - face[MID_Y]
-        if not (abs(mx) < face[HALF_X] and abs(my) < face[HALF_Y] and mx * mx + my * my < face[RADIUS] ** 2):
+        if not within(face, px, py):
             return np.nan, nx, ny, nz
-        cx, cy = px, py
+        cx, cy, i, j = px, py, 0.0, 0.0
         if face[STRUCTURED] > 0.0:
-            cx, cy = centred(lattice, px - face[SHIFT_X], py - face[SHIFT_Y])
+            cx, cy, i, j = centred(lattice, px - face[SHIFT_X], py - face[SHIFT_Y])
         ox, oy, oz = cx - face[VX], cy - face[VY], pz - face[VZ]
         a, b, c = (
             r[0] * ox + r[3] * oy + r[6] * oz,
@@ -140,7 +178,8 @@ def meet(face: Floats, lattice: Floats, ray: Ray) -> tuple[float, float, float, 
         lx, ly = cx + (t_hit - t) * u, cy + (t_hit - t) * v
         if in_lens(lattice, lx, ly):
             top = face[VZ] + (pz - face[VZ]) + (t_hit - t) * w
-            if (top - face[LAND]) * side > 0.0:  # buried; never so for NaN, a face without land
+            buried = (top - face[LAND]) * side > 0.0  # never so for NaN, a face without land
+            if buried or not has_cell(lattice, runs, i, j):
                 return np.nan, nx, ny, nz
             return t_hit, nx, ny, nz
         t = t_hit
@@ -149,11 +188,11 @@ def meet(face: Floats, lattice: Floats, ray: Ray) -> tuple[float, float, float, 
 
 @exact
 def through(
-    faces: Floats, lattice: Floats, k: int, ray: Ray, n1: float, n2: float, layer: float
+    faces: Floats, lattice: Floats, runs: Runs, k: int, ray: Ray, n1: float, n2: float, layer: float
 ) -> tuple[float, Ray, float, Ray]:
     """Cross face k: distance (NaN where the path ends), ray behind it, share reflected, and the reflected ray."""
     x, y, z, u, v, w = ray
-    t, nx, ny, nz = meet(faces[k], lattice, ray)
+    t, nx, ny, nz = meet(faces[k], lattice, runs, ray)
     if not t >= 0.0:
         return np.nan, ray, 0.0, ray
     x, y, z = x + t * u, y + t * v, z + t * w
@@ -178,12 +217,13 @@ def through(
 
 @exact
 def forward(
-    faces: Floats, lattice: Floats, k: int, ray: Ray, flux: float, index: Floats, rates: Floats, layer: float
-) -> tuple[float, Ray]:
+    faces: Floats, lattice: Floats, runs: Runs, k: int, ray: Ray, flux: float, index: Floats, rates: Floats,
+    layer: float,
+) -> tuple[float, Ray]:  # fmt: skip
     """Light going on from behind face k − 1 through faces k, k + 1, …: its share and ray behind the last."""
     for face in range(k, len(faces)):
         n1, n2 = index[face], index[face + 1]
-        t, ray, lost, _ = through(faces, lattice, face, ray, n1, n2, layer)
+        t, ray, lost, _ = through(faces, lattice, runs, face, ray, n1, n2, layer)
         if not (t >= 0.0 and ray[5] > 0.0):
             return 0.0, ray
         flux *= 1.0 - lost
@@ -194,14 +234,16 @@ def forward(
 
 @exact
 def bounce_pass(
-    faces: Floats, lattice: Floats, index: Floats, rates: Floats, layer: float, order: int, rows: Rows,
+    faces: Floats, lattice: Floats, runs: Runs, index: Floats, rates: Floats, layer: float, order: int, rows: Rows,
     start: Floats, hits: Floats, turns: Floats, position: Floats, direction: Floats, flux: Floats,
 ) -> None:  # fmt: skip
     """Split paths of rays whose every face was a lens.
 
     Parameters
     ----------
-    faces : (f, COLUMNS), lattice : (6,)
+    faces : (f, COLUMNS), lattice : (9,)
+    runs : (n2, 2)
+        First kept cell of each row of the lattice and one past its last; empty where all rows are alike.
     index : (f + 1,)
         Before the first face and behind each.
     rates : (b,)
@@ -241,14 +283,14 @@ def bounce_pass(
                 flux[i, pair] = 0.0
                 if part > 0.0 and ray[5] < 0.0:
                     t, beyond, again, turned = through(
-                        faces, lattice, face, ray, index[face + 1], index[face], layer
+                        faces, lattice, runs, face, ray, index[face + 1], index[face], layer
                     )
                     if t >= 0.0:
                         if face % 2 == 0:  # it came through the material behind a front face
                             part *= exp(-rates[face // 2] * t)
                         if order > 1 and turned[5] > 0.0:
                             flux[i, pair], end = forward(
-                                faces, lattice, face + 1, turned, part * again, index, rates, layer
+                                faces, lattice, runs, face + 1, turned, part * again, index, rates, layer
                             )
                             for c in range(3):
                                 position[i, pair, c], direction[i, pair, c] = end[c], end[c + 3]

@@ -97,6 +97,7 @@ def forecast(
     quads: int | Mapping[str, int],
     step: Mode = "auto",
     pcurves: bool = True,
+    grey_levels: int = 64,
 ) -> list[Forecast]:
     """Forecast each format.
 
@@ -109,9 +110,13 @@ def forecast(
     step : "auto", "fused" or "instanced"
     pcurves : bool
         Whether STEP files hold parameter curves.
+    grey_levels : int
+        Levels of GDSII.
     """
     grids = dict.fromkeys(formats, quads) if isinstance(quads, int) else quads
-    return timed([_forecast_one(meshes, name, grids.get(name, QUADS[-1]), step, pcurves) for name in formats])
+    return timed([
+        _forecast_one(meshes, name, grids.get(name, QUADS[-1]), step, pcurves, grey_levels) for name in formats
+    ])  # fmt: skip
 
 
 def timed(rows: Sequence[Forecast]) -> list[Forecast]:
@@ -121,7 +126,9 @@ def timed(rows: Sequence[Forecast]) -> list[Forecast]:
     return [replace(row, seconds=(span.low, span.high)) for row, span in zip(rows, spans, strict=True)]
 
 
-def _forecast_one(meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True) -> Forecast:
+def _forecast_one(
+    meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True, grey_levels: int = 64
+) -> Forecast:
     window = meshes.window
     if name in MARKED:
         return _forecast_marked(meshes, name, quads)
@@ -134,7 +141,7 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bo
         return _forecast_step(window, step, pcurves)
     if name in FIXTURES:
         return _forecast_fixture(window, name)
-    return _forecast_map(window, name)
+    return _forecast_map(window, name, grey_levels)
 
 
 def _forecast_fixture(window: Window, name: str) -> Forecast:
@@ -216,7 +223,7 @@ def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast
     return Forecast("step", size, False, None, None, cost.step(size, mode), memory)
 
 
-def _forecast_map(window: Window, name: str, levels: int = 64) -> Forecast:
+def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
     from clacad.export import sizes
     from clacad.export.sag import samples_per_cell, structured_faces
 

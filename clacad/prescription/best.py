@@ -60,10 +60,9 @@ def best_pair(intent: Intent, build: Callable[[Pair2, float], Window], thickness
 def _bundle(intent: Intent) -> tuple[Floats, Floats]:
     """4096 Sobol rays over lens 1's cell and the cone of the field about its centre."""
     points = sobol(RAYS, 4)
-    tile = intent.lattice.tile()
-    low, high = tile.min(axis=0), tile.max(axis=0)
     start = np.zeros((RAYS, 3))
-    start[:, :2] = low + points[:, :2] * (high - low)
+    one = intent.lattice.with_count((1, 1))  # the same rays, so the same lens, for any number of cells
+    start[:, :2] = one.over_cell(points[:, :2])
     slope = np.tan(intent.design.check.field) * np.sqrt(points[:, 2])
     azimuth = 2.0 * np.pi * points[:, 3]
     middle = np.array(_field_centre(intent))
