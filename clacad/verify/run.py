@@ -238,7 +238,7 @@ def _verdict_of(one: FileReport, checks: Sequence[Check]) -> FileVerdict:
     mine = [c for c in checks if c.subject == subject.name]
     quads = subject.entry.get("quads")
     cut = f"in {quads} quads a cell" if isinstance(quads, int) and subject.is_mesh else ""
-    return file_verdict(subject.name, one.judged_as, subject.declared, one.mesh is not None, mine, cut)
+    return file_verdict(subject.name, one.judged_as, subject.declared, subject.is_mesh, mine, cut)
 
 
 def _verdict_row(one: FileVerdict) -> dict[str, Any]:

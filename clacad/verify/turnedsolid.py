@@ -1,4 +1,8 @@
-"""A STEP file that does not lie as the design does: meshed, registered and judged as any part that came back."""
+"""A STEP file that does not lie as the design does: meshed to find how it lies, then judged by light through its faces.
+
+Triangles made here tell the pose, the shape cell by cell and what is damaged. They are no part of the file: light is sent
+through the file's own faces, set down as the design lies.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,7 @@ from clacad.feasibility import feasibility
 from clacad.prescription import prescribe
 from clacad.sheet import Window
 from clacad.verify.checks import Check, State, not_run
+from clacad.verify.filelight import IDS
 from clacad.verify.files import Subject
 from clacad.verify.gather import Progress
 from clacad.verify.meshlight import MeshEvidence
@@ -33,6 +38,8 @@ SCALE = 1e-5
 
 SECONDS = 600.0
 MILLIMETRE = 1e-3
+THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
+"""What light says: through the faces, not through triangles made here."""
 KEPT = ("readable", "closed", "solids")
 """What the kernel says of a file wherever the part lies in it."""
 
@@ -73,12 +80,34 @@ def judge_turned(
         if (
             placed.pose.untouched and placed.whole
         ):  # the file's own frame after all: judged as exactly as it can be
-            exact, _ = judge_solid(design, placed.window, subject.path, {}, progress, rays)
+            exact, _ = judge_solid(design, placed.window, subject.path, {}, progress, rays, subject.role)
             return [*exact[:1], *placed.checks, *exact[1:]], None, placed
-        found, evidence = judge_returned(design, placed, subject.name, rays, progress)
-        found = [_exact_scale(check) for check in found]
+        found, evidence = judge_returned(design, placed, subject.name, rays, progress, subject.role)
+        found = [_exact_scale(check) for check in found if check.id not in THROUGH]
+        found += _through_faces(design, placed, subject, rays, Path(folder) / "part.brep", progress)
     kept = [_with_holes(check, placed, {} if facts is None else facts) for check in kept]
     return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+
+
+def _through_faces(
+    design: Design, placed: Placed, subject: Subject, rays: int, target: Path, progress: Progress
+) -> list[Check]:
+    """Set the shape down as the design lies, and send light through its own faces."""
+    from clacad.export.worker import Worker
+
+    pose, common = placed.pose, {"where": "file", "subject": subject.name}
+    try:
+        with Worker() as worker:
+            worker.run(
+                "clacad.export.step_facets:set_down", str(subject.path), str(target), pose.turn.tolist(),
+                (pose.move * design.unit_m / MILLIMETRE).tolist(), timeout=SECONDS, progress=progress,
+            )  # fmt: skip
+    except (ExportError, OSError) as error:
+        return [
+            not_run(name, f"no light can be sent through its faces: {error}", **common) for name in THROUGH
+        ]
+    exact, _ = judge_solid(design, placed.window, target, {}, progress, rays, subject.role)
+    return [replace(check, subject=subject.name) for check in exact if check.id in THROUGH]
 
 
 def _exact_scale(check: Check) -> Check:
