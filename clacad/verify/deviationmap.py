@@ -20,8 +20,7 @@ from clacad.export.atomic import Stage, canonical_json, safe_name
 from clacad.sheet import Window
 from clacad.verify.checks import plain
 from clacad.verify.gather import levels
-from clacad.verify.posefit import INWARD
-from clacad.verify.sides import STEEP, Floats, Ints, off_faces
+from clacad.verify.sides import STEEP, Floats, Ints, drawn_in, off_faces
 
 BINS = 16
 """Bins a side of the folded cell."""
@@ -128,11 +127,10 @@ class Mapper:
         good = np.abs(normal[:, 2]) > STEEP * length
         facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
         # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
-        middle = corners[good].mean(axis=1, keepdims=True)
         points = corners[good].reshape(-1, 3)
-        asked = (corners[good] + INWARD * (middle - corners[good])).reshape(-1, 3)
-        asked[:, 2] = points[:, 2]
-        off = off_faces(self.window, asked, facing, self.present, self._between)
+        inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
+        aside = drawn_in(self.window, inward)
+        off = off_faces(self.window, points, facing, self.present, self._between, aside)
         rows = np.flatnonzero(off.known & self.window.lattice.contains(off.cell))
         up = np.where(facing[rows, 2] > 0.0, 1.0, -1.0)  # positive: too much material
         value = off.distance[rows] * up

@@ -177,8 +177,9 @@ def _millimetres(stated: Mapping[str, Any]) -> float:
 
 
 def own_sag_error(gathered: Gathered) -> float:
-    """Sag error (length) that facets of this size and bend make, from the facets alone: the height of the
-    middle of the longest edge over the chord, L² × bend/8, with the bend from neighbouring facets' slopes.
+    """Sag error (length) that facets of this size and bend make, from the facets alone: the height over the chord at
+    the middle of an edge, L² × bend/8, or over a facet's middle, which is higher where the facet has no blunt corner;
+    with the bend from neighbouring facets' slopes.
     """
     worst = 0.0
     for (_, _, cell), parts in gathered.facets.items():
@@ -192,7 +193,8 @@ def own_sag_error(gathered: Gathered) -> float:
             continue
         design = np.column_stack([middle - middle.mean(axis=0), np.ones(len(middle))])
         bend, *_ = np.linalg.lstsq(design, slopes, rcond=None)
-        edges = (corners - np.roll(corners, 1, axis=1))[..., :2].reshape(-1, 2)
-        rise = np.abs(np.einsum("ei,ij,ej->e", edges, bend[:2], edges)) / 8.0
+        edges = (corners - np.roll(corners, 1, axis=1))[..., :2]
+        square = np.einsum("tei,ij,tej->te", edges, bend[:2], edges)
+        rise = np.maximum(np.abs(square).max(axis=1) / 8.0, np.abs(square.sum(axis=1)) / 18.0)
         worst = max(worst, float(rise.max()))
     return worst

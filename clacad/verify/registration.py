@@ -8,7 +8,7 @@ its box the design's; the best are fitted to the exact faces by least squares, p
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import degrees
+from math import degrees, radians
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +21,9 @@ from clacad.verify.files import (
     CannotRegister,
     Subject,
 )
+from clacad.verify.orientation import Frame, frames, sampled
 from clacad.verify.posefit import (
     AS_WRITTEN,
-    TRIALS,
     Fit,
     Pose,
     Trial,
@@ -33,13 +33,16 @@ from clacad.verify.posefit import (
     fitted,
     no_match,
     one_unit,
-    order_of,
-    sampled,
+    units_of,
+    worth_fitting,
 )
 from clacad.verify.sides import Floats
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+TURNED = radians(10.0)
+"""A part that lies turned by more is said to; less is how it was laid down."""
 
 BETTER = 0.7
 """A mirrored fit must leave less than this part of the best proper one's residual to be called a mirrored part."""
@@ -95,25 +98,24 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
         In no unit and turn the part is this design, or in two units alike.
     """
     whole = prescribe(design) if cells is None else cells
-    corners, facing, extent, centre, lean = sampled(mesh)
-    trials = list(
-        all_trials(design, whole, cells is not None, subject, mesh, corners, facing, extent, centre)
-    )
-    if not trials:
-        raise CannotRegister(no_match(design, whole, subject, mesh, extent))
-    fits = [
-        fitted(trial, lean)
-        for hand in (1.0, -1.0)
-        for trial in sorted(
-            (t for t in trials if np.linalg.det(t.axes) * hand > 0.0),
-            key=lambda t: (t.residual, order_of(t.axes)),
-        )[:TRIALS]
-    ]
+    pitch = min(whole.lattice.pitch)
+    sample, first = sampled(mesh)
+
+    def tried(frame: Frame) -> list[Trial]:
+        return list(all_trials(design, whole, cells is not None, subject, mesh, sample, frame))
+
+    trials = tried(first)
+    fits = [fitted(trial) for trial in worth_fitting(trials)]
+    if not any(pose.residual <= design.check.pose * pitch for _, pose in fits):  # it lies askew, or is another part
+        factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
+        askew = [t for frame in frames(mesh, sample, whole, factors) for t in tried(frame)]
+        fits += [fitted(trial) for trial in worth_fitting(askew)]
+    if not any(not pose.mirrored for _, pose in fits):
+        raise CannotRegister(no_match(design, whole, subject, mesh, first.extent))
     proper = [f for f in fits if not f[1].mirrored]
     mirrored = [f for f in fits if f[1].mirrored]
     best = best_of(proper)
     twin = best_of(mirrored) if mirrored else None
-    pitch = min(whole.lattice.pitch)
     one_unit(subject, proper, best, pitch)
     handed = _handedness(subject, best[1], None if twin is None else twin[1], pitch)
     # a file whose box lies where the design's does, the arrays' displacement apart, was written in its frame
@@ -169,10 +171,10 @@ def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed:
     words = _pose_words(pose, design.unit)
     state: State = "pass" if pose.residual <= limit else "fail"
     sentence = f"{words}; the exact faces are then {pose.residual:.3g} {design.unit} off (robust rms)"
-    if state == "pass" and not np.array_equal(pose.axes, np.eye(3)):
+    if state == "pass" and turned_by(pose.turn) > TURNED:
         state = "fail" if own else "warn"
         sentence += (
-            f"; its box lies as the design's does, but {_turned_words(pose.axes)}"
+            f"; its box lies as the design's does, but {_turned_words(pose.turn)}"
             if own
             else "; it works when it is mounted turned"
         )
@@ -194,18 +196,20 @@ def _pose_words(pose: Pose, unit: str) -> str:
         return "it lies as the design does"
     names = "xyz"
     parts = []
-    if not np.array_equal(pose.axes, np.eye(3)):
+    rest = turned_by(pose.turn @ pose.axes.T)
+    if rest > TURNED:  # askew: no turn of the axes describes it
+        parts.append(_askew_words(pose.turn))
+    else:
         images = [
             f"{names[j]} → {'-' if pose.axes[i, j] < 0 else ''}{names[i]}"
             for j in range(3)
             for i in range(3)
             if pose.axes[i, j]
         ]
-        parts.append("axes turned: " + ", ".join(images))
-    rest = pose.turn @ pose.axes.T
-    angle = float(np.arccos(np.clip(0.5 * (np.trace(rest) - 1.0), -1.0, 1.0)))
-    if angle > 1e-7:
-        parts.append(f"turned by {degrees(angle):.3g} deg")
+        if not np.array_equal(pose.axes, np.eye(3)):
+            parts.append("axes turned: " + ", ".join(images))
+        if rest > 1e-7:
+            parts.append(f"turned by {degrees(rest):.3g} deg")
     if pose.move.any():
         parts.append("moved by " + ", ".join(f"{v:.4g}" for v in pose.move) + f" {unit}")
     if pose.scale != 1.0:
@@ -213,9 +217,28 @@ def _pose_words(pose: Pose, unit: str) -> str:
     return "; ".join(parts) or "it lies as the design does"
 
 
-def _turned_words(axes: Floats) -> str:
+def turned_by(turn: Floats) -> float:
+    """Angle (radians) of a rotation (3, 3); of a mirrored one, that of its turned mirror image in z."""
+    proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
+    across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
+    return float(np.arctan2(np.linalg.norm(across), np.trace(proper) - 1.0))
+
+
+def _askew_words(turn: Floats) -> str:
+    """The axis and the angle of a turn; of a mirrored part, of what is left when z is reversed."""
+    proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
+    across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
+    length = float(np.linalg.norm(across))
+    angle = degrees(turned_by(turn))
+    if length < 1e-9:
+        return f"turned by {angle:.3g} deg"
+    axis = ", ".join(f"{v:.3g}" for v in across / length)
+    return f"turned by {angle:.4g} deg about ({axis})"
+
+
+def _turned_words(turn: Floats) -> str:
     """What a part in the design's own frame that fits only when turned was made with."""
-    if axes[2, 2] < 0.0:
+    if turn[2, 2] < 0.0:
         return "it fits only upside down: the arrays are exchanged, or the file was turned over"
     return "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was turned"
 
