@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from clacad.export.atomic import Stage, canonical_json, safe_name
+from clacad.feasibility import body_range
 from clacad.sheet import Window
 from clacad.verify.checks import plain
 from clacad.verify.gather import levels
@@ -27,6 +28,9 @@ BINS = 16
 
 FEWEST = 4
 """Corners below which a bin says nothing."""
+
+GROSS = 0.25
+"""Part of a body's height beyond which a point is not on the face it looks at."""
 
 MOST = 2_000_000
 """Facets that are looked at; of larger files evenly spread ones."""
@@ -106,10 +110,13 @@ def _grid(values: Floats) -> list[list[float | None]]:
 class Mapper:
     """Looks at chunks of a part and adds them up."""
 
-    def __init__(self, window: Window, unit: str, present: Sequence[str], facets: int) -> None:
-        self.window, self.unit, self.present = window, unit, present
+    def __init__(
+        self, window: Window, unit: str, present: Sequence[str], facets: int, noise: float = 0.0
+    ) -> None:
+        self.window, self.unit, self.present, self._noise = window, unit, present, noise
         self._stride = max(1, facets // MOST)
         self._between = levels(window)
+        self._gross = GROSS * min(high - low for low, high in (body_range(window, b) for b in window.bodies))
         tile = window.lattice.tile()
         self._low, self._high = tile.min(axis=0), tile.max(axis=0)
         faces = 2 * len(window.bodies)
@@ -129,9 +136,12 @@ class Mapper:
         # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
         points = corners[good].reshape(-1, 3)
         inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
-        aside = drawn_in(self.window, inward)
+        aside = drawn_in(self.window, inward, self._noise)
         off = off_faces(self.window, points, facing, self.present, self._between, aside)
-        rows = np.flatnonzero(off.known & self.window.lattice.contains(off.cell))
+        # a scan's facets on a step may look either way: what is nearer the other side is no deviation of this one
+        with np.errstate(invalid="ignore"):
+            sound = np.abs(off.distance) < self._gross
+        rows = np.flatnonzero(sound & self.window.lattice.contains(off.cell))
         up = np.where(facing[rows, 2] > 0.0, 1.0, -1.0)  # positive: too much material
         value = off.distance[rows] * up
         part = (off.local[rows] - self._low) / (self._high - self._low)

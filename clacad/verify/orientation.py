@@ -162,9 +162,22 @@ def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> I
         if any(_same_axes(turn, other) for other in made):
             continue
         made.append(turn)
-        turned = points @ turn.T
-        low, high = turned.min(axis=0), turned.max(axis=0)
-        yield Frame(turn, high - low, 0.5 * (low + high))
+        yield _frame_of(points, turn)
+
+
+def sixths(mesh: FileMesh, turn: Floats) -> list[Frame]:
+    """Frames a sixth and two of a turn about the normal from a sheet's own (3, 3): a hexagonal lattice has no less."""
+    hull = _hull(mesh)
+    if hull is None:
+        return []
+    proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))]) @ turn
+    return [_frame_of(hull[0], _about_z(angle) @ proper) for angle in (np.pi / 3.0, -np.pi / 3.0)]
+
+
+def _frame_of(points: Floats, turn: Floats) -> Frame:
+    turned = points @ turn.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return Frame(turn, high - low, 0.5 * (low + high))
 
 
 def _turns(planes: Floats, sample: Sample, points: Floats, window: Window, factors: Floats) -> Iterator[Floats]:
@@ -253,8 +266,7 @@ def lattice_angles(window: Window, sample: Sample, turn: Floats, factor: float) 
     """Angles (radians) by which the design's lattice may lie turned about the third axis of a frame.
 
     A wave along one of the lattice's own directions, as long as its rows are apart, meets the same slope in every
-    cell; along any other the slopes cancel. Of the angles the lattice has by its symmetry those are given that the
-    turns of the axes do not make of one another.
+    cell; along any other the slopes cancel. The lattice's own symmetry is left to whoever asks.
     """
     facing = sample.facing[::3] @ turn.T
     seen = np.abs(facing[:, 2]) > STEEP
@@ -281,9 +293,7 @@ def lattice_angles(window: Window, sample: Sample, turn: Floats, factor: float) 
     fine = float(near[int(np.argmax([_power(place, waves, wave, angle) for angle in near]))])
     if max(power) < 4.0 * float(np.median(power)):
         return []  # nothing repeats with the pitch
-    start = fine - float(np.arctan2(first[1], first[0]))
-    steps = (0.0, np.pi / 3.0, 2.0 * np.pi / 3.0) if lattice.hexagonal else (0.0,)
-    return [start + step for step in steps]
+    return [fine - float(np.arctan2(first[1], first[0]))]
 
 
 def _power(place: Floats, waves: Floats, wave: float, angle: float) -> float:

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 TRIALS = 6
 """Turns of each handedness that are fitted; the others are worse before the fit already."""
 
+CUT_TRIALS = 8
+"""The same of a piece cut across cells, whose place is not known by its box."""
+
+STRAY = 0.002
+"""Part of the points by which equally good fits may differ in those that lie on no face."""
+
 STEPS = 12
 PHASES = 6
 """Places a side tried within a cell, for a piece that was not cut along cell borders."""
@@ -286,14 +292,21 @@ def nearest_axes(turn: Floats) -> Floats:
 
 
 def worth_fitting(trials: Sequence[Trial]) -> list[Trial]:
-    """The trials of each handedness that lie nearest, those of equal distance by the least turn."""
+    """The trials of each handedness that lie nearest, those of equal distance by the least turn; of the places that
+    are tried for a piece in one turn, the best: a wrong turn in a good place may lie nearer than the right in a bad.
+    """
+    best: dict[tuple[object, ...], Trial] = {}
+    for trial in trials:
+        key = (trial.unit, trial.present, trial.axes.tobytes())
+        if key not in best or trial.residual < best[key].residual:
+            best[key] = trial
     found: list[Trial] = []
     for hand in (1.0, -1.0):
-        mine = [t for t in trials if np.linalg.det(t.axes) * hand > 0.0]
+        mine = [t for t in best.values() if np.linalg.det(t.axes) * hand > 0.0]
         if mine:
             level = _equal(min(t.residual for t in mine), mine[0].window)
             mine.sort(key=lambda t: (max(t.residual, level), order_of(t.axes @ t.frame.turn), t.residual))
-            found += mine[:TRIALS]
+            found += mine[: TRIALS if mine[0].whole else CUT_TRIALS]
     return found
 
 
@@ -349,7 +362,20 @@ def best_of(fits: Sequence[Fit]) -> Fit:
     least = min(pose.residual for _, pose in fits)
     level = _equal(least, fits[0][0].window)
     equal = [f for f in fits if f[1].residual <= level]
+    if len(equal) > 1:  # lenses a pitch aside are the same lenses, but for the rim
+        strays = [_astray(f, 10.0 * level) for f in equal]
+        equal = [f for f, stray in zip(equal, strays, strict=True) if stray <= min(strays) + STRAY]
     return min(equal, key=lambda f: (order_of(f[1].turn), f[1].residual))
+
+
+def _astray(fit: Fit, level: float) -> float:
+    """Part of the points of a part that lie on no face of the design."""
+    trial, pose = fit
+    turn = pose.turn @ trial.frame.turn.T @ trial.axes.T
+    off = trial.off(turn, pose.scale, pose.move)
+    flat = off.face >= 0
+    near = np.abs(off.distance) <= level  # NaN is not
+    return 1.0 - float(near[flat].mean()) if flat.any() else 1.0
 
 
 def one_unit(subject: Subject, fits: Sequence[Fit], best: Fit, pitch: float) -> None:

@@ -15,13 +15,13 @@ import numpy as np
 
 from clacad.export.filemesh import FileMesh, Part
 from clacad.prescription import prescribe
-from clacad.sheet import Window
+from clacad.sheet import Window, lens_height
 from clacad.verify.checks import Check, State
 from clacad.verify.files import (
     CannotRegister,
     Subject,
 )
-from clacad.verify.orientation import Frame, frames, sampled
+from clacad.verify.orientation import Frame, frames, sampled, sixths
 from clacad.verify.posefit import (
     AS_WRITTEN,
     Fit,
@@ -40,6 +40,9 @@ from clacad.verify.sides import Floats
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+PART_OF_SAG = 0.05
+"""A fit whose residual is below this part of the flattest lens's sag is no chance: other poses need not be tried."""
 
 TURNED = radians(10.0)
 """A part that lies turned by more is said to; less is how it was laid down."""
@@ -106,10 +109,16 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
 
     trials = tried(first)
     fits = [fitted(trial) for trial in worth_fitting(trials)]
-    if not any(pose.residual <= design.check.pose * pitch for _, pose in fits):  # it lies askew, or is another part
+    near = max(as_written(whole), PART_OF_SAG * least_sag(whole))
+    if not any(pose.residual <= near for _, pose in fits):  # it lies askew, scatters, or is another part
         factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
-        askew = [t for frame in frames(mesh, sample, whole, factors) for t in tried(frame)]
-        fits += [fitted(trial) for trial in worth_fitting(askew)]
+        for frame in frames(mesh, sample, whole, factors):
+            fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
+            if any(pose.residual <= near for _, pose in fits):
+                break
+        if whole.lattice.hexagonal and fits:
+            least = min(fits, key=lambda f: f[1].residual)[1]
+            fits += [fitted(t) for frame in sixths(mesh, least.turn) for t in worth_fitting(tried(frame))]
     if not any(not pose.mirrored for _, pose in fits):
         raise CannotRegister(no_match(design, whole, subject, mesh, first.extent))
     proper = [f for f in fits if not f[1].mirrored]
@@ -125,6 +134,14 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
         for t in trials
     )
     return _placed(design, subject, mesh, best, handed, own)
+
+
+def least_sag(window: Window) -> float:
+    """Height (length) of the flattest lens of a window over its cell's middle, edges and corners."""
+    tile = window.lattice.tile()
+    places = np.concatenate([tile, 0.5 * (tile + np.roll(tile, 1, axis=0)), [[0.0, 0.0]]])
+    heights = [lens_height(face, *places.T) for face in window.faces if face.array is not None]
+    return min(float(np.nanmax(h) - np.nanmin(h)) for h in heights)
 
 
 # -- what was found -------------------------------------------------------------------------------------

@@ -126,7 +126,7 @@ def judge_returned(
     window = placed.window
     present = None if len(placed.present) == len(window.bodies) else placed.present
     cutter = Cutter(window, chosen_cells(window))
-    mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count)
+    mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count, placed.pose.residual)
     found = measure(_looked_at(placed, (cutter, mapper), progress), origin=np.zeros(3))
     gathered, mapped = cutter.result, mapper.result()
     checks = [_closed(found.closed, found.facets, name), _scale(design, placed, name)]

@@ -28,14 +28,16 @@ ROOM = 2e-4
 float32, leave corners on the wrong side of a border, and across a step the wrong cell is far off."""
 
 
-def drawn_in(window: Window, inward: Floats) -> Floats:
+def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
     """Displacements (n, 3) that bring corners surely over their own facet's cell.
 
     inward : (n, 3) lengths
         From each corner to the middle of its facet.
+    noise : float, length
+        By which the corners scatter.
     """
     length = np.linalg.norm(inward, axis=1, keepdims=True)
-    room = ROOM * min(window.lattice.pitch)
+    room = max(ROOM * min(window.lattice.pitch), 4.0 * noise)
     share = room / np.where(length > 0.0, length, 1.0)
     return np.asarray(inward * np.clip(share, INWARD, MOST_INWARD))
 
