@@ -35,9 +35,6 @@ LEAST = 0.01
 SQUARE = 0.05
 """Cosine of the angle up to which two planes are at right angles."""
 
-NORMALS = 3
-"""Planes that are tried as the sheet's own."""
-
 FINENESS = 0.7
 """Step of the trial angles over the smallest angle that lenses at the rim can tell."""
 
@@ -181,18 +178,18 @@ def _frame_of(points: Floats, turn: Floats) -> Frame:
 
 
 def _turns(planes: Floats, sample: Sample, points: Floats, window: Window, factors: Floats) -> Iterator[Floats]:
-    """Turns (3, 3), sides first: the least work."""
-    for number, first in enumerate(planes):
-        for second in planes[number + 1 :]:
-            if abs(float(first @ second)) < SQUARE:
-                yield _frame(first, second)
-    for normal in planes[:NORMALS]:
+    """Turns (3, 3): along the lenses where there is a lattice to be seen, else along the part's sides."""
+    for normal in planes:
         across = _frame(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
         thick = float(np.ptp(points @ normal))
         for factor in factors:
             if any(abs(thick * factor / height - 1.0) < 0.05 for height in _heights(window)):
                 for angle in lattice_angles(window, sample, across, factor):
                     yield _about_z(-angle) @ across
+    for number, first in enumerate(planes):
+        for second in planes[number + 1 :]:
+            if abs(float(first @ second)) < SQUARE:
+                yield _frame(first, second)
 
 
 def _heights(window: Window) -> list[float]:

@@ -41,7 +41,7 @@ from clacad.verify.sides import Floats
 if TYPE_CHECKING:
     from clacad.design import Design
 
-PART_OF_SAG = 0.05
+PART_OF_SAG = 0.1
 """A fit whose residual is below this part of the flattest lens's sag is no chance: other poses need not be tried."""
 
 TURNED = radians(10.0)
@@ -71,6 +71,8 @@ class Placed:
         What was found, in words.
     checks : list of Check
         pose and handedness.
+    file : FileMesh or None
+        As it was read, in the file's unit and frame.
     """
 
     window: Window
@@ -82,6 +84,7 @@ class Placed:
     exact: bool
     note: str
     checks: list[Check] = field(default_factory=list)
+    file: FileMesh | None = None
 
 
 def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None) -> Placed:
@@ -133,7 +136,7 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
         np.array_equal(t.axes, np.eye(3)) and t.unit == best[0].unit and bool((np.abs(t.onto) <= room).all())
         for t in trials
     )
-    return _placed(design, subject, mesh, best, handed, own)
+    return _placed(design, subject, mesh, best, handed, own, None if cells is not None else whole)
 
 
 def least_sag(window: Window) -> float:
@@ -172,7 +175,9 @@ def _handedness(subject: Subject, best: Pose, twin: Pose | None, pitch: float) -
     return Check("handedness", "pass", sentence, best.residual, twin.residual, **common)
 
 
-def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool) -> Placed:
+def _placed(
+    design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool, cells_of: Window | None
+) -> Placed:
     trial, pose = best
     pitch = min(trial.window.lattice.pitch)
     limit = design.check.pose * pitch
@@ -184,6 +189,8 @@ def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed:
     cut = "" if trial.whole else "whole cells of a piece cut across cells, "
     whole_sheet = count == design.lattice.count and trial.whole
     which = "all of the design" if whole_sheet else "which of the design's cannot be told, they are alike"
+    if not whole_sheet and cells_of is not None:
+        which = _own_cells(cells_of, window, pose) or which
     note = f"read in {pose.unit}, {cut}{count[0]} x {count[1]} cells ({which})"
     words = _pose_words(pose, design.unit)
     state: State = "pass" if pose.residual <= limit else "fail"
@@ -204,7 +211,7 @@ def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed:
     factor = pose.factor if pose.untouched else 1.0
     if not pose.untouched:
         note += f"; {words}"
-    return Placed(window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed])
+    return Placed(window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed], mesh)
 
 
 def _pose_words(pose: Pose, unit: str) -> str:
@@ -270,6 +277,20 @@ def moved(mesh: FileMesh, pose: Pose) -> FileMesh:
         )
         parts.append(Part(part.name, part.vertices, part.triangles, part.soup, None, places))
     return FileMesh(mesh.format, tuple(parts), None, mesh.name)
+
+
+def _own_cells(whole: Window, window: Window, pose: Pose) -> str:
+    """Which of the design's cells a piece is whose numbers are in the design's own frame; "" where they are not."""
+    if turned_by(pose.turn) > 1e-4 or pose.mirrored or abs(pose.scale - 1.0) > 1e-3:
+        return ""
+    lattice = whole.lattice
+    centres = window.lattice.centres(window.lattice.cells()) - pose.move[:2]
+    cell, x, y = lattice.locate(centres[:, 0], centres[:, 1])
+    room = 1e-3 * min(lattice.pitch)
+    if abs(pose.move[2]) > room or np.hypot(x, y).max() > room or not lattice.contains(cell).all():
+        return ""
+    (i0, j0), (i1, j1) = cell.min(axis=0), cell.max(axis=0)
+    return f"cells {i0} … {i1}, {j0} … {j1} of the design, as it lies"
 
 
 def _inside(subject: Subject, trial: Trial, pose: Pose, mesh: FileMesh) -> tuple[Window, Pose]:
