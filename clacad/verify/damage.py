@@ -71,7 +71,9 @@ class Feature:
             what = f"a {self.kind} of diameter {number(self.size[0])} at {at} in {self.body}"
             what += "" if self.kind == "hole" else f", {number(self.depth)} deep"
         elif self.kind == "opening":
-            what = f"an opening of {number(self.size[0])} x {number(self.size[1])} at {at} through {self.body}"
+            what = (
+                f"an opening of {number(self.size[0])} x {number(self.size[1])} at {at} through {self.body}"
+            )
         else:
             what = f"a step of {number(self.depth)} over {number(self.size[0])} x {number(self.size[1])} at {at} in {self.body}"
         if not self.cells:
@@ -179,9 +181,8 @@ def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArr
             near |= (from_border < room) | (np.abs(from_border - seam) < room)
         beside = ~lattice.contains(cell)
         ours = np.zeros(len(points), dtype=bool)  # beside the cells a border is one only next to a kept cell
-        for step in lattice.steps:
-            for sign in (1, -1):
-                ours |= lattice.contains(cell + sign * np.asarray(step))
+        for step in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
+            ours |= lattice.contains(cell + np.asarray(step))
         on_cells = near & (~beside | ours)
         if window.outline is None:
             inside &= ~beside

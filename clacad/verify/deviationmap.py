@@ -207,9 +207,7 @@ class Mapper:
             for side, face in enumerate((body.front, body.back)):
                 if face.array is not None and body.name in self.present:
                     found.append(self._face(2 * number + side, f"{body.name} {('front', 'back')[side]}"))
-        return DeviationMap(
-            self.unit, self._low, self._high, tuple(found), self._first, self.window.unit
-        )
+        return DeviationMap(self.unit, self._low, self._high, tuple(found), self._first, self.window.unit)
 
     def _face(self, number: int, name: str) -> FaceMap:
         area, total, square, own = self._sums[:, number]

@@ -11,9 +11,9 @@ import numpy as np
 from clacad.export.closed import Measure
 from clacad.export.truth import Integral, body_volume, whole_extent
 from clacad.sheet import Body, Window
+from clacad.trace.facets import Floats, on_land
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.deviation import Deviation, corner_distance
-from clacad.trace.facets import Floats, on_land
 from clacad.verify.gather import Gathered, exact_height, owner
 
 if TYPE_CHECKING:

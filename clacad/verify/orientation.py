@@ -177,7 +177,9 @@ def _frame_of(points: Floats, turn: Floats) -> Frame:
     return Frame(turn, high - low, 0.5 * (low + high))
 
 
-def _turns(planes: Floats, sample: Sample, points: Floats, window: Window, factors: Floats) -> Iterator[Floats]:
+def _turns(
+    planes: Floats, sample: Sample, points: Floats, window: Window, factors: Floats
+) -> Iterator[Floats]:
     """Turns (3, 3): along the lenses where there is a lattice to be seen, else along the part's sides."""
     for normal in planes:
         across = _frame(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])

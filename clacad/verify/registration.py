@@ -176,7 +176,13 @@ def _handedness(subject: Subject, best: Pose, twin: Pose | None, pitch: float) -
 
 
 def _placed(
-    design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool, cells_of: Window | None
+    design: Design,
+    subject: Subject,
+    mesh: FileMesh,
+    best: Fit,
+    handed: Check,
+    own: bool,
+    cells_of: Window | None,
 ) -> Placed:
     trial, pose = best
     pitch = min(trial.window.lattice.pitch)
@@ -211,7 +217,9 @@ def _placed(
     factor = pose.factor if pose.untouched else 1.0
     if not pose.untouched:
         note += f"; {words}"
-    return Placed(window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed], mesh)
+    return Placed(
+        window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed], mesh
+    )
 
 
 def _pose_words(pose: Pose, unit: str) -> str:

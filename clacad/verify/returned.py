@@ -15,11 +15,11 @@ import numpy as np
 from clacad.export.closed import Measure, measure
 from clacad.export.roles import Role
 from clacad.export.truth import whole_extent
+from clacad.trace.facets import Floats
 from clacad.verify.checks import Check, judge, not_run
 from clacad.verify.damage import SHOWN, find_dents, find_features
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.deviationmap import DeviationMap, Mapper
-from clacad.trace.facets import Floats
 from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence, light_checks
@@ -29,6 +29,9 @@ from clacad.verify.registration import Placed
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+SUSPECT = ("shape", "volume", "pieces", "closed", "faithful_rms", "file_law_rms")
+"""Checks that fail where a part is damaged: then it is looked for what was done to it."""
 
 FEATURES = 4
 """Holes and steps that a sentence names; `detail` has all."""
@@ -111,7 +114,7 @@ def judge_placed(
             design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present
         )
         evidence = replace(evidence, facts={**evidence.facts, "role": role})
-        if any(check.id in ("shape", "faithful_rms") and check.state == "fail" for check in found):
+        if any(check.id in SUSPECT and check.state == "fail" for check in found):
             found, evidence = _with_damage(design, placed, found, evidence)
     return [*placed.checks, *found], evidence
 
@@ -129,11 +132,17 @@ def _with_damage(
     facts = {**evidence.facts, "deviation": mapped}
     if not told:
         return checks, replace(evidence, facts=facts)
-    named = [
-        replace(c, sentence=f"{c.sentence}; {told}", detail={**(c.detail or {}), **detail}) if c.id == "shape" else c
-        for c in checks
-    ]  # fmt: skip
+    lost = bool(detail["dents"]) or any(feature["cells"] for feature in detail["features"])
+    named = [_named(c, told, detail, lost) if c.id == "shape" else c for c in checks]
     return named, replace(evidence, facts=facts)
+
+
+def _named(check: Check, told: str, detail: dict[str, Any], lost: bool) -> Check:
+    """The check of shape with what was found; a part that lost cells' faces fails it."""
+    return replace(
+        check, sentence=f"{check.sentence}; {told}", detail={**(check.detail or {}), **detail},
+        state="fail" if lost else check.state,
+    )  # fmt: skip
 
 
 def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[DeviationMap, str, dict[str, Any]]:
