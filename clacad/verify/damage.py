@@ -7,7 +7,7 @@ walls anywhere else were made by someone. Those that hang together are one featu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from clacad.export.filemesh import FileMesh
 from clacad.export.truth import body_extent
-from clacad.feasibility import body_range
 from clacad.lattice import Circle
 from clacad.sheet import Body, Window
 from clacad.verify.gather import levels, owner
-from clacad.verify.sides import STEEP, Floats, Ints, drawn_in, off_faces
+from clacad.verify.sides import STEEP, WIDE, Floats, Ints, believed, drawn_in, off_faces
 
 MILLIMETRE = 1e-3
 MICRON = 1e-6
@@ -35,6 +34,9 @@ TURNS = 0.75
 
 THROUGH = 0.9
 """Part of the material's height over which a wall reaches if it goes through."""
+
+FEWEST = 4
+"""Facets of a wall; fewer are what noise makes."""
 
 SHOWN = 64
 
@@ -103,7 +105,13 @@ def _both(unit: str, unit_m: float) -> Any:
 # -- holes and steps ------------------------------------------------------------------------------------
 
 
-def find_features(window: Window, mesh: FileMesh, factor: float = 1.0, present: Sequence[str] | None = None) -> list[Feature]:  # fmt: skip
+def find_features(
+    window: Window,
+    mesh: FileMesh,
+    factor: float = 1.0,
+    present: Sequence[str] | None = None,
+    noise: float = 0.0,
+) -> list[Feature]:
     """Holes and steps of a part that lies in the design's frame.
 
     Parameters
@@ -115,12 +123,14 @@ def find_features(window: Window, mesh: FileMesh, factor: float = 1.0, present: 
         leaves it.
     factor : float
     present : names of the bodies it holds, or None for all
+    noise : float, length
+        By which corners scatter.
 
     Returns
     -------
     list of Feature, the largest first
     """
-    walls = [_made_walls(window, chunk * factor) for chunk in mesh.chunks()]
+    walls = [_made_walls(window, chunk * factor, noise) for chunk in mesh.chunks()]
     corners = np.concatenate([w for w in walls if len(w)] or [np.empty((0, 3, 3))])
     if not len(corners):
         return []
@@ -135,20 +145,21 @@ def find_features(window: Window, mesh: FileMesh, factor: float = 1.0, present: 
     for k in held:
         mine = corners[number == k]
         for part in _connected(mine, 1e-6 * min(window.lattice.pitch)):
-            feature = _feature(window, window.bodies[k], mine[part])
+            feature = _feature(window, window.bodies[k], mine[part], noise)
             if feature is not None:
                 found.append(feature)
     return sorted(found, key=lambda f: -max(f.size))
 
 
-def _made_walls(window: Window, corners: Floats) -> Floats:
+def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
     """Steep facets (k, 3, 3) that stand where the design has no wall: inside of its rim, off the borders of cells."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
     steep = np.asarray(corners[(np.abs(normal[:, 2]) < STEEP * length) & (length > 0.0)])
     if not len(steep):
         return steep
-    room = OFF_BORDER * min(window.lattice.pitch)
+    steep = steep[believed(steep, noise)]
+    room = OFF_BORDER * min(window.lattice.pitch) + WIDE * noise
     between = levels(window)
     body = np.searchsorted(between, steep[..., 2].mean(axis=1))
     keep = np.zeros(len(steep), dtype=bool)
@@ -210,16 +221,16 @@ def _connected(corners: Floats, room: float) -> list[Ints]:
     return list(np.split(order, np.flatnonzero(np.diff(mine[order])) + 1))
 
 
-def _feature(window: Window, body: Body, corners: Floats) -> Feature | None:
+def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Feature | None:
     """What a connected wall (k, 3, 3) belongs to; None where it is too small to be anything."""
     points = corners.reshape(-1, 3)
     low, high = points.min(axis=0), points.max(axis=0)
     size = high[:2] - low[:2]
     depth = float(high[2] - low[2])
-    if max(float(size.max()), depth) < OFF_BORDER * min(window.lattice.pitch):
+    least = OFF_BORDER * min(window.lattice.pitch) + WIDE * noise
+    if max(float(size.max()), depth) < least or len(corners) < FEWEST:
         return None
-    bottom, top = body_range(window, body)
-    through = depth > THROUGH * (top - bottom) - 2.0 * _relief(window, body)
+    through = depth > THROUGH * _thickness(window, body, points)
     circle = _circle(corners)
     if circle is not None:
         x, y, radius = circle
@@ -232,17 +243,17 @@ def _feature(window: Window, body: Body, corners: Floats) -> Feature | None:
                    (float(size[0]), float(size[1])), depth, cells)  # fmt: skip
 
 
-def _relief(window: Window, body: Body) -> float:
-    """Height (length) of a body's lenses over their cell."""
-    from clacad.sheet import lens_height
-
-    tile = window.lattice.tile()
-    total = 0.0
-    for face in (body.front, body.back):
-        if face.array is not None:
-            z = lens_height(face, *np.concatenate([tile, [[0.0, 0.0]]]).T)
-            total += float(np.nanmax(z) - np.nanmin(z)) if np.isfinite(z).any() else 0.0
-    return total
+def _thickness(window: Window, body: Body, points: Floats) -> float:
+    """Usual height (length) of a body's material at points (n, 3); infinite where it has none."""
+    heights = []
+    for way in (-1.0, 1.0):
+        facing = np.broadcast_to([0.0, 0.0, way], points.shape)
+        off = off_faces(replace(window, bodies=(body,)), points, facing, [body.name])
+        with np.errstate(invalid="ignore"):
+            heights.append(points[:, 2] - off.distance / off.normal[:, 2])
+    thick = heights[1] - heights[0]
+    known = np.isfinite(thick)
+    return float(np.median(thick[known])) if known.any() else np.inf
 
 
 def _circle(corners: Floats) -> tuple[float, float, float] | None:
@@ -349,7 +360,7 @@ def find_dents(
         corners = chunk * factor
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=1)
-        good = np.abs(normal[:, 2]) > STEEP * length
+        good = (np.abs(normal[:, 2]) > STEEP * length) & believed(corners, noise)
         corners, normal = corners[good], normal[good] / length[good, None]
         inward = (corners.mean(axis=1, keepdims=True) - corners).reshape(-1, 3)
         facing, points = np.repeat(normal, 3, axis=0), corners.reshape(-1, 3)

@@ -22,7 +22,7 @@ from clacad.sheet import Window
 from clacad.verify.checks import plain
 from clacad.verify.damage import MICRON, MILLIMETRE, Dent
 from clacad.verify.gather import levels
-from clacad.verify.sides import STEEP, Floats, Ints, drawn_in, off_faces
+from clacad.verify.sides import STEEP, Floats, Ints, believed, drawn_in, off_faces
 
 BINS = 16
 """Bins a side of the folded cell."""
@@ -198,7 +198,8 @@ class Mapper:
         where = (off.face[rows] * self._shape[0] + cell[:, 0]) * self._shape[1] + cell[:, 1]
         for k, weights in enumerate((area, area * value**2)):
             self._cells[k] += np.bincount(where, weights, self._cells[k].size).reshape(self._cells[k].shape)
-        np.maximum.at(self._peaks, where, np.abs(value))
+        told = np.repeat(believed(corners[good], self._noise), 3)[rows]
+        np.maximum.at(self._peaks, where[told], np.abs(value[told]))
 
     def result(self) -> DeviationMap:
         """The maps of the lens faces that the part holds."""

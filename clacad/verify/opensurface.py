@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from clacad.export.filemesh import FileMesh, Floats, Ints
 
+_ODD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0xBF58476D1CE4E5B9))
+
 SECTORS = 36
 """Parts of the round that are looked at."""
 
@@ -68,10 +70,21 @@ def rims(mesh: FileMesh) -> Rims:
 
 
 def _welded(corners: Floats) -> tuple[Floats, Ints]:
-    """Vertices that agree in all bits made one: (v, 3) and facets (t, 3)."""
-    words = np.ascontiguousarray(corners.reshape(-1, 3) + 0.0).view([("", np.uint64, 3)]).ravel()
-    unique, index = np.unique(words, return_inverse=True)
-    return unique.view(np.float64).reshape(-1, 3), index.reshape(-1, 3).astype(np.int64)
+    """Vertices that agree in all bits made one: (v, 3) and facets (t, 3); told by 64-bit hashes of their numbers."""
+    points = np.ascontiguousarray(corners.reshape(-1, 3) + 0.0)
+    words = points.view(np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = words[:, 0] * _ODD[0] ^ (words[:, 1] * _ODD[1] >> np.uint64(7)) ^ words[:, 2] * _ODD[2]
+        mixed = (
+            (mixed ^ (mixed >> np.uint64(31))) * _ODD[1]
+            + words[:, 0]
+            + (words[:, 1] << np.uint64(21)) * _ODD[2]
+        )
+    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
+    if not np.array_equal(points[first][index.ravel()], points):  # two points of one hash: the slow way
+        unique, index = np.unique(points, axis=0, return_inverse=True)
+        return unique, index.reshape(-1, 3).astype(np.int64)
+    return points[first], index.reshape(-1, 3).astype(np.int64)
 
 
 def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:

@@ -151,7 +151,7 @@ def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[Deviati
     bad = mapped.damaged(limit)
     worst = sorted(bad, key=lambda one: -_peak(mapped, one))[:SHOWN]
     dents = find_dents(window, placed.mesh, placed.factor, placed.present, worst, placed.pose.residual) if worst else []  # fmt: skip
-    features = find_features(window, placed.mesh, placed.factor, placed.present)
+    features = find_features(window, placed.mesh, placed.factor, placed.present, placed.pose.residual)
     mapped = replace(mapped, dents=tuple(dents))
     cells = sorted({cell for _, cell in bad})
     told = [f.words(mapped.unit, window.unit) for f in features[:FEATURES]]

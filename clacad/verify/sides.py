@@ -42,6 +42,18 @@ def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
     return np.asarray(inward * np.clip(share, INWARD, MOST_INWARD))
 
 
+WIDE = 8.0
+"""Times the noise that a facet is high over its longest edge if its direction is to be believed."""
+
+
+def believed(corners: Floats, noise: float) -> NDArray[np.bool_]:
+    """Which facets (k, 3, 3) are wide enough for their direction to mean something in spite of noise (length)."""
+    edges = corners - np.roll(corners, 1, axis=1)
+    twice = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    longest = np.sqrt((edges**2).sum(axis=-1).max(axis=1))
+    return np.asarray((longest > 0.0) & (twice > WIDE * noise * longest))
+
+
 @dataclass(frozen=True, eq=False)
 class Off:
     """Points against the faces of a design.
