@@ -17,17 +17,24 @@ from typing import Any
 import numpy as np
 
 from clacad.export.atomic import Stage, canonical_json, safe_name
+from clacad.feasibility import body_range
 from clacad.sheet import Window
 from clacad.verify.checks import plain
+from clacad.verify.damage import MICRON, MILLIMETRE, Dent
 from clacad.verify.gather import levels
-from clacad.verify.posefit import INWARD
-from clacad.verify.sides import STEEP, Floats, Ints, off_faces
+from clacad.verify.sides import STEEP, Floats, Ints, believed, drawn_in, off_faces
 
 BINS = 16
 """Bins a side of the folded cell."""
 
+OUTLIER = 3.0
+"""A cell is damaged if it is off by more than this many times the usual, and the limit besides."""
+
 FEWEST = 4
 """Corners below which a bin says nothing."""
+
+GROSS = 0.25
+"""Part of a body's height beyond which a point is not on the face it looks at."""
 
 MOST = 2_000_000
 """Facets that are looked at; of larger files evenly spread ones."""
@@ -46,6 +53,10 @@ class FaceMap:
         Rms of single corners about their bin's mean.
     cells : (n1, n2)
         Rms deviation of each cell; NaN where it has no corners.
+    peaks : (n1, n2)
+        Largest deviation of a single corner of each cell, whichever way; NaN likewise.
+    number : int
+        Of the face in the order of the light.
     """
 
     name: str
@@ -53,6 +64,22 @@ class FaceMap:
     count: Ints
     noise: float
     cells: Floats
+    peaks: Floats
+    number: int
+
+    def damaged(self, limit: float) -> list[tuple[int, int]]:
+        """Cells (counted from the first) that stand out from their like: by their rms, or by a single corner.
+
+        limit : length
+            What a sound face of this file may be off.
+        """
+        known = np.isfinite(self.cells)
+        if known.sum() < 4:
+            return []
+        with np.errstate(invalid="ignore"):
+            bad = self.cells > OUTLIER * float(np.median(self.cells[known])) + limit
+            bad |= self.peaks > OUTLIER * float(np.median(self.peaks[known])) + 3.0 * limit
+        return [(int(i), int(j)) for i, j in np.argwhere(bad)]
 
     @property
     def systematic(self) -> float:
@@ -81,12 +108,29 @@ class DeviationMap:
     low, high : (2,) lengths
         Bounding box of a cell.
     faces : tuple of FaceMap
+    first : (2,) ints
+        Cell that the maps of cells begin with.
+    unit_m : float
+        One design unit in metres.
+    dents : tuple of Dent
+        Where cells are damaged, the deepest first.
     """
 
     unit: str
     low: Floats
     high: Floats
     faces: tuple[FaceMap, ...]
+    first: Ints
+    unit_m: float
+    dents: tuple[Dent, ...] = ()
+
+    def damaged(self, limit: float) -> list[tuple[int, tuple[int, int]]]:
+        """Number of the face and cell (as the window numbers it) wherever a face of a cell stands out."""
+        return [
+            (face.number, (i + int(self.first[0]), j + int(self.first[1])))
+            for face in self.faces
+            for i, j in face.damaged(limit)
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content: numbers with seven digits, null in empty bins."""
@@ -97,6 +141,7 @@ class DeviationMap:
                  "folded": _grid(f.folded), "count": f.count.tolist(), "cells": _grid(f.cells)}
                 for f in self.faces
             ],
+            "first_cell": self.first.tolist(), "dents": [dent.to_dict(self.unit_m) for dent in self.dents],
         }  # fmt: skip
 
 
@@ -107,10 +152,13 @@ def _grid(values: Floats) -> list[list[float | None]]:
 class Mapper:
     """Looks at chunks of a part and adds them up."""
 
-    def __init__(self, window: Window, unit: str, present: Sequence[str], facets: int) -> None:
-        self.window, self.unit, self.present = window, unit, present
+    def __init__(
+        self, window: Window, unit: str, present: Sequence[str], facets: int, noise: float = 0.0
+    ) -> None:
+        self.window, self.unit, self.present, self._noise = window, unit, present, noise
         self._stride = max(1, facets // MOST)
         self._between = levels(window)
+        self._gross = GROSS * min(high - low for low, high in (body_range(window, b) for b in window.bodies))
         tile = window.lattice.tile()
         self._low, self._high = tile.min(axis=0), tile.max(axis=0)
         faces = 2 * len(window.bodies)
@@ -119,6 +167,7 @@ class Mapper:
         self._first = cells.min(axis=0)
         self._shape = tuple(int(n) for n in np.ptp(cells, axis=0) + 1)
         self._cells = np.zeros((2, faces, self._shape[0] * self._shape[1]))
+        self._peaks = np.zeros(faces * self._shape[0] * self._shape[1])
 
     def look(self, corners: Floats) -> None:
         """Take a chunk (k, 3, 3), sheet frame, design units."""
@@ -128,12 +177,14 @@ class Mapper:
         good = np.abs(normal[:, 2]) > STEEP * length
         facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
         # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
-        middle = corners[good].mean(axis=1, keepdims=True)
         points = corners[good].reshape(-1, 3)
-        asked = (corners[good] + INWARD * (middle - corners[good])).reshape(-1, 3)
-        asked[:, 2] = points[:, 2]
-        off = off_faces(self.window, asked, facing, self.present, self._between)
-        rows = np.flatnonzero(off.known & self.window.lattice.contains(off.cell))
+        inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
+        aside = drawn_in(self.window, inward, self._noise)
+        off = off_faces(self.window, points, facing, self.present, self._between, aside)
+        # a scan's facets on a step may look either way: what is nearer the other side is no deviation of this one
+        with np.errstate(invalid="ignore"):
+            sound = np.abs(off.distance) < self._gross
+        rows = np.flatnonzero(sound & self.window.lattice.contains(off.cell))
         up = np.where(facing[rows, 2] > 0.0, 1.0, -1.0)  # positive: too much material
         value = off.distance[rows] * up
         part = (off.local[rows] - self._low) / (self._high - self._low)
@@ -147,6 +198,8 @@ class Mapper:
         where = (off.face[rows] * self._shape[0] + cell[:, 0]) * self._shape[1] + cell[:, 1]
         for k, weights in enumerate((area, area * value**2)):
             self._cells[k] += np.bincount(where, weights, self._cells[k].size).reshape(self._cells[k].shape)
+        told = np.repeat(believed(corners[good], self._noise), 3)[rows]
+        np.maximum.at(self._peaks, where[told], np.abs(value[told]))
 
     def result(self) -> DeviationMap:
         """The maps of the lens faces that the part holds."""
@@ -155,7 +208,7 @@ class Mapper:
             for side, face in enumerate((body.front, body.back)):
                 if face.array is not None and body.name in self.present:
                     found.append(self._face(2 * number + side, f"{body.name} {('front', 'back')[side]}"))
-        return DeviationMap(self.unit, self._low, self._high, tuple(found))
+        return DeviationMap(self.unit, self._low, self._high, tuple(found), self._first, self.window.unit)
 
     def _face(self, number: int, name: str) -> FaceMap:
         area, total, square, own = self._sums[:, number]
@@ -171,6 +224,8 @@ class Mapper:
         return FaceMap(
             name, mean.reshape(BINS, BINS), count.astype(np.int64).reshape(BINS, BINS), noise,
             cells.reshape(self._shape),
+            np.where(np.isfinite(cells), self._peaks.reshape(len(self._sums[0]), -1)[number], np.nan).reshape(self._shape),
+            number,
         )  # fmt: skip
 
 
@@ -190,24 +245,37 @@ def plot_deviation(found: DeviationMap, title: str) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    microns, mm = found.unit_m / MICRON, found.unit_m / MILLIMETRE
     with rc_context({"font.size": 8.0}):
-        figure = Figure(figsize=(3.6 * len(found.faces), 6.4), layout="constrained", dpi=100)
+        figure = Figure(figsize=(3.6 * len(found.faces), 6.8), layout="constrained", dpi=100)
         FigureCanvasAgg(figure)
-        figure.suptitle(
-            f"{title}: deviation along the normal / {found.unit}; positive is too much material", fontsize=9
-        )
+        figure.suptitle(f"{title}: deviation along the normal; positive is too much material", fontsize=9)
         axes = figure.subplots(2, len(found.faces), squeeze=False)
         for column, face in enumerate(found.faces):
-            most = float(np.nanmax(np.abs(face.folded))) if np.isfinite(face.folded).any() else 1.0
-            x0, y0, x1, y1 = *found.low, *found.high
+            folded = face.folded * microns
+            most = float(np.nanmax(np.abs(folded))) if np.isfinite(folded).any() else 1.0
+            x0, y0, x1, y1 = *(found.low * mm), *(found.high * mm)
             image = axes[0, column].imshow(
-                face.folded.T, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most, extent=(x0, x1, y0, y1)
+                folded.T, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most, extent=(x0, x1, y0, y1)
             )
-            axes[0, column].set_title(f"{face.name}: mean over all cells, noise {face.noise:.2g}", fontsize=8)
-            figure.colorbar(image, ax=axes[0, column])
-            image = axes[1, column].imshow(face.cells.T, origin="lower", cmap="viridis", aspect="equal")
-            axes[1, column].set_title("rms of each cell", fontsize=8)
-            figure.colorbar(image, ax=axes[1, column])
+            axes[0, column].set_title(
+                f"{face.name}: mean over all cells,\nnoise {face.noise * microns:.2g} µm", fontsize=8
+            )
+            axes[0, column].set(xlabel="x in the cell / mm", ylabel="y in the cell / mm")
+            figure.colorbar(image, ax=axes[0, column], label="µm")
+            i0, j0 = (int(v) for v in found.first)
+            n1, n2 = face.cells.shape
+            image = axes[1, column].imshow(
+                (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal",
+                extent=(i0 - 0.5, i0 + n1 - 0.5, j0 - 0.5, j0 + n2 - 0.5),
+            )  # fmt: skip
+            mine = [dent for dent in found.dents if dent.face == face.name]
+            axes[1, column].scatter(*zip(*(d.cell for d in mine), strict=True), marker="s", facecolors="none",
+                                    edgecolors="red") if mine else None  # fmt: skip
+            worst = f"\n{mine[0].words(found.unit_m).split(' is ', 1)[1]}" if mine else ""
+            axes[1, column].set_title(f"rms of each cell{worst}", fontsize=8)
+            axes[1, column].set(xlabel="cell i", ylabel="cell j")
+            figure.colorbar(image, ax=axes[1, column], label="µm")
         out = io.BytesIO()
         figure.savefig(out, format="png", metadata={"Software": "clacad"})
     return out.getvalue()

@@ -24,19 +24,23 @@ from clacad.verify.files import (
     held_bodies,
 )
 from clacad.verify.gather import levels
-from clacad.verify.sides import Floats, off_faces
+from clacad.verify.orientation import Frame, Sample
+from clacad.verify.sides import Floats, Off, drawn_in, off_faces
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
-SAMPLE = 4000
-"""Facets whose corners are fitted."""
-
 TRIALS = 6
 """Turns of each handedness that are fitted; the others are worse before the fit already."""
 
-INWARD = 1e-6
-"""Part of the way to a facet's middle by which its corners are drawn in before they are located."""
+CUT_TRIALS = 8
+"""The same of a piece cut across cells, whose place is not known by its box."""
+
+PIECE_STRIDE = 4
+"""Of the points every so manieth tells which of many places of a piece is nearest."""
+
+STRAY = 0.002
+"""Part of the points by which equally good fits may differ in those that lie on no face."""
 
 STEPS = 12
 PHASES = 6
@@ -55,7 +59,7 @@ class Pose:
     axes : (3, 3)
         The nearest turn of the axes (a signed permutation), det −1 if mirrored.
     turn : (3, 3)
-        With the small rotation found by the fit.
+        The turn itself.
     scale : float
         Size of the part over the design's.
     move : (3,) lengths
@@ -91,21 +95,29 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
+    """A part in one unit, turn and place, before it is fitted: points, facing, inward (n, 3) in design units."""
+
     unit: str
     factor: float
     axes: Floats
+    frame: Frame
     window: Window
     present: tuple[str, ...]
     whole: bool
     points: Floats
     facing: Floats
+    inward: Floats
     onto: Floats
     move: Floats
     between: Floats
     residual: float
 
-    def off(self, points: Floats, facing: Floats) -> Floats:
-        return off_faces(self.window, points, facing, self.present, self.between).distance
+    def off(self, turn: Floats, scale: float, move: Floats) -> Off:
+        """The part against the faces, moved by a similarity."""
+        return off_faces(
+            self.window, self.points @ turn.T / scale + move, self.facing @ turn.T, self.present, self.between,
+            self.inward @ turn.T,
+        )  # fmt: skip
 
 
 def robust(distance: Floats) -> float:
@@ -121,61 +133,6 @@ def robust(distance: Floats) -> float:
 # -- trials ---------------------------------------------------------------------------------------------
 
 
-def sampled(mesh: FileMesh) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Corners (n, 3) and outward normals (n, 3) of some facets, straightened; extent and centre of the box; the turn
-    (3, 3) that straightened them.
-    """
-    stride = max(1, mesh.facet_count // SAMPLE)
-    kept, areas, whole, at = [], np.zeros((3, 3)), np.zeros(3), 0
-    for chunk in mesh.chunks():
-        normal = 0.5 * np.cross(chunk[:, 1] - chunk[:, 0], chunk[:, 2] - chunk[:, 0])
-        area = np.linalg.norm(normal, axis=1)
-        for k in range(3):  # vector area, and area, of the sides that look along ±k
-            looks = np.abs(normal[:, k]) > 0.9 * area
-            areas[k] += (normal[looks] * np.sign(normal[looks, k : k + 1])).sum(axis=0)
-            whole[k] += float(area[looks].sum())
-        kept.append(chunk[(-at) % stride :: stride])
-        at += len(chunk)
-    corners = np.concatenate(kept)
-    lean = _lean(areas, whole)
-    corners = corners @ lean.T
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for chunk in mesh.chunks():
-        turned = chunk.reshape(-1, 3) @ lean.T
-        low, high = np.minimum(low, turned.min(axis=0)), np.maximum(high, turned.max(axis=0))
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1)
-    good = length > 0.0
-    facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
-    # a corner on a border belongs to two columns: a hair towards the facet's middle decides
-    corners = corners + INWARD * (corners.mean(axis=1, keepdims=True) - corners)
-    return corners[good].reshape(-1, 3), facing, high - low, 0.5 * (low + high), lean
-
-
-def _lean(areas: Floats, whole: Floats) -> Floats:
-    """Turn (3, 3) that sets the sides of the part along the axes; the identity where they stand there already.
-
-    The two flattest sides give it: lenses may lean, walls do not.
-
-    areas : (3, 3) vector areas of the sides that look along ±x, ±y, ±z; whole : (3,) their areas
-    """
-    size = np.linalg.norm(areas, axis=1)
-    flat = np.where(whole > 0.0, size / np.where(whole > 0.0, whole, 1.0), 0.0)
-    a, b = sorted(int(k) for k in np.argsort(-flat, kind="stable")[:2])
-    if flat[a] == 0.0 or flat[b] == 0.0:
-        return np.eye(3)
-    unit = np.where(size[:, None] > 0.0, areas / np.where(size > 0.0, size, 1.0)[:, None], np.eye(3))
-    if max(float(np.abs(unit[k] - np.eye(3)[k]).max()) for k in (a, b)) < 1e-3:
-        return np.eye(3)
-    first = unit[a]
-    second = unit[b] - first * (unit[b] @ first)
-    second = second / np.linalg.norm(second)
-    third = np.cross(first, second) * (1.0 if (b - a) % 3 == 1 else -1.0)
-    rows = np.zeros((3, 3))
-    rows[a], rows[b], rows[3 - a - b] = first, second, third
-    return rows
-
-
 def _axes() -> Iterator[Floats]:
     """The 48 signed permutations, the identity first."""
     for order in permutations(range(3)):
@@ -185,53 +142,51 @@ def _axes() -> Iterator[Floats]:
             yield made
 
 
-def order_of(axes: Floats) -> int:
-    """How far a turn of the axes is from none: ties take the least."""
-    return int(round(3.0 - float(np.trace(axes))))
+def order_of(turn: Floats) -> int:
+    """How far a turn is from none, in thousandths: ties take the least."""
+    return int(round(1e3 * (3.0 - float(np.trace(turn)))))
 
 
 def all_trials(
-    design: Design, whole: Window, fixed: bool, subject: Subject, mesh: FileMesh, corners: Floats, facing: Floats,
-    extent: Floats, centre: Floats,
-) -> Iterator[Trial]:  # fmt: skip
-    """Every unit and turn that makes the box of the part the design's, with its distance before any fit."""
+    design: Design, whole: Window, fixed: bool, subject: Subject, mesh: FileMesh, sample: Sample, frame: Frame
+) -> Iterator[Trial]:
+    """Every unit and turn of a frame's axes that makes the box of the part the design's, with its distance before
+    any fit.
+    """
     heights = [whole.z_range[1] - whole.z_range[0]]
     spans = [body_range(whole, body) for body in whole.bodies]
     between = levels(whole)
     heights += [high - low for low, high in spans]
-    own = [("its own unit", mesh.unit)] if mesh.unit is not None and mesh.format in STATED else list(FACTORS)
-    few = slice(None, None, max(1, len(corners) // 3000))
-    for (name, metres), axes in product(own, list(_axes())):
+    few = slice(None, None, max(1, len(sample.corners) // 3000))
+    points, looks, inward = (a[few] @ frame.turn.T for a in (sample.corners, sample.facing, sample.inward))
+    for (name, metres), axes in product(units_of(mesh), list(_axes())):
         factor = metres / design.unit_m
-        size = np.abs(axes) @ extent * factor
+        size = np.abs(axes) @ frame.extent * factor
         made = _fits(design, whole, fixed, heights, size)
         if made is None:
             continue
         window, cut = made
-        points, looks = corners[few] @ axes.T * factor, facing[few] @ axes.T
-        middle = axes @ centre * factor
+        here, way = points @ axes.T * factor, looks @ axes.T
+        told = drawn_in(window, inward @ axes.T * factor)
+        middle = axes @ frame.centre * factor
         places = [
             (present, onto, move)
             for present in held_bodies(window, subject, float(size[2]))
             for onto in [_onto(window, spans, present, middle)]
-            for move in _moves(window, onto, cut, axes)
+            for move in _moves(window, onto, cut, axes if frame.straight else None)
         ]
+        some = slice(None, None, PIECE_STRIDE if cut else 1)
         for present, onto, move in places:
-            off = off_faces(window, points + move, looks, present, between)
+            off = off_faces(window, here[some] + move, way[some], present, between, told[some])
             yield Trial(
-                name,
-                factor,
-                axes,
-                window,
-                present,
-                not cut,
-                points,
-                looks,
-                onto,
-                move,
-                between,
+                name, factor, axes, frame, window, present, not cut, here, way, told, onto, move, between,
                 robust(off.distance),
-            )
+            )  # fmt: skip
+
+
+def units_of(mesh: FileMesh) -> list[tuple[str, float]]:
+    """Names and metres of the units that a file's numbers may be in."""
+    return [("its own unit", mesh.unit)] if mesh.unit is not None and mesh.format in STATED else list(FACTORS)
 
 
 def _fits(
@@ -263,11 +218,11 @@ def _onto(
     return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), z]) - middle
 
 
-def _moves(window: Window, onto: Floats, cut: bool, axes: Floats) -> list[Floats]:
+def _moves(window: Window, onto: Floats, cut: bool, axes: Floats | None) -> list[Floats]:
     """Displacements to try: none (the file's own frame), box onto box, and for a cut piece places within a cell."""
     if not cut:
         reach = 1e-3 * min(window.lattice.pitch)
-        own = np.array_equal(axes, np.eye(3)) and bool((np.abs(onto) <= reach).all())
+        own = axes is not None and np.array_equal(axes, np.eye(3)) and bool((np.abs(onto) <= reach).all())
         return [np.zeros(3)] if own else [onto]
     a1, a2 = np.asarray(window.lattice.a1), np.asarray(window.lattice.a2)
     parts = (np.arange(PHASES) + 0.5) / PHASES - 0.5
@@ -294,14 +249,14 @@ def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, ex
 Fit = tuple[Trial, Pose]
 
 
-def fitted(trial: Trial, lean: Floats) -> Fit:
+def fitted(trial: Trial) -> Fit:
     """Least squares, point to plane: rotation, displacement and scale, wild points given less weight (Huber)."""
-    points, looks = trial.points, trial.facing
+    points = trial.points
     turn, scale, move = np.eye(3), 1.0, trial.move.copy()
     best = (trial.residual, turn, scale, move)
     for _ in range(STEPS):
         here = points @ turn.T / scale + move
-        off = off_faces(trial.window, here, looks @ turn.T, trial.present, trial.between)
+        off = trial.off(turn, scale, move)
         known = np.flatnonzero(off.known)
         if len(known) < 32:
             break
@@ -319,18 +274,49 @@ def fitted(trial: Trial, lean: Floats) -> Fit:
             and np.abs(change[3:6]).max() < 1e-9 * trial.window.lattice.circumradius
         ):
             break
-    residual = robust(trial.off(points @ turn.T / scale + move, looks @ turn.T))
+    residual = robust(trial.off(turn, scale, move).distance)
     if residual < best[0]:
         best = (residual, turn, scale, move)
     residual, turn, scale, move = best
-    straight = np.array_equal(lean, np.eye(3))
-    if straight and not trial.move.any():
-        own = _median(trial.off(points, looks))
+    if trial.frame.straight and not trial.move.any():
+        own = _median(trial.off(np.eye(3), 1.0, trial.move).distance)
         if own <= as_written(trial.window) or trial.residual <= 1.2 * residual:  # the fit adds nothing
             residual, turn, scale, move = trial.residual, np.eye(3), 1.0, trial.move
-    middle = _median(trial.off(points @ turn.T / scale + move, looks @ turn.T))
-    pose = Pose(trial.unit, trial.factor, trial.axes, turn @ trial.axes @ lean, scale, move, residual, middle)
-    return trial, pose
+    middle = _median(trial.off(turn, scale, move).distance)
+    total = turn @ trial.axes @ trial.frame.turn
+    axes = trial.axes if trial.frame.straight else nearest_axes(total)
+    return trial, Pose(trial.unit, trial.factor, axes, total, scale, move, residual, middle)
+
+
+def nearest_axes(turn: Floats) -> Floats:
+    """The turn of the axes (3, 3) nearest to a turn, mirrored if it is."""
+    hand = np.sign(np.linalg.det(turn))
+    alike = [axes for axes in _axes() if np.linalg.det(axes) * hand > 0.0]
+    return max(alike, key=lambda axes: round(float((axes * turn).sum()), 9))
+
+
+def worth_fitting(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials of each handedness that lie nearest, those of equal distance by the least turn; of the places that
+    are tried for a piece in one turn, the best: a wrong turn in a good place may lie nearer than the right in a bad.
+    """
+    best: dict[tuple[object, ...], Trial] = {}
+    for trial in trials:
+        key = (trial.unit, trial.present, trial.axes.tobytes())
+        if key not in best or trial.residual < best[key].residual:
+            best[key] = trial
+    found: list[Trial] = []
+    for hand in (1.0, -1.0):
+        mine = [t for t in best.values() if np.linalg.det(t.axes) * hand > 0.0]
+        if mine:
+            level = _equal(min(t.residual for t in mine), mine[0].window)
+            mine.sort(key=lambda t: (max(t.residual, level), order_of(t.axes @ t.frame.turn), t.residual))
+            found += mine[: TRIALS if mine[0].whole else CUT_TRIALS]
+    return found
+
+
+def _equal(least: float, window: Window) -> float:
+    """Residual up to which fits are as good as the best of them."""
+    return max(1.05 * least + 1e-7 * min(window.lattice.pitch), as_written(window))
 
 
 def _median(distance: Floats) -> float:
@@ -378,9 +364,22 @@ def _rotation(vector: Floats) -> Floats:
 def best_of(fits: Sequence[Fit]) -> Fit:
     """The least residual; among equals, to the rounding of a file as it is written, the least turn."""
     least = min(pose.residual for _, pose in fits)
-    level = max(1.05 * least + 1e-7 * min(fits[0][0].window.lattice.pitch), as_written(fits[0][0].window))
+    level = _equal(least, fits[0][0].window)
     equal = [f for f in fits if f[1].residual <= level]
-    return min(equal, key=lambda f: (order_of(f[1].axes), f[1].residual))
+    if len(equal) > 1:  # lenses a pitch aside are the same lenses, but for the rim
+        strays = [_astray(f, 10.0 * level) for f in equal]
+        equal = [f for f, stray in zip(equal, strays, strict=True) if stray <= min(strays) + STRAY]
+    return min(equal, key=lambda f: (order_of(f[1].turn), f[1].residual))
+
+
+def _astray(fit: Fit, level: float) -> float:
+    """Part of the points of a part that lie on no face of the design."""
+    trial, pose = fit
+    turn = pose.turn @ trial.frame.turn.T @ trial.axes.T
+    off = trial.off(turn, pose.scale, pose.move)
+    flat = off.face >= 0
+    near = np.abs(off.distance) <= level  # NaN is not
+    return 1.0 - float(near[flat].mean()) if flat.any() else 1.0
 
 
 def one_unit(subject: Subject, fits: Sequence[Fit], best: Fit, pitch: float) -> None:

@@ -8,22 +8,22 @@ its box the design's; the best are fitted to the exact faces by least squares, p
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import degrees
+from math import degrees, radians
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.export.filemesh import FileMesh, Part
 from clacad.prescription import prescribe
-from clacad.sheet import Window
+from clacad.sheet import Window, lens_height
 from clacad.verify.checks import Check, State
 from clacad.verify.files import (
     CannotRegister,
     Subject,
 )
+from clacad.verify.orientation import Frame, frames, sampled, sixths
 from clacad.verify.posefit import (
     AS_WRITTEN,
-    TRIALS,
     Fit,
     Pose,
     Trial,
@@ -33,13 +33,19 @@ from clacad.verify.posefit import (
     fitted,
     no_match,
     one_unit,
-    order_of,
-    sampled,
+    units_of,
+    worth_fitting,
 )
 from clacad.verify.sides import Floats
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+PART_OF_SAG = 0.1
+"""A fit whose residual is below this part of the flattest lens's sag is no chance: other poses need not be tried."""
+
+TURNED = radians(10.0)
+"""A part that lies turned by more is said to; less is how it was laid down."""
 
 BETTER = 0.7
 """A mirrored fit must leave less than this part of the best proper one's residual to be called a mirrored part."""
@@ -65,6 +71,8 @@ class Placed:
         What was found, in words.
     checks : list of Check
         pose and handedness.
+    file : FileMesh or None
+        As it was read, in the file's unit and frame.
     """
 
     window: Window
@@ -76,6 +84,7 @@ class Placed:
     exact: bool
     note: str
     checks: list[Check] = field(default_factory=list)
+    file: FileMesh | None = None
 
 
 def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None) -> Placed:
@@ -95,25 +104,30 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
         In no unit and turn the part is this design, or in two units alike.
     """
     whole = prescribe(design) if cells is None else cells
-    corners, facing, extent, centre, lean = sampled(mesh)
-    trials = list(
-        all_trials(design, whole, cells is not None, subject, mesh, corners, facing, extent, centre)
-    )
-    if not trials:
-        raise CannotRegister(no_match(design, whole, subject, mesh, extent))
-    fits = [
-        fitted(trial, lean)
-        for hand in (1.0, -1.0)
-        for trial in sorted(
-            (t for t in trials if np.linalg.det(t.axes) * hand > 0.0),
-            key=lambda t: (t.residual, order_of(t.axes)),
-        )[:TRIALS]
-    ]
+    pitch = min(whole.lattice.pitch)
+    sample, first = sampled(mesh)
+
+    def tried(frame: Frame) -> list[Trial]:
+        return list(all_trials(design, whole, cells is not None, subject, mesh, sample, frame))
+
+    trials = tried(first)
+    fits = [fitted(trial) for trial in worth_fitting(trials)]
+    near = max(as_written(whole), PART_OF_SAG * least_sag(whole))
+    if not any(pose.residual <= near for _, pose in fits):  # it lies askew, scatters, or is another part
+        factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
+        for frame in frames(mesh, sample, whole, factors):
+            fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
+            if any(pose.residual <= near for _, pose in fits):
+                break
+        if whole.lattice.hexagonal and fits:
+            least = min(fits, key=lambda f: f[1].residual)[1]
+            fits += [fitted(t) for frame in sixths(mesh, least.turn) for t in worth_fitting(tried(frame))]
+    if not any(not pose.mirrored for _, pose in fits):
+        raise CannotRegister(no_match(design, whole, subject, mesh, first.extent))
     proper = [f for f in fits if not f[1].mirrored]
     mirrored = [f for f in fits if f[1].mirrored]
     best = best_of(proper)
     twin = best_of(mirrored) if mirrored else None
-    pitch = min(whole.lattice.pitch)
     one_unit(subject, proper, best, pitch)
     handed = _handedness(subject, best[1], None if twin is None else twin[1], pitch)
     # a file whose box lies where the design's does, the arrays' displacement apart, was written in its frame
@@ -122,7 +136,15 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
         np.array_equal(t.axes, np.eye(3)) and t.unit == best[0].unit and bool((np.abs(t.onto) <= room).all())
         for t in trials
     )
-    return _placed(design, subject, mesh, best, handed, own)
+    return _placed(design, subject, mesh, best, handed, own, None if cells is not None else whole)
+
+
+def least_sag(window: Window) -> float:
+    """Height (length) of the flattest lens of a window over its cell's middle, edges and corners."""
+    tile = window.lattice.tile()
+    places = np.concatenate([tile, 0.5 * (tile + np.roll(tile, 1, axis=0)), [[0.0, 0.0]]])
+    heights = [lens_height(face, *places.T) for face in window.faces if face.array is not None]
+    return min(float(np.nanmax(h) - np.nanmin(h)) for h in heights)
 
 
 # -- what was found -------------------------------------------------------------------------------------
@@ -153,7 +175,15 @@ def _handedness(subject: Subject, best: Pose, twin: Pose | None, pitch: float) -
     return Check("handedness", "pass", sentence, best.residual, twin.residual, **common)
 
 
-def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool) -> Placed:
+def _placed(
+    design: Design,
+    subject: Subject,
+    mesh: FileMesh,
+    best: Fit,
+    handed: Check,
+    own: bool,
+    cells_of: Window | None,
+) -> Placed:
     trial, pose = best
     pitch = min(trial.window.lattice.pitch)
     limit = design.check.pose * pitch
@@ -165,14 +195,16 @@ def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed:
     cut = "" if trial.whole else "whole cells of a piece cut across cells, "
     whole_sheet = count == design.lattice.count and trial.whole
     which = "all of the design" if whole_sheet else "which of the design's cannot be told, they are alike"
+    if not whole_sheet and cells_of is not None:
+        which = _own_cells(cells_of, window, pose) or which
     note = f"read in {pose.unit}, {cut}{count[0]} x {count[1]} cells ({which})"
     words = _pose_words(pose, design.unit)
     state: State = "pass" if pose.residual <= limit else "fail"
     sentence = f"{words}; the exact faces are then {pose.residual:.3g} {design.unit} off (robust rms)"
-    if state == "pass" and not np.array_equal(pose.axes, np.eye(3)):
+    if state == "pass" and turned_by(pose.turn) > TURNED:
         state = "fail" if own else "warn"
         sentence += (
-            f"; its box lies as the design's does, but {_turned_words(pose.axes)}"
+            f"; its box lies as the design's does, but {_turned_words(pose.turn)}"
             if own
             else "; it works when it is mounted turned"
         )
@@ -185,7 +217,9 @@ def _placed(design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed:
     factor = pose.factor if pose.untouched else 1.0
     if not pose.untouched:
         note += f"; {words}"
-    return Placed(window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed])
+    return Placed(
+        window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed], mesh
+    )
 
 
 def _pose_words(pose: Pose, unit: str) -> str:
@@ -194,18 +228,20 @@ def _pose_words(pose: Pose, unit: str) -> str:
         return "it lies as the design does"
     names = "xyz"
     parts = []
-    if not np.array_equal(pose.axes, np.eye(3)):
+    rest = turned_by(pose.turn @ pose.axes.T)
+    if rest > TURNED:  # askew: no turn of the axes describes it
+        parts.append(_askew_words(pose.turn))
+    else:
         images = [
             f"{names[j]} → {'-' if pose.axes[i, j] < 0 else ''}{names[i]}"
             for j in range(3)
             for i in range(3)
             if pose.axes[i, j]
         ]
-        parts.append("axes turned: " + ", ".join(images))
-    rest = pose.turn @ pose.axes.T
-    angle = float(np.arccos(np.clip(0.5 * (np.trace(rest) - 1.0), -1.0, 1.0)))
-    if angle > 1e-7:
-        parts.append(f"turned by {degrees(angle):.3g} deg")
+        if not np.array_equal(pose.axes, np.eye(3)):
+            parts.append("axes turned: " + ", ".join(images))
+        if rest > 1e-7:
+            parts.append(f"turned by {degrees(rest):.3g} deg")
     if pose.move.any():
         parts.append("moved by " + ", ".join(f"{v:.4g}" for v in pose.move) + f" {unit}")
     if pose.scale != 1.0:
@@ -213,9 +249,28 @@ def _pose_words(pose: Pose, unit: str) -> str:
     return "; ".join(parts) or "it lies as the design does"
 
 
-def _turned_words(axes: Floats) -> str:
+def turned_by(turn: Floats) -> float:
+    """Angle (radians) of a rotation (3, 3); of a mirrored one, that of its turned mirror image in z."""
+    proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
+    across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
+    return float(np.arctan2(np.linalg.norm(across), np.trace(proper) - 1.0))
+
+
+def _askew_words(turn: Floats) -> str:
+    """The axis and the angle of a turn; of a mirrored part, of what is left when z is reversed."""
+    proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
+    across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
+    length = float(np.linalg.norm(across))
+    angle = degrees(turned_by(turn))
+    if length < 1e-9:
+        return f"turned by {angle:.3g} deg"
+    axis = ", ".join(f"{v:.3g}" for v in across / length)
+    return f"turned by {angle:.4g} deg about ({axis})"
+
+
+def _turned_words(turn: Floats) -> str:
     """What a part in the design's own frame that fits only when turned was made with."""
-    if axes[2, 2] < 0.0:
+    if turn[2, 2] < 0.0:
         return "it fits only upside down: the arrays are exchanged, or the file was turned over"
     return "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was turned"
 
@@ -230,6 +285,20 @@ def moved(mesh: FileMesh, pose: Pose) -> FileMesh:
         )
         parts.append(Part(part.name, part.vertices, part.triangles, part.soup, None, places))
     return FileMesh(mesh.format, tuple(parts), None, mesh.name)
+
+
+def _own_cells(whole: Window, window: Window, pose: Pose) -> str:
+    """Which of the design's cells a piece is whose numbers are in the design's own frame; "" where they are not."""
+    if turned_by(pose.turn) > 1e-4 or pose.mirrored or abs(pose.scale - 1.0) > 1e-3:
+        return ""
+    lattice = whole.lattice
+    centres = window.lattice.centres(window.lattice.cells()) - pose.move[:2]
+    cell, x, y = lattice.locate(centres[:, 0], centres[:, 1])
+    room = 1e-3 * min(lattice.pitch)
+    if abs(pose.move[2]) > room or np.hypot(x, y).max() > room or not lattice.contains(cell).all():
+        return ""
+    (i0, j0), (i1, j1) = cell.min(axis=0), cell.max(axis=0)
+    return f"cells {i0} … {i1}, {j0} … {j1} of the design, as it lies"
 
 
 def _inside(subject: Subject, trial: Trial, pose: Pose, mesh: FileMesh) -> tuple[Window, Pose]:

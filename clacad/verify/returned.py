@@ -12,27 +12,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.export.closed import measure
+from clacad.export.closed import Measure, measure
 from clacad.export.roles import Role
 from clacad.export.truth import whole_extent
 from clacad.trace.facets import Floats
 from clacad.verify.checks import Check, judge, not_run
+from clacad.verify.damage import SHOWN, find_dents, find_features
 from clacad.verify.deviation import FEWER, POINTS, deviation
 from clacad.verify.deviationmap import DeviationMap, Mapper
 from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence, light_checks
 from clacad.verify.meshshape import own_sag_error
+from clacad.verify.opensurface import is_open_surface, rims
 from clacad.verify.registration import Placed
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
+SUSPECT = ("shape", "volume", "pieces", "closed", "faithful_rms", "file_law_rms")
+"""Checks that fail where a part is damaged: then it is looked for what was done to it."""
+
+FEATURES = 4
+"""Holes and steps that a sentence names; `detail` has all."""
+
 ON_FACES = 1e-5
 """Pitches that the corners of a meshed STEP part may lie off: what registration leaves."""
-
-OUTLIER = 3.0
-"""A cell is damaged if its rms deviation exceeds this many times the usual one and the limit besides."""
 
 
 class Cutter(Gatherer):
@@ -98,14 +103,73 @@ def _clipped(points: Floats, polygon: Floats) -> Floats:
 def judge_placed(
     design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
 ) -> tuple[list[Check], MeshEvidence]:
-    """Judge a part that came without a manifest: to rounding where it lies as written, else as what came back."""
+    """Judge a part that came without a manifest: to rounding where it lies as written, else as what came back.
+
+    The role found, that of a scan where the surface is open, is in the evidence's facts ("role").
+    """
     if not placed.exact:
         found, evidence = judge_returned(design, placed, name, rays, progress, role)
     else:
         found, evidence = judge_mesh(
             design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present, role
         )
+        evidence = replace(evidence, facts={**evidence.facts, "role": role})
+        if any(check.id in SUSPECT and check.state == "fail" for check in found):
+            found, evidence = _with_damage(design, placed, found, evidence)
     return [*placed.checks, *found], evidence
+
+
+def _with_damage(
+    design: Design, placed: Placed, checks: list[Check], evidence: MeshEvidence
+) -> tuple[list[Check], MeshEvidence]:
+    """Say where a part is damaged that was judged to rounding."""
+    mapper = Mapper(placed.window, design.unit, placed.present, placed.mesh.facet_count)
+    for chunk in placed.mesh.chunks():
+        mapper.look(chunk * placed.factor)
+    gathered = evidence.gathered
+    limit = design.check.shape * own_sag_error(gathered) if gathered is not None else 0.0
+    mapped, told, detail = _damage(placed, mapper.result(), limit)
+    facts = {**evidence.facts, "deviation": mapped}
+    if not told:
+        return checks, replace(evidence, facts=facts)
+    lost = bool(detail["dents"]) or any(feature["cells"] for feature in detail["features"])
+    named = [_named(c, told, detail, lost) if c.id == "shape" else c for c in checks]
+    return named, replace(evidence, facts=facts)
+
+
+def _named(check: Check, told: str, detail: dict[str, Any], lost: bool) -> Check:
+    """The check of shape with what was found; a part that lost cells' faces fails it."""
+    return replace(
+        check, sentence=f"{check.sentence}; {told}", detail={**(check.detail or {}), **detail},
+        state="fail" if lost else check.state,
+    )  # fmt: skip
+
+
+def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[DeviationMap, str, dict[str, Any]]:
+    """The map with its dents, damage in words ("" for none), and its numbers."""
+    window = placed.window
+    bad = mapped.damaged(limit)
+    worst = sorted(bad, key=lambda one: -_peak(mapped, one))[:SHOWN]
+    dents = find_dents(window, placed.mesh, placed.factor, placed.present, worst, placed.pose.residual) if worst else []  # fmt: skip
+    features = find_features(window, placed.mesh, placed.factor, placed.present, placed.pose.residual)
+    mapped = replace(mapped, dents=tuple(dents))
+    cells = sorted({cell for _, cell in bad})
+    told = [f.words(mapped.unit, window.unit) for f in features[:FEATURES]]
+    if len(features) > FEATURES:
+        told.append(f"{len(features) - FEATURES} more holes and steps")
+    if dents:
+        told.append(f"{len(cells)} cell{'s are' if len(cells) > 1 else ' is'} off by "
+                    f"{'themselves' if len(cells) > 1 else 'itself'}; worst: {dents[0].words(window.unit)}")  # fmt: skip
+    detail = {
+        "damaged": [list(cell) for cell in cells[:SHOWN]], "dents": [dent.to_dict(window.unit) for dent in dents],
+        "features": [feature.to_dict(window.unit) for feature in features],
+    }  # fmt: skip
+    return mapped, "; ".join(told), detail
+
+
+def _peak(mapped: DeviationMap, one: tuple[int, tuple[int, int]]) -> float:
+    face = next(f for f in mapped.faces if f.number == one[0])
+    return float(face.peaks[one[1][0] - mapped.first[0], one[1][1] - mapped.first[1]])
 
 
 def judge_returned(
@@ -123,15 +187,18 @@ def judge_returned(
     rays : int
     progress : callable
         (stage, done 0 … 1).
+    role : Role
+        What it is judged as; an open surface is a scan whatever is said.
     """
     window = placed.window
     present = None if len(placed.present) == len(window.bodies) else placed.present
     cutter = Cutter(window, chosen_cells(window))
-    mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count)
+    mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count, placed.pose.residual)
     found = measure(_looked_at(placed, (cutter, mapper), progress), origin=np.zeros(3))
     gathered, mapped = cutter.result, mapper.result()
-    checks = [_closed(found.closed, found.facets, name), _scale(design, placed, name)]
-    checks.append(_shape(design, gathered, mapped, placed, name))
+    closed, role = _closed(placed, found, name, role)
+    shape, mapped = _shape(design, gathered, mapped, placed, name)
+    checks = [closed, _scale(design, placed, name), shape]
     off = [
         deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
         for k in range(len(gathered.cells))
@@ -143,7 +210,8 @@ def judge_returned(
     light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
     if dark:
         light = [_with_holes(check, dark, len(cutter.result.cells)) for check in light]
-    facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose}
+    facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose, "role": role}
+    facts["noise"] = float(np.nanmax(evidence.forecast)) if np.isfinite(evidence.forecast).any() else 0.0
     return checks + light, replace(evidence, facts=facts)
 
 
@@ -177,23 +245,30 @@ def _with_holes(check: Check, dark: list[str], total: int) -> Check:
     )
 
 
-def _closed(closed: bool, facets: int, name: str) -> Check:
-    common: dict[str, Any] = {"where": "file", "subject": name, "required": False}
-    if facets == 0:
-        return Check("closed", "fail", "the file holds no triangles", **common)
-    if closed:
-        return Check(
-            "closed",
-            "pass",
-            f"every edge of {facets} facets is met once in each direction",
-            0.0,
-            0.0,
-            **common,
+def _closed(placed: Placed, found: Measure, name: str, role: Role) -> tuple[Check, Role]:
+    """Whether the surface is closed; a scan need not be. With the role that was found."""
+    common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
+    if found.facets == 0:
+        return Check("closed", "fail", "the file holds no triangles", **common), role
+    if found.closed:
+        sentence = f"every edge of {found.facets} facets is met once in each direction"
+        return Check("closed", "pass", sentence, 0.0, **common), role
+    rim = rims(placed.mesh if placed.file is None else placed.file)
+    if rim.count == 0:  # the file is closed: corners were told apart only by being moved
+        sentence = f"every edge of {found.facets} facets is met once in each direction"
+        return Check("closed", "pass", sentence, 0.0, **common), role
+    if role is Role.SCAN or is_open_surface(rim, placed.pose.turn):
+        sentence = (
+            "the surface is open or not one mesh: it can be measured, as a scan is, but not made from "
+            f"({rim.count} edges have no partner)"
         )
-    return Check(
-        "closed", "warn", "the surface is open or not one mesh: it can be measured, as a scan is, but not made from",
-        **common,
-    )  # fmt: skip
+        return Check("closed", "warn", sentence, float(rim.count), required=False, **common), Role.SCAN
+    at = ", ".join(f"{v:.6g}" for v in rim.place)
+    sentence = (
+        f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets have no "
+        f"partner, one at ({at}) in file units; a scan would be open all along its rim"
+    )
+    return Check("closed", "fail", sentence, float(rim.count), **common), role
 
 
 def _scale(design: Design, placed: Placed, name: str) -> Check:
@@ -207,12 +282,14 @@ def _scale(design: Design, placed: Placed, name: str) -> Check:
     )  # fmt: skip
 
 
-def _shape(design: Design, gathered: Gathered, mapped: DeviationMap, placed: Placed, name: str) -> Check:
-    """Systematic deviation of the faces, noise apart; and cells that are off by themselves."""
+def _shape(
+    design: Design, gathered: Gathered, mapped: DeviationMap, placed: Placed, name: str
+) -> tuple[Check, DeviationMap]:
+    """Systematic deviation of the faces, noise apart; holes, steps, and cells that are off by themselves."""
     common: dict[str, Any] = {"where": "file", "subject": name, "unit": design.unit}
     systematic = [face.systematic for face in mapped.faces]
     if not systematic or not np.isfinite(systematic).all():
-        return not_run("shape", "too few corners lie where the design has its faces", **common)
+        return not_run("shape", "too few corners lie where the design has its faces", **common), mapped
     worst = mapped.faces[int(np.argmax(systematic))]
     rounding = 1e-6 * max(placed.window.lattice.pitch)
     step = rounding_step(placed) * placed.pose.factor
@@ -225,10 +302,9 @@ def _shape(design: Design, gathered: Gathered, mapped: DeviationMap, placed: Pla
             "corners on exact faces",
         )
     noise = max(face.noise for face in mapped.faces)
-    damaged = _damaged(mapped, limit)
+    mapped, damage, more = _damage(placed, mapped, limit)
     detail = {
-        "systematic": systematic, "noise": noise, "rms": [face.rms for face in mapped.faces],
-        "damaged": [list(cell) for cell in damaged[:64]],
+        "systematic": systematic, "noise": noise, "rms": [face.rms for face in mapped.faces], **more,
     }  # fmt: skip
     sentence = (
         f"averaged over its cells {worst.name} lies up to {worst.systematic:.3g} {design.unit} off the exact face "
@@ -236,19 +312,15 @@ def _shape(design: Design, gathered: Gathered, mapped: DeviationMap, placed: Pla
     )
     if step:
         sentence += f"; its numbers were rounded to {step:.3g}"
-    if damaged:
-        sentence += f"; {len(damaged)} cells are off by themselves, such as {damaged[0]}"
+    if damage:
+        sentence += f"; {damage}"
+    lost = any(feature["cells"] for feature in more["features"])
+    if more["dents"] or lost:
         return Check("shape", "fail", sentence, worst.systematic, limit, detail=detail,
-                     source=source, **common)  # fmt: skip
+                     source=source, **common), mapped  # fmt: skip
     return judge(
-        "shape",
-        worst.systematic,
-        limit,
-        sentence,
-        detail=detail,
-        source=source,
-        **common,
-    )
+        "shape", worst.systematic, limit, sentence, detail=detail, source=source, **common
+    ), mapped  # fmt: skip
 
 
 def rounding_step(placed: Placed) -> float:
@@ -272,17 +344,3 @@ def rounding_step(placed: Placed) -> float:
             break
         found = float(10.0**exponent)
     return found
-
-
-def _damaged(mapped: DeviationMap, limit: float) -> list[tuple[int, int]]:
-    """Cells (numbered from the corner of the part) whose rms deviation stands out from their like."""
-    found: set[tuple[int, int]] = set()
-    for face in mapped.faces:
-        known = np.isfinite(face.cells)
-        if known.sum() < 4:
-            continue
-        usual = float(np.median(face.cells[known]))
-        with np.errstate(invalid="ignore"):
-            bad = face.cells > OUTLIER * usual + limit
-        found |= {(int(i), int(j)) for i, j in np.argwhere(bad)}
-    return sorted(found)
