@@ -64,9 +64,12 @@ class MeshEvidence:
 
 def light_checks(
     design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], found: Measure, name: str, rays: int,
-    progress: Progress, present: Sequence[str] | None, role: Role = Role.MASTER,
+    progress: Progress, present: Sequence[str] | None, role: Role = Role.MASTER, clean: float = np.inf,
 ) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
     """Trace the same rays through the file's triangles and through the exact surfaces.
+
+    clean : radians, what facets of this size make of the direction error if their corners lie on the design; noise in
+    the file's own corners cannot widen the limit of faithfulness beyond it.
 
     Returns
     -------
@@ -117,7 +120,7 @@ def light_checks(
     )
     noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
     checks = judge_light(design, light, role, name, rms=to_law, cells=gathered.cells, noise=noise)
-    checks.append(_faithful_rms(design, evidence, lost, str(main), common))
+    checks.append(_faithful_rms(design, evidence, lost, str(main), clean, common))
     return checks + _faithful_fit(design, evidence, common), evidence
 
 
@@ -134,8 +137,9 @@ def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> B
 
 
 def _faithful_rms(
-    design: Design, evidence: MeshEvidence, lost: list[float], bundle_text: str, common: Mapping[str, Any]
-) -> Check:
+    design: Design, evidence: MeshEvidence, lost: list[float], bundle_text: str, clean: float,
+    common: Mapping[str, Any],
+) -> Check:  # fmt: skip
     rms = evidence.rms
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
         dark = [str(c) for c, r in zip(evidence.cells, rms, strict=True) if np.isnan(r)]
@@ -146,7 +150,7 @@ def _faithful_rms(
             unit="rad", bundle=bundle_text, **common,
         )  # fmt: skip
     worst = int(np.argmax(rms / evidence.forecast))
-    limit = design.check.file_rms * float(evidence.forecast[worst]) + 1e-9
+    limit = design.check.file_rms * min(float(evidence.forecast[worst]), clean) + 1e-9
     sentence = (
         f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces send it "
         f"(cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast {1e3 * evidence.forecast[worst]:.4g}"

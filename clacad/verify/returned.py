@@ -23,7 +23,7 @@ from clacad.verify.deviationmap import DeviationMap, Mapper
 from clacad.verify.gather import Gathered, Gatherer, Progress, chosen_cells, telescopelet
 from clacad.verify.meshfile import judge_mesh
 from clacad.verify.meshlight import MeshEvidence, light_checks
-from clacad.verify.meshshape import own_sag_error
+from clacad.verify.meshshape import clean_forecast, own_sag_error
 from clacad.verify.opensurface import is_open_surface, rims
 from clacad.verify.registration import Placed
 
@@ -207,7 +207,11 @@ def judge_returned(
     if dark and len(dark) < len(off):  # holes in some cells: light is judged where there is a face
         kept = [k for k, d in enumerate(off) if d.complete]
         gathered, off = _only(gathered, kept), [off[k] for k in kept]
-    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
+    clean = np.inf if role is Role.SCAN else clean_forecast(window, gathered, 0, present)
+    light, evidence = light_checks(
+        design, window, gathered, off, found, name, rays, progress, present, role,
+        clean if np.isfinite(clean) else np.inf,
+    )  # fmt: skip
     if dark:
         light = [_with_holes(check, dark, len(cutter.result.cells)) for check in light]
     facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose, "role": role}
