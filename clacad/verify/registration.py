@@ -116,7 +116,7 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
     near = max(written, PART_OF_SAG * least_sag(whole))
 
     def sure() -> bool:
-        return any(pose.residual <= near or pose.median <= written for _, pose in fits)
+        return any(pose.residual <= near or (pose.untouched and pose.median <= written) for _, pose in fits)
 
     if not sure():  # it lies askew, scatters, or is another part
         factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
