@@ -112,12 +112,17 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
 
     trials = tried(first)
     fits = [fitted(trial) for trial in worth_fitting(trials)]
-    near = max(as_written(whole), PART_OF_SAG * least_sag(whole))
-    if not any(pose.residual <= near for _, pose in fits):  # it lies askew, scatters, or is another part
+    written = as_written(whole)
+    near = max(written, PART_OF_SAG * least_sag(whole))
+
+    def sure() -> bool:
+        return any(pose.residual <= near or (pose.untouched and pose.median <= written) for _, pose in fits)
+
+    if not sure():  # it lies askew, scatters, or is another part
         factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
         for frame in frames(mesh, sample, whole, factors):
             fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
-            if any(pose.residual <= near for _, pose in fits):
+            if sure():
                 break
         if whole.lattice.hexagonal and fits:
             least = min(fits, key=lambda f: f[1].residual)[1]
