@@ -116,6 +116,8 @@ def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:
         light = "too little light gets through it" if rms is None else (
             f"light through it is forecast to miss the law by {1e3 * rms:.3g} mrad rms (limit {1e3 * limit:.3g})"
         )  # fmt: skip
+        others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
+        light += f", beyond the limit of {', '.join(others)}" if others else ""
         say(f"warning: {name} was declared a master, and {light}", quiet=False)
 
 

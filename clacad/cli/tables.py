@@ -107,6 +107,9 @@ def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None,
             "too little light gets through to say" if rms is None
             else f"light through it misses the law by {1e3 * rms:.3g} mrad rms{bound}"
         )  # fmt: skip
+    others = [key for key in entry.get("forecast_beyond", ()) if key != "law_rms"]
+    if others:
+        parts.append(f"beyond the limit of {', '.join(others)}")
     if "master_quads" in entry:
         parts.append(_master_text(entry))
     if stored is not None and facets is not None and facets > stored:

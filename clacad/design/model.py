@@ -240,10 +240,10 @@ class CheckSpec:
     allow: tuple[Allowed, ...]
 
     @property
-    def of_light(self) -> tuple[float, float, float, float]:
-        """Limits of light through a file: rms and bias (radians), relative error of eta, error of delta."""
+    def of_light(self) -> tuple[float, float, float, float, float]:
+        """Limits of light through a file: rms and bias (radians), relative error of eta, error of delta, confocality."""
         rms = self.law_rms if self.mesh_law_rms is None else self.mesh_law_rms
-        return rms, self.law_bias, self.eta, self.delta
+        return rms, self.law_bias, self.eta, self.delta, self.confocality
 
 
 @dataclass(frozen=True, slots=True)

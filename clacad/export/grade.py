@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 POWERS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
 """Facet grids a cell side that "auto" chooses from."""
 
-RAYS = 8192
+RAYS = 16384
 POINT_RAYS = 1024
 """Rays over the field, and of each of its nine points."""
 
@@ -46,6 +46,9 @@ PROBE, FINE = 16, 64
 
 NEAR = 1.25
 """A grid whose formula gives up to so many times what is aimed at is traced before it is passed over."""
+
+SLIDE = 1e-3
+"""Trial shift of array 2 over the distance between the lenses."""
 
 CLOSE = 0.04
 """The formula's own error, relative: closer to the limit only a trace tells."""
@@ -63,12 +66,15 @@ class LightLimits:
         Relative error of the ratio of slopes before and behind the sheet.
     offset : float, slope
         Error of the slope that leaves along the axis of the lenses.
+    defocus : float
+        Shift of array 2 along the sheet's normal that would make up for the facets, over the distance of the lenses.
     """
 
     rms: float
     bias: float = inf
     stretch: float = inf
     offset: float = inf
+    defocus: float = inf
 
     @staticmethod
     def of(design: Design) -> LightLimits:
@@ -85,7 +91,7 @@ class Grade:
     quads : int
         Facet grid a cell side; 0: the exact surfaces.
     rms, bias : float, radians
-    stretch, offset : float
+    stretch, offset, defocus : float
         See `LightLimits`; difference to the exact surfaces over the same rays.
     """
 
@@ -94,12 +100,19 @@ class Grade:
     bias: float
     stretch: float
     offset: float
+    defocus: float
 
     def within(self, limits: LightLimits, part: float = 1.0) -> bool:
         """Whether every number is known and within `part` of its limit."""
-        pairs = ((self.rms, limits.rms), (self.bias, limits.bias), (self.stretch, limits.stretch),
-                 (self.offset, limits.offset))  # fmt: skip
-        return all(value <= part * limit for value, limit in pairs)
+        return not self.beyond(limits, part)
+
+    def beyond(self, limits: LightLimits, part: float = 1.0) -> tuple[str, ...]:
+        """Limits that are not kept, by their keys in a design file."""
+        pairs = (
+            ("law_rms", self.rms, limits.rms), ("law_bias", self.bias, limits.bias), ("eta", self.stretch, limits.stretch),
+            ("delta", self.offset, limits.offset), ("confocality", self.defocus, limits.defocus),
+        )  # fmt: skip
+        return tuple(key for key, value, limit in pairs if not value <= part * limit)
 
 
 class Grader:
@@ -246,9 +259,8 @@ class _Light:
 
         seen = trace_facets(bodies, self.rays)
         stretch, offset = self._fitted(seen)
-        return Grade(
-            quads, self._rms(seen), self._bias(lambda rays: trace_facets(bodies, rays)), stretch, offset
-        )
+        bias = self._bias(lambda rays: trace_facets(bodies, rays))
+        return Grade(quads, self._rms(seen), bias, stretch, offset, self._defocus(seen))
 
     def _rms(self, seen: TraceResult) -> float:
         from clacad.law import angle_between
@@ -272,6 +284,41 @@ class _Light:
             if good.sum() >= FEWEST and np.isfinite(expected).all():
                 found.append(float(angle_between(seen.direction[good].mean(axis=0), expected)))
         return max(found, default=nan)
+
+    @cached_property
+    def _slid(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Slopes behind the exact surfaces (n, 2), along the axes of the lenses, their change with the shift of array 2
+        over the distance between the lenses, and whether both are known (n,).
+        """
+        from clacad.rays import Fate, Rays
+        from clacad.trace import trace_sequence
+        from clacad.trace.telescopelet import interfaces
+
+        window = self.window
+        distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+        centre = window.lattice.centres(np.zeros((1, 2), dtype=np.int64))[0]
+        rays = Rays(self.rays.position - [*centre, 0.0], self.rays.direction)
+        through = [
+            trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
+            for slide in (-SLIDE, 0.0, SLIDE)
+        ]
+        low, exact, high = (one.direction @ window.thin.rotation[:, :2] for one in through)
+        good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
+        return exact, (high - low) / (2.0 * SLIDE), good
+
+    def _defocus(self, seen: TraceResult) -> float:
+        """Least-squares shift of array 2, worse axis: one step of Gauss and Newton from the exact surfaces."""
+        from clacad.rays import Fate
+
+        exact, change, good = self._slid
+        both = good & (seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE)
+        if both.sum() < FEWEST:
+            return nan
+        less = seen.direction[both] @ self.window.thin.rotation[:, :2] - exact[both]
+        weight = (change[both] ** 2).sum(axis=0)
+        powered = weight > 1e-12 * float(weight.max())
+        found = (less * change[both]).sum(axis=0) / np.where(powered, weight, 1.0)
+        return float(np.abs(found[powered]).max(initial=0.0))
 
     def _fitted(self, seen: TraceResult) -> tuple[float, float]:
         """Relative error of the ratio of slopes, and error of the slope that leaves along the axis, worse axis."""

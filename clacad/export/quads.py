@@ -171,10 +171,10 @@ def _prospect(grader: Grader, sizes: Sizes, row: Forecast, declared: Mapping[str
     )
 
 
-def _light(grader: Grader, quads: int) -> tuple[float, bool]:
-    """Forecast rms (radians), and whether all that is forecast is within the limits."""
+def _light(grader: Grader, quads: int) -> tuple[float, tuple[str, ...]]:
+    """Forecast rms (radians), and the limits that light is forecast not to keep."""
     if quads > TRACED:
         rms = grader.law_rms(quads)
-        return rms, rms <= grader.limits.rms
+        return rms, () if rms <= grader.limits.rms else ("law_rms",)
     grade = grader.grade(quads)
-    return grade.rms, grade.within(grader.limits)
+    return grade.rms, grade.beyond(grader.limits)

@@ -55,8 +55,8 @@ class Prospect:
     law_rms : float or None, radians
         Rms direction error to the law; None where too little light gets through.
     limit : float, radians
-    fit : bool
-        Whether every forecast of light is within the design's limits.
+    beyond : tuple of str
+        Limits of the design that light is forecast not to keep, by their keys.
     master_quads, master_bytes : int or None
         Facets, and size of the file, that a master of this format would take; None: no grid up to 1024 makes one.
     """
@@ -66,14 +66,14 @@ class Prospect:
     quads: int | None = None
     law_rms: float | None = None
     limit: float = 0.0
-    fit: bool = True
+    beyond: tuple[str, ...] = ()
     master_quads: int | None = None
     master_bytes: int | None = None
 
     @property
     def overstated(self) -> bool:
         """Declared a master though light through it is forecast beyond the limits."""
-        return self.role is Role.MASTER and not self.fit
+        return self.role is Role.MASTER and bool(self.beyond)
 
     def entry(self) -> dict[str, Any]:
         """Keys of a file's entry in the manifest."""
@@ -81,6 +81,8 @@ class Prospect:
         if self.quads is None:
             return told
         told["forecast_law_rms"] = self.law_rms
+        if self.beyond:
+            told["forecast_beyond"] = list(self.beyond)
         if self.overstated:
             told["role_overstated"] = True
         if self.role is Role.PREVIEW:

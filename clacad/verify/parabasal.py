@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 from clacad.rays import Fate, Rays
 from clacad.sheet import PLANE, Window
 from clacad.trace import Interface, trace_sequence
+from clacad.trace.telescopelet import interfaces
 
 Floats = NDArray[np.float64]
+
+__all__ = ["Confocality", "confocality", "interfaces"]
 
 STEP = 2e-3
 """Entrance height of the outer differential rays over the cell's circumradius; half of it for the inner ones."""
@@ -50,29 +53,6 @@ class Confocality:
         return (
             0.0 if np.isnan(self.shift).any() else float(abs(self.shift[0] - self.shift[1])) / self.distance
         )
-
-
-def interfaces(window: Window, slide: Floats | None = None) -> list[Interface]:
-    """Faces of one telescopelet as explicit surfaces, the centre of cell 1 at x = y = 0.
-
-    slide : (3,) lengths or None
-        Displacement of lens 2: its faces, and the plane face of its body.
-    """
-    found = []
-    for body in window.bodies:
-        for face, other, before, after in (
-            (body.front, body.back, 1.0, body.index),
-            (body.back, body.front, body.index, 1.0),
-        ):
-            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
-            vertex = np.asarray(face.vertex) + [*shift, 0.0]
-            owner = other.array if face.array is None else face.array
-            if slide is not None and owner == 1:
-                vertex = vertex + slide
-            found.append(
-                Interface(face.surface, vertex, before, after, None if face.untilted else face.rotation)
-            )
-    return found
 
 
 def confocality(window: Window) -> Confocality:
