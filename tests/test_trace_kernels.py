@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from oracle.windows import beam, biconvex, collection, slab
 
+from clacad import load, prescribe
 from clacad.rays import Fate, Rays
 from clacad.trace import trace
 
@@ -33,6 +34,30 @@ def compare(window, number, seed):
 def test_numpy_and_compiled_paths_give_every_ray_the_same_fate(name):
     result = compare(WINDOWS[name], 4000, 1)
     assert len(np.unique(result.fate)) >= 5
+
+
+@pytest.mark.parametrize("slope", [1e-308, 1e-310, 5e-324])
+@pytest.mark.parametrize("name", ["hexagonal", "tilted-seam", "paper-a-covered"])
+def test_a_slope_so_small_that_distances_overflow_is_traced_like_none(name, slope):
+    """Such rays were MISSED wherever the compiled path had to walk: on land, at steps, into neighbours."""
+    window = prescribe(load(str(DESIGNS / f"{name}.toml")))
+    centres = window.lattice.centres(window.lattice.cells()[:60])
+    pitch = window.lattice.pitch[0]
+    start = np.full((len(centres), 3), window.z_range[0] - pitch)
+    start[:, :2] = centres + np.random.default_rng(0).uniform(-0.5, 0.5, centres.shape) * pitch
+    tiny, none = ([s, -s, 1.0] * np.ones((len(centres), 1)) for s in (slope, 0.0))
+    straight = trace(window, Rays(start, none), path="numpy")
+    assert (straight.fate != Fate.ALIVE).any()
+    for path in ("numpy", "numba"):
+        result = trace(window, Rays(start, tiny), path=path)
+        for column in ("fate", "cell", "order", "surface"):
+            np.testing.assert_array_equal(
+                getattr(result, column), getattr(straight, column), f"{path} {column}"
+            )
+        for column in ("position", "direction", "optical_path"):
+            np.testing.assert_allclose(
+                getattr(result, column), getattr(straight, column), rtol=0, atol=1e-11 * max(1.0, pitch)
+            )
 
 
 @pytest.mark.long

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from oracle.windows import PITCH, SPACING, beam, biconvex, collection, plano, slab
 
+from clacad.cli import main
 from clacad.lattice import Circle
 from clacad.rays import NO_CELL, Fate, Rays
 from clacad.sheet import Baffle, Land
@@ -216,3 +218,36 @@ def test_plano_windows_obey_their_law_for_a_small_bundle():
 def test_unknown_rungs_are_refused():
     with pytest.raises(ValueError, match="rung is 'exact'"):
         trace(biconvex(), Rays([[0, 0, -1]], [[0, 0, 1]]), rung="exact")
+
+
+def test_words_that_the_tracer_does_not_know_are_refused_and_the_known_ones_named():
+    one = Rays([[0, 0, -1]], [[0, 0, 1]])
+    with pytest.raises(ValueError, match='path is \'Numba\', not "numpy", "numba" or None'):
+        trace(biconvex(), one, path="Numba")
+    with pytest.raises(ValueError, match="path is 'gpu'"):
+        trace(biconvex(), one, rung="law", effects=("fresnel",), path="gpu")
+    with pytest.raises(ValueError, match="rung is 'Thin'"):
+        trace(biconvex(), one, rung="Thin", effects=("facets",))
+    with pytest.raises(ValueError, match='normals is \'Vertex\', not "facet" or "vertex"'):
+        trace(biconvex(), one, normals="Vertex")
+
+
+@pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
+def test_a_mesh_and_its_normals_are_refused_where_no_facets_are_traced(rung):
+    one = Rays([[0, 0, -1]], [[0, 0, 1]])
+    with pytest.raises(ValueError, match=f"mesh= is for rung \"mesh\", not '{rung}'"):
+        trace(biconvex(), one, rung=rung, mesh="sheet.stl")
+    with pytest.raises(ValueError, match=f'normals="vertex" is for rung "mesh", not \'{rung}\''):
+        trace(biconvex(), one, rung=rung, normals="vertex")
+
+
+@pytest.mark.parametrize("option", ["--mesh sheet.stl", "--normals vertex", "--search embree"])
+def test_the_command_line_refuses_options_of_facets_on_other_rungs(tmp_path, capsys, option):
+    rays, design = tmp_path / "rays.npz", str(Path(__file__).parents[1] / "designs" / "slab.toml")
+    np.savez(rays, position=[[0.0, 0.0, -1.0]], direction=[[0.0, 0.0, 1.0]])
+    asked = ["trace", design, str(rays), "-o", str(tmp_path / "out.npz"), "--rung", "thin"]
+    assert main([*asked, *option.split()]) == 2
+    said = capsys.readouterr().err
+    assert f"{option.removesuffix(' sheet.stl')}: it is for --rung mesh, not thin" in said
+    assert not (tmp_path / "out.npz").exists()
+    assert main(asked) == 0

@@ -173,6 +173,15 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
         raise BadRays(f"--search {request.search}: it is tree or embree")
     if request.normals not in ("facet", "vertex"):
         raise BadRays(f"--normals {request.normals}: it is facet or vertex")
+    if request.rung != "mesh":
+        facets = "facets" in request.effects
+        given = {
+            "--mesh": request.mesh is not None,
+            "--normals vertex": request.normals == "vertex" and not facets,
+            "--search embree": request.search == "embree",
+        }
+        for option in (name for name, on in given.items() if on):
+            raise BadRays(f"{option}: it is for --rung mesh, not {request.rung}")
     if request.mesh is not None and not request.mesh.is_file():
         raise BadRays(f"{request.mesh}: there is no such file")
     if request.effects:

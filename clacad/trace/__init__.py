@@ -66,9 +66,9 @@ def trace(
     record : bool
         Keep `hits` and `directions` at every face.
     mesh : Mesh, TriangleSoup or path
-        For rung "mesh": the sheet's own, triangles from anywhere, or a file of them (STL, 3MF, PLY, OBJ, GLB).
+        For rung "mesh" only: the sheet's own, triangles from anywhere, or a file of them (STL, 3MF, PLY, OBJ, GLB).
     normals : "facet" or "vertex"
-        Rung "mesh": the facets' own, or the exact ones at the vertices, interpolated.
+        Rung "mesh" only: the facets' own, or the exact ones at the vertices, interpolated.
     threads : int or None
         None: the environment variable CLACAD_THREADS, else every core.
     path : "numpy", "numba" or None
@@ -86,10 +86,10 @@ def trace(
     Raises
     ------
     ValueError
-        An unknown rung, a precision the rung does not have, a mesh missing or of other bodies, or a wavelength outside a material's data.
+        An unknown word, a precision or a mesh the rung does not have, a mesh missing or of other bodies, or a
+        wavelength outside a material's data.
     """
-    if precision not in ("float64", "float32"):
-        raise ValueError(f'precision is {precision!r}, not "float64" or "float32"')
+    _refuse_words(rung, effects, mesh, normals, path, precision)
     single = precision == "float32"
     if single and (rung != "surfaces" or effects or record or path == "numpy"):
         raise ValueError(
@@ -102,8 +102,6 @@ def trace(
             window, rays, rung, effects, record, mesh=mesh, normals=normals, threads=threads, path=path
         )
         return result
-    if rung not in ("law", "thin", "surfaces", "mesh"):
-        raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
     faces = {"law": 1, "thin": 2}.get(rung, 2 * len(window.bodies))
     recorded = faces if record else 0
     if rung == "mesh":
@@ -125,6 +123,25 @@ def trace(
     return ledger.closed()
 
 
+def _refuse_words(
+    rung: object, effects: Sequence[str | Effect], mesh: object, normals: object, path: object, precision: object
+) -> None:
+    """Refuse words that `trace` does not know, and a mesh or its normals where no facets are traced."""
+    if rung not in ("law", "thin", "surfaces", "mesh"):
+        raise ValueError(f'rung is {rung!r}, not "law", "thin", "surfaces" or "mesh"')
+    if path not in (None, "numpy", "numba"):
+        raise ValueError(f'path is {path!r}, not "numpy", "numba" or None')
+    if precision not in ("float64", "float32"):
+        raise ValueError(f'precision is {precision!r}, not "float64" or "float32"')
+    if normals not in ("facet", "vertex"):
+        raise ValueError(f'normals is {normals!r}, not "facet" or "vertex"')
+    facets = any(effect == "facets" or getattr(effect, "rung", None) == "mesh" for effect in effects)
+    if mesh is not None and rung != "mesh":
+        raise ValueError(f'mesh= is for rung "mesh", not {rung!r}')
+    if normals != "facet" and rung != "mesh" and not facets:
+        raise ValueError(f'normals="vertex" is for rung "mesh", not {rung!r}')
+
+
 def _through_mesh(
     window: Window,
     rays: Rays,
@@ -139,8 +156,6 @@ def _through_mesh(
 
     if mesh is None:
         raise ValueError('rung "mesh" needs mesh=')
-    if normals not in ("facet", "vertex"):
-        raise ValueError(f'normals is {normals!r}, not "facet" or "vertex"')
     if isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
     if isinstance(mesh, TriangleSoup):

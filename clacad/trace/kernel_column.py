@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import copysign, inf, isfinite, isnan, nan, sqrt
+from math import copysign, inf, isnan, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ def box_span(
                 return inf, -inf
             continue
         one, two = (low - at) / speed, (high - at) / speed
-        if not (isfinite(one) and isfinite(two)):
+        if isnan(one) or isnan(two):  # infinite is right: the box of a slope that is all but 0
             return inf, -inf
         enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
     return enter, leave
