@@ -124,7 +124,12 @@ def trace(
 
 
 def _refuse_words(
-    rung: object, effects: Sequence[str | Effect], mesh: object, normals: object, path: object, precision: object
+    rung: object,
+    effects: Sequence[str | Effect],
+    mesh: object,
+    normals: object,
+    path: object,
+    precision: object,
 ) -> None:
     """Refuse words that `trace` does not know, and a mesh or its normals where no facets are traced."""
     if rung not in ("law", "thin", "surfaces", "mesh"):

@@ -45,8 +45,8 @@ SLIDE = 1e-3
 """Trial shift of array 2 over the distance between the lenses, for the change of directions with it."""
 
 
-SHIFT_RAYS = 16384
-"""Rays that tell the shift."""
+SHIFT_RAYS = 65536
+"""Rays that tell the shift, at most: the slopes of facets must cancel in it."""
 
 
 @dataclass(frozen=True, eq=False)

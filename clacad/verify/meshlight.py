@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 CELL_RAYS = 4096
+RAYS_A_FACET, MOST_RAYS = 32, 65536
+"""Rays of the bundle over the middle cell for each of its facets, and that many at most."""
+
 LOST = 0.2
 """Share of the design's ALIVE rays that may get lost in the file before that is a failure."""
 
@@ -92,7 +95,7 @@ def light_checks(
     rms, lost, to_law = [], [], []
     for number, cell in enumerate(gathered.cells):
         progress("tracing the triangles", number / len(gathered.cells))
-        count = rays if number == 0 else min(rays, CELL_RAYS)
+        count = len(main.rays) if number == 0 else min(rays, CELL_RAYS)
         seen = light.seen
         if number:
             lit = _moved(window, main, cell, count)
@@ -122,6 +125,11 @@ def light_checks(
     checks = judge_light(design, light, role, name, rms=to_law, cells=gathered.cells, noise=noise)
     checks.append(_faithful_rms(design, evidence, lost, str(main), clean, common))
     return checks + _faithful_fit(design, evidence, common), evidence
+
+
+def _enough(gathered: Gathered) -> int:
+    """Rays that see every facet of a lens many times: only then do the errors of the facets' own slopes cancel in fits."""
+    return min(MOST_RAYS, RAYS_A_FACET * len(gathered.corners(0, 0, 0)))
 
 
 def _rms_between(one: Floats, other: Floats) -> float:
