@@ -83,8 +83,8 @@ def file_verdict(
         word = "failed"
     elif role is Role.SCAN:
         word = "failed" if bad else "passed as scan"
-    elif role is Role.PREVIEW or bad:
-        word = "shape only"
+    elif bad or (role is Role.PREVIEW and (declared or light)):
+        word = "shape only"  # a preview that nobody declared is a forecast: light itself may say more
     else:
         word = "passed as optical master"
     return FileVerdict(
