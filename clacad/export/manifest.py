@@ -35,7 +35,8 @@ class FileRecord:
         What was compared with the design, and agreed, when the file was read back.
     role : mapping
         What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little light gets
-        through), forecast_beyond (keys of the limits not kept), role_overstated (declared a master all the same) and, of previews, master_quads and master_bytes (None: no grid makes a master).
+        through), forecast_beyond (keys of the limits not kept), role_overstated (declared a
+        master all the same) and, of previews, master_quads and master_bytes (None: no grid makes a master).
     """
 
     name: str

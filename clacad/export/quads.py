@@ -158,12 +158,11 @@ def _prospect(grader: Grader, sizes: Sizes, row: Forecast, declared: Mapping[str
     asked = declared.get(row.format)
     if row.quads is None:
         return Prospect(role_of(row.format) if asked is None else asked, asked is not None)
-    rms, fit = _light(grader, row.quads)
-    role = asked if asked is not None else (Role.MASTER if fit else Role.PREVIEW)
-    found = Prospect(
-        role, asked is not None, row.quads, rms if isfinite(rms) else None, grader.limits.rms, fit
-    )
-    if fit and role is Role.MASTER:
+    rms, beyond = _light(grader, row.quads)
+    role = asked if asked is not None else (Role.PREVIEW if beyond else Role.MASTER)
+    known = rms if isfinite(rms) else None
+    found = Prospect(role, asked is not None, row.quads, known, grader.limits.rms, beyond)
+    if role is Role.MASTER and not beyond:
         return found
     needed = grader.foreseen()
     return replace(
