@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
 from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -37,11 +41,36 @@ def test_a_name_that_does_not_exist_is_an_attribute_error():
 
 
 def test_every_module_imports_in_a_clean_checkout():
-    from pathlib import Path
-
     root = Path(clacad.__file__).parent
     for path in sorted(root.rglob("*.py")):
         parts = path.relative_to(root.parent).with_suffix("").parts
         if parts[-1] == "__main__":
             continue
         import_module(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+
+
+def documented(text: str) -> set[str]:
+    """Names listed under Parameters and Attributes of a class's docstring."""
+    lines, found, within = text.splitlines(), set(), False
+    for line, below in pairwise([*lines, ""]):
+        if below.startswith("---"):
+            within = line in ("Parameters", "Attributes")
+        elif within and line[:1].isalpha():
+            for part in re.split(r", (?=\w+ :)", line):
+                found |= {name for name in re.split(r",\s*", part.split(" :")[0]) if name.isidentifier()}
+    return found
+
+
+def test_what_a_class_documents_it_has():
+    """A docstring that lists what is no field, property or argument sends its reader after nothing."""
+    for path in sorted((Path(__file__).parents[1] / "clacad").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            inner = list(ast.walk(node))
+            has = {n.target.id for n in node.body if isinstance(n, ast.AnnAssign)}
+            has |= {n.name for n in node.body if isinstance(n, ast.FunctionDef)}
+            has |= {n.attr for n in inner if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)}
+            has |= {a.arg for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"
+                    for a in n.args.args + n.args.kwonlyargs}  # fmt: skip
+            assert documented(ast.get_docstring(node) or "") <= has, f"{path.name}: {node.name}"

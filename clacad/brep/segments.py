@@ -271,7 +271,7 @@ def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, h
         and columns[1] is not None
         and any(both == (True, True) for both in zip(*solid, strict=True))
     )
-    return PieceShape(curves, walls, joined or _open_join(columns, middle, groups))
+    return PieceShape(curves, walls, joined or _open_join(columns, middle))
 
 
 def _plane_within(strand: Strand, strands: list[Strand]) -> bool:
@@ -299,7 +299,7 @@ def _solid_strips(
     return [first <= i and i + 1 <= last for i in range(strips)]
 
 
-def _open_join(columns: Sequence[Column | None], t: float, groups: list[list[Strand]]) -> bool:
+def _open_join(columns: Sequence[Column | None], t: float) -> bool:
     """Whether two columns surely share material: both are bounded by the same plane or open side."""
     left, right = columns
     if left is None or right is None:

@@ -18,7 +18,7 @@ _FAN = 24  # squares a side of the tracing grid
 def find_rims(window: Window, body: Body) -> tuple[Rim, ...]:
     """Trace every rim of a columnar body's cell, each point exact to rounding."""
     rims = []
-    for kind, function, height in _functions(window, body):
+    for kind, function, height in _functions(body):
         # A rim that touches a corner of the cell to rounding is no rim.
         noise = 32.0 * _EPS * max(abs(window.z_range[0]), abs(window.z_range[1]))
         arcs = trace_zero(partial(_lifted, function, noise), optical_tile(window), height)
@@ -34,7 +34,7 @@ def _lifted(function: Height, by: float, x: Floats, y: Floats) -> Floats:
 Height = Callable[[Floats, Floats], Floats]
 
 
-def _functions(window: Window, body: Body) -> list[tuple[RimKind, Height, Height]]:
+def _functions(body: Body) -> list[tuple[RimKind, Height, Height]]:
     """Give (kind, function > 0 on the lens's side, height on the curve) for each rim a body can have."""
 
     def front(x: Floats, y: Floats) -> Floats:

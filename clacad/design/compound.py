@@ -44,7 +44,7 @@ class Several:
         return f"{one}, or {self._list()}" if self.single else f"{self._list()}, each {one}"
 
     def schema(self) -> JsonSchema:
-        """Return an array of fixed length (or one value)."""
+        """Give the JSON Schema of an array of fixed length (or one value)."""
         n = len(self.names)
         array: JsonSchema = {"type": "array", "items": self.kind.schema(), "minItems": n, "maxItems": n}
         return {"anyOf": [self.kind.schema(), array]} if self.single else array
@@ -98,7 +98,7 @@ class WordOr:
         return " | ".join(f'"{word}"' for word in self.words) + f" | {self.other.allowed(unit)}"
 
     def schema(self) -> JsonSchema:
-        """Return either."""
+        """Give the JSON Schema of either."""
         return {"anyOf": [{"enum": list(self.words)}, self.other.schema()]}
 
     def _other(self, value: object, unit: Unit) -> Any:
@@ -151,7 +151,7 @@ class Table:
         return "{" + ", ".join(f"{key} = ..." for key, _ in self.kinds) + "}"
 
     def schema(self) -> JsonSchema:
-        """Return an object without other keys."""
+        """Give the JSON Schema of an object without other keys."""
         made: JsonSchema = {
             "type": "object",
             "properties": {key: kind.schema() for key, kind in self.kinds},
@@ -181,5 +181,5 @@ class ListOf:
         return f"a list of {self.what}: [{self.kind.allowed(unit)}, ...]"
 
     def schema(self) -> JsonSchema:
-        """Return an array."""
+        """Give the JSON Schema of an array."""
         return {"type": "array", "items": self.kind.schema(), "maxItems": 1000}

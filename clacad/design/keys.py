@@ -59,7 +59,7 @@ class UnitWord:
         return '"m" | "cm" | "mm" | "um" | "nm" | "in", or a length such as "100 mm"'
 
     def schema(self) -> JsonSchema:
-        """Return a string."""
+        """Give the JSON Schema of a string."""
         return {"type": "string", "examples": ["mm", "um", "m", "100 mm"]}
 
 
@@ -80,7 +80,7 @@ class FormatVersion:
         return str(FORMAT)
 
     def schema(self) -> JsonSchema:
-        """Return a constant."""
+        """Give the JSON Schema of a constant."""
         return {"const": FORMAT}
 
 

@@ -62,7 +62,7 @@ class Kind(Protocol):
         """Return what may stand there, in words."""
 
     def schema(self) -> JsonSchema:
-        """Return the JSON Schema of the written value."""
+        """Give the JSON Schema of the written value."""
 
 
 def shown(value: object) -> str:
@@ -121,7 +121,7 @@ class Whole:
         return self.what
 
     def schema(self) -> JsonSchema:
-        """Return an integer with a minimum."""
+        """Give the JSON Schema of an integer with a minimum."""
         return {"description": self.what, "type": "integer", "minimum": self.least, "maximum": self.most}
 
 
@@ -146,7 +146,7 @@ class Word:
         return " | ".join(f'"{word}"' for word in self.words)
 
     def schema(self) -> JsonSchema:
-        """Return an enumeration."""
+        """Give the JSON Schema of an enumeration."""
         return {"enum": list(self.words)}
 
     def _nearest(self, value: str) -> str:
@@ -169,7 +169,7 @@ class Flag:
         return "true | false"
 
     def schema(self) -> JsonSchema:
-        """Return a boolean."""
+        """Give the JSON Schema of a boolean."""
         return {"type": "boolean"}
 
 
@@ -203,5 +203,5 @@ class Text:
         return self.what
 
     def schema(self) -> JsonSchema:
-        """Return a string with its length."""
+        """Give the JSON Schema of a string with its length."""
         return {"description": self.what, "type": "string", "minLength": 1, "maxLength": self.longest}

@@ -68,7 +68,7 @@ class Quantity:
         return f"{self.what} ({start}text with a unit: {units.SHOWN[self.family]})"
 
     def schema(self) -> JsonSchema:
-        """Return number or text, without the range where it depends on the unit."""
+        """Give the JSON Schema of a number or text, without the range where it depends on the unit."""
         number: JsonSchema = {"type": "number"}
         if self.family == "ratio" or (self.family == "angle" and self.degrees):
             number |= (

@@ -73,7 +73,7 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
         least_thickness=least_thickness(window, array),
         corner=corner,
         cover=_cover(margin, zone),
-        rim=_rim(window, array, face, margin),
+        rim=_rim(window, face, margin),
         rim_at=at,
         least_normal_z=_least_normal_z(face, margin, zone),
         f_number=two(abs(f) / w for f, w in zip(focal, width, strict=True)),
@@ -132,7 +132,7 @@ def _cover(margin: Heights, zone: Floats) -> float:
     return share_covered(inside, zone, np.array(pole))
 
 
-def _rim(window: Window, array: int, face: Face, margin: Heights) -> Two:
+def _rim(window: Window, face: Face, margin: Heights) -> Two:
     """Half width of the whole lens along its own axes from its axis, not cut by the cell."""
     far = 8.0 * window.lattice.circumradius
     cx, cy = face.vertex[:2]

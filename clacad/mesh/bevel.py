@@ -195,7 +195,7 @@ def _cut(make: Maker, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corn
     tags = np.concatenate([plan.zone[:, None].astype(np.uint8), part], axis=1)
     triangles, tags = pl.split(plan.triangles, tags, every, number, middle)
     fixed = np.concatenate([plan.fixed, np.ones(len(xy), dtype=bool)])
-    new = settle_inside(make, plan, make.levels(make.heights(xy)))
+    new = settle_inside(make, make.levels(make.heights(xy)))
     plan = replace(plan, xy=every, triangles=triangles, zone=tags[:, 0].astype(bool), fixed=fixed)
     return plan, np.concatenate([lens, new]), np.ascontiguousarray(tags[:, 1:])
 

@@ -63,7 +63,7 @@ def _least(make: Maker, start: tuple[float, float], end: tuple[float, float], qu
     return float(np.clip(shortest(make) / length, 1e-6, 0.05 / quads))
 
 
-def settle_inside(make: Maker, plan: pl.Planar, lens: Ints) -> Ints:
+def settle_inside(make: Maker, lens: Ints) -> Ints:
     """Merge levels closer than the gap at every point by itself."""
     held = np.array([make.held[0], make.held[1], True, True])
     both = np.concatenate([lens, np.broadcast_to(np.array(make.land), lens.shape)], axis=1)

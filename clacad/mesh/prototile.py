@@ -121,7 +121,7 @@ def make_prototile(
     plan = pl.grid(window.lattice, tile, zone, quads, _diagonal(make, zone, quads))
     plan, side_t, levels = with_borders(make, plan, quads)
     lens = make.levels(make.heights(plan.xy))
-    lens = settle_inside(make, plan, lens)
+    lens = settle_inside(make, lens)
     lens = settle_sides(plan, lens, levels)
     material = plan.zone.copy()
     done: list[Curve] = []

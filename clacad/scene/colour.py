@@ -46,7 +46,7 @@ class Colour:
         return '"#rrggbb", or [r, g, b] in linear light from 0 to 1000'
 
     def schema(self) -> JsonSchema:
-        """Return text or three numbers."""
+        """Give the JSON Schema of text or three numbers."""
         number = {"type": "number", "minimum": 0, "maximum": 1000}
         return {
             "anyOf": [

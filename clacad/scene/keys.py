@@ -29,7 +29,7 @@ class Anything:
         return self.what
 
     def schema(self) -> JsonSchema:
-        """Return a schema without restrictions."""
+        """Give a JSON Schema without restrictions."""
         return {"description": self.what}
 
 
@@ -52,7 +52,7 @@ class Numbers:
         return "a list of 2 to 10000 numbers" + (", or of lists of numbers" if self.rows else "")
 
     def schema(self) -> JsonSchema:
-        """Return an array."""
+        """Give the JSON Schema of an array."""
         return {"type": "array", "minItems": 2, "maxItems": 10_000}
 
 
@@ -69,7 +69,7 @@ class NumberOrRow:
         return "a number, or a list of numbers"
 
     def schema(self) -> JsonSchema:
-        """Return either."""
+        """Give the JSON Schema of either."""
         return {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
 
 
@@ -105,7 +105,7 @@ class Size:
         return "a length > 0, or a list of two or three lengths"
 
     def schema(self) -> JsonSchema:
-        """Return either."""
+        """Give the JSON Schema of either."""
         one = LENGTH_ABOVE_0.schema()
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1, "maxItems": 3}]}
 

@@ -120,7 +120,6 @@ class Layout:
         Land on the inside of every border: seam / 2.
     whole_steps : (2,) ints, residual : (2,) lengths
         Displacement of array 1 against array 0 = that many lattice steps plus the residual.
-    shifts : ((x, y), (x, y))
     """
 
     window: Window

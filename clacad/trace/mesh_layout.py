@@ -124,19 +124,19 @@ def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, 
     tiles: list[_Tile] = []
     of, plans = [], []
     for plan, body, meshed in zip(exact.bodies, window.bodies, mesh.bodies, strict=True):
-        own = [_tile(window, body, tiled.maker.tile, plan.level, normals) for tiled in meshed.tiled]
+        own = [_tile(body, tiled.maker.tile, plan.level, normals) for tiled in meshed.tiled]
         sides = [next(k for k, tile in enumerate(own) if _has(tile, side)) for side in (0, 1)]
         of.append([len(tiles) + k for k in sides])
         plans.append(_plan(plan, own, sides))
         tiles += own
-    return replace(exact, bodies=tuple(plans)), _joined(tiles, np.array(of), normals)
+    return replace(exact, bodies=tuple(plans)), _joined(tiles, np.array(of))
 
 
 def _has(tile: _Tile, side: int) -> bool:
     return bool(np.isfinite(tile.heights[..., side]).any())
 
 
-def _tile(window: Window, body: Body, prototile: Prototile, level: float, normals: Normals) -> _Tile:
+def _tile(body: Body, prototile: Prototile, level: float, normals: Normals) -> _Tile:
     """Read a prototile: footprint, levels, parts."""
     plan, step = prototile.plan, prototile.step
     levels = prototile.corner_levels()
@@ -260,7 +260,7 @@ def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
     return best, found
 
 
-def _joined(tiles: list[_Tile], of: Ints, normals: Normals) -> Tiles:
+def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
     table: list[list[float]] = []
     starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
     beside, halves = [], list[Ints]()

@@ -238,7 +238,7 @@ def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
 # -- judging ------------------------------------------------------------------------------------
 
 
-def law_checks(design: Design, seen: Optics, where: str = "surfaces", prefix: str = "") -> list[Check]:
+def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Check]:
     """Judge the law: law_rms, law_bias, spread, eta, delta, tilt, accounting of what was traced."""
     spec, bundle_text = design.check, str(seen.main)
     lost = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
