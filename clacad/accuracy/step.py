@@ -149,7 +149,12 @@ def _cast(
     for count in (1, 1, len(position)):
         began = seconds_of(worker.pid, time.monotonic())
         found = worker.run(
-            "clacad.brep.raycast:cast_rays", path, position[:count], direction[:count], indices, timeout=120.0
+            "clacad.export.raycast:cast_rays",
+            path,
+            position[:count],
+            direction[:count],
+            indices,
+            timeout=120.0,
         )
         taken.append(seconds_of(worker.pid, time.monotonic()) - began)
     return found, taken[0], max(1e-3, taken[2] - taken[1])

@@ -164,7 +164,7 @@ def follow_patches(
     Parameters
     ----------
     path, position, direction, indices, low, high
-        As for `clacad.brep.raycast.follow_rays`.
+        As for `clacad.export.raycast.follow_rays`.
     window : Window
     faces : sequence of int
         Which faces of the window the light meets, one after another.
@@ -172,7 +172,7 @@ def follow_patches(
     Returns
     -------
     dict of lists
-        What `clacad.brep.raycast.follow_rays` says; `curved` is everywhere true.
+        What `clacad.export.raycast.follow_rays` says; `curved` is everywhere true.
     """
     patches = _kept(path, tuple(low), tuple(high))
     place, way = np.array(position, dtype=np.float64), np.array(direction, dtype=np.float64)

@@ -33,7 +33,7 @@ MARGIN = 0.1
 """Pitches round a telescopelet in which faces are looked for."""
 
 SECONDS = 600.0
-KERNEL, TEXT = "clacad.brep.raycast:follow_rays", "clacad.export.patch_rays:follow_patches"
+KERNEL, TEXT = "clacad.export.raycast:follow_rays", "clacad.export.patch_rays:follow_patches"
 
 
 def point_rays(window: Window) -> int:
