@@ -322,7 +322,7 @@ def test_without_room_both_formats_say_what_is_missing_and_write_nothing(tmp_pat
 
 def test_verification_accepts_engraved_files_and_states_what_the_letters_take(exported) -> None:
     design, manifest = exported
-    report = verify(design, manifest.folder / "plano.marked.3mf", rays=2048)
+    report = verify(design, manifest.folder / "plano.marked.3mf", rays=2048, role="preview")
     assert not [check.id for check in report.checks if check.state == "fail" and check.where == "file"]
     (check,) = (check for check in report.checks if check.id == "volume")
     taken = sum(mark["volume"] for mark in entry_of(manifest, "plano.marked.3mf")["marks"].values())
@@ -358,7 +358,7 @@ def test_an_engraved_step_part_that_came_alone_has_lost_its_letters_and_nothing_
     export(design, tmp_path / "x", ("marked",))
     one = shutil.copy(tmp_path / "x" / "plano.array2.marked.step", tmp_path / "returned.step")
     checks = {
-        check.id: check for check in verify(design, files=one, rays=1024).checks if check.where == "file"
+        check.id: check for check in verify(design, files=one, rays=1024, role="preview").checks if check.where == "file"
     }
     assert not [check for check in checks.values() if check.state == "fail"]
     assert "array2" in checks["volume"].sentence
@@ -387,7 +387,7 @@ border = 4
     design = clacad.load(tmp_path / "thin.toml")
     export(design, tmp_path / "x", ("stl-parts",), quads=16)
     one = shutil.copy(tmp_path / "x" / "thin.array1.stl", tmp_path / "returned.stl")
-    report = verify(design, files=one, rays=1024)
+    report = verify(design, files=one, rays=1024, role="preview")
     assert not [check.id for check in report.checks if check.state == "fail"]
 
 

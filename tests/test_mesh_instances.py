@@ -279,7 +279,7 @@ def test_a_sheet_of_40_000_cells_is_read_and_judged_without_expanding_it(large, 
     holds = evidence.facts["holds"]
     assert (holds["objects"], holds["placements"], holds["shells"]) == (2, 80_000, 80_000)
     assert holds["facets_stored"] == mesh.stored_count
-    assert holds["words"].startswith("80000 instances of 2 objects")
+    assert holds["words"].startswith("80,000 instances of 2 objects")
     # the two columns of a cell, each 40,000 times
     window = prescribe(LARGE)
     exact = sum(body_volume(window, body).value for body in window.bodies)

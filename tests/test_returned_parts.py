@@ -67,7 +67,7 @@ def facets(made, quads=8):
     return np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
 
 
-def judged(tmp_path, made, triangles, role=Role.MASTER):
+def judged(tmp_path, made, triangles, role=Role.PREVIEW):
     path = tmp_path / "part.stl"
     write_stl(path, triangles)
     placed = place(made, find_files(path).subjects[0], read_mesh(path), None)

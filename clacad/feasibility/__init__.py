@@ -57,7 +57,7 @@ def feasibility(window: Window) -> Feasibility:
         offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
         diffraction_blur=two(wave / lit),
         first_zero=two(wave * first_zeros(zone)),
-        fresnel_number=min(fresnel),
+        fresnel_number=float(min(fresnel)),
         pixel=float(np.sqrt(wave * VIEWING_DISTANCE / window.unit / back)),
         wavelength=wave * window.unit,
     )

@@ -197,7 +197,8 @@ def light_checks(
     found : FileLight
         Of the cell lit most.
     role : Role
-        A master fails beyond a limit; a preview is warned of. A scan's noise is told apart.
+        A master fails beyond a limit; a preview is warned of. A scan fails by the part of its rms that its facets and
+        their noise do not explain; of the rest it is warned.
     subject : str
         File name.
     what : str
@@ -213,6 +214,8 @@ def light_checks(
         *_fitted(design, found, what, common), _confocality(design, found, common),
         _throughput(design, found, what, common),
     ]  # fmt: skip
+    if role is Role.SCAN:  # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
+        return [checks[0], *(softened(check) for check in checks[1:])]
     return [softened(check) if role is Role.PREVIEW else check for check in checks]
 
 

@@ -26,7 +26,7 @@ def tiny() -> Design:
 def failed(files: Path, design: Design | None = None) -> set[str]:
     """Checks that fail; "refused" where the file is not even recognised as this design's."""
     try:
-        report = verify(design or tiny(), files, rays=2048)
+        report = verify(design or tiny(), files, rays=2048, role="preview")
     except (CannotRegister, ExportError) as error:
         return {"refused"} if error.exit_status in (1, 2) else set()
     assert report.exit_status == int(not report.passed)
