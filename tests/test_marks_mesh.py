@@ -18,6 +18,7 @@ from clacad.cli.app import app
 from clacad.export import export
 from clacad.export.errors import NotPossible
 from clacad.export.readers import read_mesh
+from clacad.export.roles import Role
 from clacad.export.stl import FACET, HEADER, write_stl
 from clacad.fixture import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
 from clacad.fixture.letters import CHORD, Engraving, polygons
@@ -334,7 +335,7 @@ def judged_alone(design, path: Path):
     """A file without a manifest: the bodies it is taken to hold, and its checks by name."""
     subject = find_files(path).subjects[0]
     placed = place(design, subject, read_mesh(path), None)
-    found, _ = judge_placed(design, placed, path.name, 1024, lambda *_: None)
+    found, _ = judge_placed(design, placed, path.name, 1024, lambda *_: None, Role.PREVIEW)
     return placed, {check.id: check for check in found}
 
 
@@ -358,7 +359,9 @@ def test_an_engraved_step_part_that_came_alone_has_lost_its_letters_and_nothing_
     export(design, tmp_path / "x", ("marked",))
     one = shutil.copy(tmp_path / "x" / "plano.array2.marked.step", tmp_path / "returned.step")
     checks = {
-        check.id: check for check in verify(design, files=one, rays=1024, role="preview").checks if check.where == "file"
+        check.id: check
+        for check in verify(design, files=one, rays=1024, role="preview").checks
+        if check.where == "file"
     }
     assert not [check for check in checks.values() if check.state == "fail"]
     assert "array2" in checks["volume"].sentence

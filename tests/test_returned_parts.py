@@ -92,10 +92,11 @@ def test_a_copy_of_an_exported_mesh_lies_as_it_was_written(tmp_path, which):
         copy = tmp_path / f"copy.{suffix}"
         copy.write_bytes(source.read_bytes())
         placed = place(made, find_files(copy).subjects[0], read_mesh(copy), None)
-        found, _ = judge_placed(made, placed, copy.name, RAYS, lambda *_: None)
+        found, _ = judge_placed(made, placed, copy.name, RAYS, lambda *_: None, Role.PREVIEW)
         assert placed.pose.untouched, suffix
         assert placed.exact
-        assert not [check.id for check in found if check.state in ("fail", "warn")], suffix
+        coarse = [check.id for check in found if check.state == "warn" and check.id.startswith("file_")]
+        assert not {check.id for check in found if check.state in ("fail", "warn")} - set(coarse), suffix
 
 
 def test_a_dent_in_a_symmetric_sheet_is_named_where_it_is(tmp_path):
@@ -347,7 +348,7 @@ def test_a_mesh_that_lacks_one_facet_is_broken_and_no_scan(tmp_path):
     )
     edges = 0.5 * (triangles[gap] + np.roll(triangles[gap], -1, axis=0)) + [0.0, 0.0, 50.0]
     assert np.linalg.norm(edges - place_told, axis=1).min() < 1e-4
-    assert evidence.facts["role"] is Role.MASTER
+    assert evidence.facts["role"] is Role.PREVIEW
     report = verify(made, tmp_path / "part.stl", rays=RAYS)
     assert not report.passed
 

@@ -75,7 +75,12 @@ def test_walls_of_islands_are_planes_where_the_arc_leaves_the_web_steeply(tmp_pa
         if pcurves:
             assert found["volume"] == pytest.approx(exact, rel=1e-10)
         integral = body_volume(sheet, sheet.bodies[0])  # what an export holds the file to, either way
-        assert compare_step(facts, found, sheet, integral, "x.step") == ("closed", "shape", "placement", "volume")
+        assert compare_step(facts, found, sheet, integral, "x.step") == (
+            "closed",
+            "shape",
+            "placement",
+            "volume",
+        )
 
 
 def test_solids_of_the_package_are_parts_like_any_other():

@@ -214,7 +214,9 @@ def light_checks(
         *_fitted(design, found, what, common), _confocality(design, found, common),
         _throughput(design, found, what, common),
     ]  # fmt: skip
-    if role is Role.SCAN:  # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
+    if (
+        role is Role.SCAN
+    ):  # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
         return [checks[0], *(softened(check) for check in checks[1:])]
     return [softened(check) if role is Role.PREVIEW else check for check in checks]
 

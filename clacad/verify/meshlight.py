@@ -87,7 +87,7 @@ def light_checks(
         design,
         window,
         lambda lit: trace_facets(held, lit.rays),
-        rays,
+        max(rays, _enough(gathered)),
         min(rays, POINT_RAYS),
         gathered.cells[0],
     )
@@ -129,7 +129,10 @@ def light_checks(
 
 def _enough(gathered: Gathered) -> int:
     """Rays that see every facet of a lens many times: only then do the errors of the facets' own slopes cancel in fits."""
-    return min(MOST_RAYS, RAYS_A_FACET * len(gathered.corners(0, 0, 0)))
+    finest = max(
+        (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
+    )
+    return min(MOST_RAYS, RAYS_A_FACET * finest)
 
 
 def _rms_between(one: Floats, other: Floats) -> float:

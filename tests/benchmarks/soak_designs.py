@@ -113,7 +113,9 @@ def judge(number: int, folder: Path) -> tuple[str, str]:
         design = Design.from_dict(draw(number))
         export(design, folder, formats=formats_of(number), quads=8)
         with contextlib.nullcontext() if number % FULL_EVERY == 0 else without_curves():
-            report = verify(design, folder, rays=16384, role={"stl": "preview", INDEXED[number % 3]: "preview"})
+            report = verify(
+                design, folder, rays=16384, role={"stl": "preview", INDEXED[number % 3]: "preview"}
+            )
     except LimitRefused as refusal:
         return "refused", str(refusal).strip().splitlines()[0]
     except DesignError as refusal:

@@ -31,7 +31,7 @@ def test_a_mesh_is_a_master_where_light_through_its_triangles_keeps_the_limits(
 ) -> None:
     row = meshes.judged(sheets.sheet(name), quads, tmp_path / "made")
     assert row.agrees, row
-    assert row.stated == pytest.approx(row.rms, rel=0.03)
+    assert row.stated == pytest.approx(row.rms, rel=0.06)  # of two samples of rays
 
 
 @pytest.mark.parametrize("name", [
