@@ -12,13 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from clacad.export.errors import ExportError
+from clacad.export.truth import whole_extent
 from clacad.feasibility import feasibility
 from clacad.prescription import prescribe
 from clacad.sheet import Window
 from clacad.verify.checks import Check, State, not_run
 from clacad.verify.filelight import IDS
-from clacad.verify.files import Subject
+from clacad.verify.files import CannotRegister, Subject
 from clacad.verify.gather import Progress
 from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.registration import Placed, place
@@ -32,6 +35,9 @@ __all__ = ["judge_turned", "lies_elsewhere"]
 
 FINE = 400.0
 """Facets are made this many times flatter than the flatter lens is high."""
+
+LARGER = 2.0
+"""Diagonal of the box round a part over the design's beyond which it is no turn of it (√3 is the most), nor a piece."""
 
 SCALE = 1e-5
 """Relative error of size that registration leaves."""
@@ -63,6 +69,7 @@ def judge_turned(
     kept = [check for check in checks if check.id in KEPT]
     whole = prescribe(design) if window is None else window
     sag = min(lens.sag for lens in feasibility(whole).lenses) * design.unit_m / MILLIMETRE
+    _refuse_larger(whole, subject, {} if facts is None else facts)
     progress("meshing the solids", 0.0)
     with tempfile.TemporaryDirectory(prefix="clacad-") as folder:
         target = Path(folder) / "part.stl"
@@ -87,6 +94,26 @@ def judge_turned(
         found += _through_faces(design, placed, subject, rays, Path(folder) / "part.brep", progress)
     kept = [_with_holes(check, placed, {} if facts is None else facts) for check in kept]
     return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+
+
+def _refuse_larger(window: Window, subject: Subject, facts: Mapping[str, Any]) -> None:
+    """Refuse what is too large to be the design however it lies: its facets would fill the memory.
+
+    Raises
+    ------
+    CannotRegister
+    """
+    box = facts.get("box")
+    if box is None:
+        return
+    size = np.abs(np.subtract(box[1], box[0]))
+    x0, x1, y0, y1 = whole_extent(window)
+    want = np.array([x1 - x0, y1 - y0, window.z_range[1] - window.z_range[0]]) * window.unit / MILLIMETRE
+    if float(np.linalg.norm(size)) > LARGER * float(np.linalg.norm(want)):
+        measured, asked = (" x ".join(f"{v:.4g}" for v in one) for one in (size, want))
+        raise CannotRegister(
+            f"{subject.name} measures {measured} mm and the design {asked} mm, whichever way it is turned"
+        )
 
 
 def _through_faces(

@@ -493,8 +493,9 @@ def _stale(format: str) -> Make:
 
 # -- solids ---------------------------------------------------------------------------------------------
 
+SMALL = "a pole lifted by 1e-4 of the pitch"
 TEXTS: dict[str, Callable[[str], str]] = {
-    "a pole lifted by 1e-4 of the pitch": lambda text: mu.pole_lifted(text, 5e-5),
+    SMALL: lambda text: mu.pole_lifted(text, 5e-5),
     "a pole lifted by 1 % of the pitch": lambda text: mu.pole_lifted(text, 5e-3),
     "lens patches exchanged": mu.patches_exchanged,
     "a face left out": mu.face_left_out,
@@ -557,7 +558,9 @@ def _solids() -> Iterator[Case]:
         yield Case(f"copy: pair step instanced {how}", "pair", "master", _as_written(how, step="instanced"))
         yield Case(f"copy: pair step 2 x 150 {how}", "pair", "master", _as_written(how, **LONG))
         for what, change in TEXTS.items():
-            yield Case(f"{what}: slab step {how}", "slab", "fail", _text(how, change))
+            # 12 nm in the middle of one lens turn light by .05 mrad: no defect but to a manifest that vouches for the bytes
+            right = "master" if how == "alone" and what == SMALL else "fail"
+            yield Case(f"{what}: slab step {how}", "slab", right, _text(how, change))
         for what, change in PLACES.items():
             yield Case(
                 f"{what}: pair step instanced {how}", "pair", "fail", _text(how, change, step="instanced")
