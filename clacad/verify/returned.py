@@ -114,9 +114,16 @@ def judge_placed(
             design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present, role
         )
         evidence = replace(evidence, facts={**evidence.facts, "role": role})
-        if any(check.id in SUSPECT and check.state == "fail" for check in found):
+        if any(check.id == "closed" and check.state == "fail" for check in found) and _measured(placed, role):
+            found, evidence = judge_returned(design, placed, name, rays, progress, role)
+        elif any(check.id in SUSPECT and check.state == "fail" for check in found):
             found, evidence = _with_damage(design, placed, found, evidence)
     return [*placed.checks, *found], evidence
+
+
+def _measured(placed: Placed, role: Role) -> bool:
+    """Whether what lies as written and is not closed is a surface that was measured."""
+    return role is Role.SCAN or is_open_surface(rims(placed.mesh), placed.pose.turn)
 
 
 def _with_damage(
