@@ -435,13 +435,15 @@ def _judge_faces(
 ) -> tuple[list[Check], FileReport]:
     """Judge a STEP or BREP file."""
     found, facts = judge_solid(design, whole, subject.path, subject.entry, progress, rays, subject.role)
-    if not subject.entry and lies_elsewhere(found):
+    stands = facts.get("placement", {"lenses": None})
+    if not subject.entry and (lies_elsewhere(found) or stands["lenses"] == 0):
         found, evidence, placed = judge_turned(design, window, subject, found, rays, progress, facts)
         if placed is not None:
             return found, FileReport(
                 subject, placed.note, evidence, facts, window=placed.window, present=placed.present
             )
-    return found, FileReport(subject, solid=facts)
+    held = tuple(name for name in stands.get("bodies", ()) if not subject.entry)
+    return found, FileReport(subject, solid=facts, present=held or None)
 
 
 def _judge_triangles(
