@@ -298,7 +298,8 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     assert "x → z" in about["pose"].sentence
     assert "4 x 3 cells" in report.files[0].note
     assert {
-        about[n].state for n in ("readable", "closed", "handedness", "scale", "shape", "faithful_rms", "file_law_eta")
+        about[n].state
+        for n in ("readable", "closed", "handedness", "scale", "shape", "faithful_rms", "file_law_eta")
     } == {"pass"}
     assert about["shape"].limit < 2e-5
     (tmp_path / "bare.step").write_bytes(made.read_bytes())
