@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.export.errors import ExportError
-from clacad.export.truth import whole_extent
 from clacad.feasibility import feasibility
 from clacad.prescription import prescribe
 from clacad.sheet import Window
 from clacad.verify.checks import Check, State, not_run
 from clacad.verify.filelight import IDS
-from clacad.verify.files import CannotRegister, Subject
+from clacad.verify.files import Subject
 from clacad.verify.gather import Progress
 from clacad.verify.meshlight import MeshEvidence
 from clacad.verify.registration import Placed, place
@@ -36,8 +35,8 @@ __all__ = ["judge_turned", "lies_elsewhere"]
 FINE = 400.0
 """Facets are made this many times flatter than the flatter lens is high."""
 
-LARGER = 2.0
-"""Diagonal of the box round a part over the design's beyond which it is no turn of it (√3 is the most), nor a piece."""
+COARSE = 1e-6
+"""Facets need be no flatter than this part of the diagonal of the box round the part."""
 
 SCALE = 1e-5
 """Relative error of size that registration leaves."""
@@ -68,15 +67,14 @@ def judge_turned(
 
     kept = [check for check in checks if check.id in KEPT]
     whole = prescribe(design) if window is None else window
-    sag = min(lens.sag for lens in feasibility(whole).lenses) * design.unit_m / MILLIMETRE
-    _refuse_larger(whole, subject, {} if facts is None else facts)
+    deflection = _deflection(whole, {} if facts is None else facts)
     progress("meshing the solids", 0.0)
     with tempfile.TemporaryDirectory(prefix="clacad-") as folder:
         target = Path(folder) / "part.stl"
         try:
             with Worker() as worker:
                 worker.run(
-                    "clacad.export.step_facets:facets", str(subject.path), str(target), sag / FINE, timeout=SECONDS,
+                    "clacad.export.step_facets:facets", str(subject.path), str(target), deflection, timeout=SECONDS,
                     progress=progress,
                 )  # fmt: skip
         except (ExportError, OSError) as error:
@@ -96,24 +94,13 @@ def judge_turned(
     return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
 
 
-def _refuse_larger(window: Window, subject: Subject, facts: Mapping[str, Any]) -> None:
-    """Refuse what is too large to be the design however it lies: its facets would fill the memory.
-
-    Raises
-    ------
-    CannotRegister
+def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
+    """Largest distance (mm) of facets from a part's faces: fine beside the flatter lens, but not beside a part that is no
+    such sheet at all (one in another unit, say), whose facets would fill the memory.
     """
-    box = facts.get("box")
-    if box is None:
-        return
-    size = np.abs(np.subtract(box[1], box[0]))
-    x0, x1, y0, y1 = whole_extent(window)
-    want = np.array([x1 - x0, y1 - y0, window.z_range[1] - window.z_range[0]]) * window.unit / MILLIMETRE
-    if float(np.linalg.norm(size)) > LARGER * float(np.linalg.norm(want)):
-        measured, asked = (" x ".join(f"{v:.4g}" for v in one) for one in (size, want))
-        raise CannotRegister(
-            f"{subject.name} measures {measured} mm and the design {asked} mm, whichever way it is turned"
-        )
+    low, high = facts.get("box", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    sag = min(lens.sag for lens in feasibility(window).lenses) * window.unit / MILLIMETRE
+    return max(sag / FINE, COARSE * float(np.linalg.norm(np.subtract(high, low))))
 
 
 def _through_faces(
