@@ -51,12 +51,16 @@ KILLED = textwrap.dedent(
         if what != "export":
             write_report(None, out)
 
+    def staged():
+        return {p.name for p in out.iterdir() if p.name.startswith(".clacad-")}
+
     work(0)
     began = time.perf_counter()
     work(1)
     span = time.perf_counter() - began
     chance = np.random.default_rng(seed)
     for turn, instant in enumerate(chance.uniform(0.0, 1.3 * span, times)):
+        before, began = staged(), time.perf_counter()
         victim = os.fork()
         if victim == 0:
             try:
@@ -65,10 +69,14 @@ KILLED = textwrap.dedent(
             except BaseException as error:
                 print(json.dumps({"error": f"{type(error).__name__}: {error}"}), flush=True)
             os._exit(1)
+        if turn % 2:  # every other one among the writing, which is short beside the work before it
+            while not staged() - before and time.perf_counter() - began < 60.0:
+                time.sleep(0.0005)
+            instant = chance.uniform(0.0, 0.02)
         time.sleep(float(instant))
         os.kill(victim, signal.SIGKILL)
         os.waitpid(victim, 0)
-        print(json.dumps({"killed": turn, "stale": sum(p.name.startswith(".clacad-") for p in out.iterdir())}), flush=True)
+        print(json.dumps({"killed": turn, "stale": bool(staged() - before)}), flush=True)
         sys.stdin.readline()
     work(2)
     """
