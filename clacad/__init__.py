@@ -10,9 +10,7 @@ Public names resolve lazily (PEP 562): importing clacad loads neither a CAD kern
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 
 TYPE_CHECKING = False  # as type checkers read it; the module typing would be half of what the package loads
 if TYPE_CHECKING:
@@ -21,33 +19,33 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "Law": "clacad.law",
-    "Fit": "clacad.law",
-    "Quadric": "clacad.surface",
-    "Biconic": "clacad.surface",
-    "Fate": "clacad.rays",
-    "Rays": "clacad.rays",
-    "TraceResult": "clacad.rays",
-    "Lattice": "clacad.lattice",
-    "Material": "clacad.material",
+    "Law": "clacad.optics.law",
+    "Fit": "clacad.optics.law",
+    "Quadric": "clacad.optics.surface",
+    "Biconic": "clacad.optics.surface",
+    "Fate": "clacad.optics.rays",
+    "Rays": "clacad.optics.rays",
+    "TraceResult": "clacad.optics.rays",
+    "Lattice": "clacad.sheet.lattice",
+    "Material": "clacad.optics.material.material",
     "Design": "clacad.design",
     "DesignError": "clacad.design",
     "load": "clacad.design",
-    "Face": "clacad.sheet",
-    "Body": "clacad.sheet",
-    "Window": "clacad.sheet",
-    "prescribe": "clacad.prescription",
+    "Face": "clacad.sheet.window",
+    "Body": "clacad.sheet.window",
+    "Window": "clacad.sheet.window",
+    "prescribe": "clacad.prescription.prescribe",
     "tessellate": "clacad.mesh",
     "Mesh": "clacad.mesh",
-    "Interface": "clacad.trace",
-    "trace": "clacad.trace",
-    "trace_sequence": "clacad.trace",
-    "export": "clacad.export",
-    "solids": "clacad.brep",
-    "verify": "clacad.verify",
-    "accuracy": "clacad.accuracy",
-    "render": "clacad.render",
-    "render_movie": "clacad.render",
+    "Interface": "clacad.tracing.trace",
+    "trace": "clacad.tracing.trace",
+    "trace_sequence": "clacad.tracing.trace",
+    "export": "clacad.exporting.export_design",
+    "solids": "clacad.solid.solids",
+    "verify": "clacad.verification",
+    "accuracy": "clacad.verification.accuracy.accuracy_table",
+    "render": "clacad.rendering",
+    "render_movie": "clacad.rendering",
     "plan_effects": "clacad.effects",
 }
 
@@ -65,18 +63,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_HOME])
-
-
-class _Package(ModuleType):
-    """The package, whose public functions keep their names though their homes are called alike.
-
-    Importing `clacad.trace` (the package) would bind it over `clacad.trace` (the function). The verb is what
-    a user means; the module stays reachable as ``from clacad.trace import ...``.
-    """
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOME and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

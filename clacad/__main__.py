@@ -12,7 +12,7 @@ def main() -> None:
     try:
         import signal
 
-        from clacad.cli.run import main as run
+        from clacad.cli.entry_point import main as run
 
         status = run()
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all is done and said: nothing is left to interrupt

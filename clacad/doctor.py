@@ -179,8 +179,8 @@ def probe_kernel() -> dict[str, Any]:
 
 
 def _kernel() -> Iterator[Finding]:
-    from clacad.export.errors import ExportError
-    from clacad.export.worker import Worker
+    from clacad.storage.errors import ExportError
+    from clacad.storage.worker import Worker
 
     began = time.monotonic()
     try:
@@ -219,7 +219,7 @@ def _fonts() -> Iterator[Finding]:
 
 
 def _memory() -> Iterator[Finding]:
-    from clacad.export.limits import free_memory
+    from clacad.exporting.limits import free_memory
 
     free = free_memory()
     low = free < LEAST_MEMORY
@@ -231,7 +231,7 @@ def _memory() -> Iterator[Finding]:
 
 
 def _threads() -> Iterator[Finding]:
-    from clacad.trace.compiled_surfaces import thread_count
+    from clacad.tracing.compiled.surfaces import thread_count
 
     asked = os.environ.get("CLACAD_THREADS")
     try:
@@ -244,10 +244,10 @@ def _threads() -> Iterator[Finding]:
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
-    from clacad.export.atomic import Stage, translated
-    from clacad.export.errors import CannotWrite
-    from clacad.export.exchange import flush
-    from clacad.export.limits import free_disk
+    from clacad.exporting.limits import free_disk
+    from clacad.storage.atomic import Stage, translated
+    from clacad.storage.errors import CannotWrite
+    from clacad.storage.staging import flush
 
     if not folder.is_dir():
         yield Finding("disk", "folder", "fail", str(folder), "no such folder")
@@ -281,7 +281,7 @@ def kernel_cache() -> tuple[Path | None, list[Path]]:
 
     The order is that of the compiler: NUMBA_CACHE_DIR, beside the source, the user's own cache.
     """
-    beside = Path(__file__).parent / "trace" / "__pycache__"
+    beside = Path(__file__).parent / "tracing" / "compiled" / "__pycache__"
     named = os.environ.get("NUMBA_CACHE_DIR")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~").expanduser() / ".cache")
     for place in (Path(named),) if named else (beside, Path(home) / "numba"):
@@ -313,7 +313,7 @@ def _cache() -> Iterator[Finding]:
 
 def _rates() -> Iterator[Finding]:
     """What forecasts of seconds rest on: the machine's speed, and what each task took here."""
-    from clacad.rates import MACHINE, REFERENCE, Rates
+    from clacad.base.machine_rates import MACHINE, REFERENCE, Rates
 
     took = Rates.here().calibrate()
     rates = Rates.here()

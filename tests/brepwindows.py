@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from clacad.lattice import Lattice
-from clacad.law import Law
-from clacad.sheet import Body, Face, Land, ThinPair, Window
-from clacad.surface import Quadric
+from clacad.optics.law import Law
+from clacad.optics.surface import Quadric
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.window import Body, Face, Land, ThinPair, Window
 
 
 def turn(phi, theta, psi):
@@ -100,7 +100,7 @@ SWEEPS = {
 
 def column_volume(window, body, order=48):
     """Volume (mm³) of a body whose faces cover their cells, by Gauss quadrature of the exact heights."""
-    from clacad.sheet import face_height
+    from clacad.sheet.window import face_height
 
     nodes, weights = np.polynomial.legendre.leggauss(order)
     volume = 0.0

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from clacad.design import Design
-from clacad.verify.checks import not_run
+from clacad.verification.checks import not_run
 
 _SEEN: dict[Any, Any] = {}
 
 
 def only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave refinement out of `verify`, and trace each design once whatever files it is asked about."""
-    run = importlib.import_module("clacad.verify.run")
+    run = importlib.import_module("clacad.verification.run")
     nothing = (None, not_run("convergence", "left out", required=False))
     monkeypatch.setattr(run, "_convergence", lambda *_: nothing)
     for name in ("judge_window", "meridians"):

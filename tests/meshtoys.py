@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.export.pieces import Piece, Places
-from clacad.lattice import Lattice
+from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.sheet.lattice import Lattice
 
 Floats = NDArray[np.float64]
 

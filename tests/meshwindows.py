@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import clacad
-from clacad.sheet import Window
+from clacad.sheet.window import Window
 
 PAIR = ("thickness", "web", "confocal", "curved", "surface", "conic")
 LATTICE = ("seam", "outline", "aperture")

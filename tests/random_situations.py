@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from clacad import Design, DesignError, prescribe
-from clacad.effects.setting import Setting
-from clacad.effects.view import of_window
-from clacad.material import find
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.probe_rays import of_window
+from clacad.optics.material.material import find
 
 MATERIALS = ("PMMA", "polycarbonate", "polystyrene", "N-BK7", "fused silica")
 D65 = tuple(1e-9 * (430.0 + 27.5 * k) for k in range(9))
@@ -61,7 +61,7 @@ def draw(seed):
 
 def replace_rays(rays):
     """Every few rays of a bundle, so that the probe stays small."""
-    from clacad.rays import Rays
+    from clacad.optics.rays import Rays
 
     step = max(1, len(rays) // RAYS)
     return Rays(rays.position[::step], rays.direction[::step])
@@ -69,8 +69,8 @@ def replace_rays(rays):
 
 def fresh(situation):
     """The same light once more, with other rays than the probe's: what a picture would be made of."""
-    from clacad.effects.view import cone
-    from clacad.rays import Rays
+    from clacad.effects.engine.probe_rays import cone
+    from clacad.optics.rays import Rays
 
     field = math.atan(float(np.hypot(*(situation.rays.direction[:, :2] - centre(situation)).T).max()))
     rays = cone(situation.window, field, 3 * RAYS)
@@ -79,7 +79,7 @@ def fresh(situation):
 
 def centre(situation):
     """Slope in the middle of the field."""
-    from clacad.vignetting import aperture_slope
+    from clacad.sheet.vignetting import aperture_slope
 
     return np.array(aperture_slope(situation.window))
 

@@ -10,17 +10,17 @@ from trust.running import HEAVY, JUDGES
 from trust.running import clacad as clacad_command
 
 import clacad
-from clacad.accuracy import Row, Table, TargetOutOfReach, accuracy
-from clacad.accuracy.extended import direction_errors
-from clacad.accuracy.floors import FAMILIES, Floor, family_floor, probe
-from clacad.accuracy.measure import Ladder
-from clacad.accuracy.plot import plot_svg
-from clacad.accuracy.rounding import EXACT, Holding, rounded
-from clacad.accuracy.step import _compared, step_row
-from clacad.bundle import bundle
 from clacad.cli import main
 from clacad.mesh import tessellate
-from clacad.sheet import lens_height_and_normal
+from clacad.sheet.bundle import bundle
+from clacad.sheet.window import lens_height_and_normal
+from clacad.verification.accuracy.accuracy_plot import plot_svg
+from clacad.verification.accuracy.accuracy_table import Row, Table, TargetOutOfReach, accuracy
+from clacad.verification.accuracy.extended_precision import direction_errors
+from clacad.verification.accuracy.file_floors import FAMILIES, Floor, family_floor, probe
+from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
+from clacad.verification.accuracy.measure_rungs import Ladder
+from clacad.verification.accuracy.step_rung import _compared, step_row
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_no_row_beats_a_row_of_the_front_in_both(table):
 
 
 def test_every_export_format_has_its_floor(table):
-    from clacad.export.formats import FORMATS
+    from clacad.exporting.format_table import FORMATS
 
     named = [name for floor in table.floors for name in floor.formats.split(", ")]
     assert set(named) == set(FORMATS)

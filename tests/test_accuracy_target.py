@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import clacad
-from clacad.accuracy import TargetOutOfReach
-from clacad.accuracy.floors import Floor
 from clacad.cli import main
-from clacad.render.target import within_target
+from clacad.rendering.picture_target import within_target
 from clacad.scene import load_scene
-from clacad.verify.checks import Check
-from clacad.verify.target import rays_for, target_checks
+from clacad.verification.accuracy.accuracy_table import TargetOutOfReach
+from clacad.verification.accuracy.file_floors import Floor
+from clacad.verification.checks import Check
+from clacad.verification.error_target import rays_for, target_checks
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 SLAB = str(DESIGNS / "slab.toml")
@@ -129,7 +129,7 @@ def test_fewer_rays_do_for_a_coarser_target():
 
 def test_a_picture_takes_the_cheapest_rung_within_its_target():
     scene = load_scene(SCENE).replace({"sheet.rung": "auto"})
-    from clacad.render.plan import plan_passage
+    from clacad.rendering.sheet_passage import plan_passage
 
     window = clacad.prescribe(scene.design())
     rungs = [plan_passage(within_target(scene, target), window).rung for target in (1.0, 1e-9)]

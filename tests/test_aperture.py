@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clacad.aperture import equivalent_widths, first_zeros, pattern
 from clacad.design import load
 from clacad.effects.diffraction import lit_widths
-from clacad.feasibility import feasibility
-from clacad.prescription import prescribe
-from clacad.vignetting import lit_zone, thin_cells
+from clacad.optics.aperture import equivalent_widths, first_zeros, pattern
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import feasibility
+from clacad.sheet.vignetting import lit_zone, thin_cells
 
 SQUARE = np.array([(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]) / 2
 

@@ -15,14 +15,14 @@ import pytest
 from PIL import Image
 from viewscenes import ROOT
 
-from clacad.render import rows
-from clacad.render.atlas import Atlas, AtlasRequest, Movie, make_atlas, parameters, prepare
-from clacad.render.atlas_page import page_of
-from clacad.render.files import label_lines, labelled
-from clacad.render.finding import Finding
-from clacad.render.first import Lenses, quadrics, section_findings, solid_findings
-from clacad.render.forecast import atlas_seconds
-from clacad.render.section import section_svg
+from clacad.rendering.atlas import paper_figures
+from clacad.rendering.atlas.figure1 import Lenses, quadrics, section_findings, solid_findings
+from clacad.rendering.atlas.figure1_section import section_svg
+from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.index_page import page_of
+from clacad.rendering.atlas.make_atlas import Atlas, AtlasRequest, Movie, make_atlas, parameters, prepare
+from clacad.rendering.picture_cost import atlas_seconds
+from clacad.rendering.picture_files import label_lines, labelled
 from clacad.scene import SceneError, load_scene
 
 SCENES = ROOT / "designs" / "scenes"
@@ -43,13 +43,15 @@ SLOW = ("F5",)
 """The row that turns the sheet step by step; the others take a second or two each."""
 
 
-@pytest.mark.parametrize("figure", [f for f in rows.FIGURES if f.row not in SLOW], ids=lambda f: f.row)
+@pytest.mark.parametrize(
+    "figure", [f for f in paper_figures.FIGURES if f.row not in SLOW], ids=lambda f: f.row
+)
 def test_a_figure_shows_what_the_paper_says(figure):
     held(figure)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("figure", [f for f in rows.FIGURES if f.row in SLOW], ids=lambda f: f.row)
+@pytest.mark.parametrize("figure", [f for f in paper_figures.FIGURES if f.row in SLOW], ids=lambda f: f.row)
 def test_a_movie_s_figure_shows_what_the_paper_says(figure):
     held(figure)
 
@@ -80,8 +82,8 @@ def test_ellipsoids_are_found_again_from_points_on_them():
 def test_no_place_on_a_sheet_that_is_not_tilted_loses_the_piece():
     """The check of the zones in which nothing is seen is no decoration: without a tilt the axis point stays in view."""
     flat = load("fig8-z-60").replace({"sheet.set": {"law.euler": [45.0, 0.0, 90.0]}})
-    unseen = [one for one in rows.visibility(flat) if "not seen" in one.what]
-    assert len(unseen) == len(rows.UNSEEN)
+    unseen = [one for one in paper_figures.visibility(flat) if "not seen" in one.what]
+    assert len(unseen) == len(paper_figures.UNSEEN)
     assert not any(one.passed for one in unseen)
 
 
@@ -92,7 +94,7 @@ def test_the_law_alone_says_where_the_piece_of_figure_8_leaves_the_sheet():
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     Q = turn @ np.diag([-4.0, -1.0]) @ turn.T
     tilt = np.array([np.sin(psi) * np.sin(theta), -np.cos(psi) * np.sin(theta)]) / np.cos(theta)
-    edges = rows.unseen_zones(load("fig8-z-60"))
+    edges = paper_figures.unseen_zones(load("fig8-z-60"))
     assert len(edges) == 4
     for z in edges:
         at = np.linalg.solve(np.eye(2) + z / D * Q, -z * (tilt - Q @ tilt))
@@ -119,7 +121,7 @@ def test_the_scenes_of_paper_figures_have_the_paper_s_global_numbers():
      ("fig7-movie", "psi = 0°", "psi = 360°"), ("fig8-movie", "z = -2", "z = 38")],
 )  # fmt: skip
 def test_a_movie_goes_from_end_to_end_and_every_frame_says_where_it_is(stem, first, last):
-    title = dict(rows.MOVIES)[stem]
+    title = dict(paper_figures.MOVIES)[stem]
     scene = load(stem)
     movie = Movie(stem, title, 25.0, tuple(scene.at(k) for k in range(0, scene.animation.frames, 8)))
     labels = movie.labels()
@@ -133,7 +135,7 @@ def test_a_movie_goes_from_end_to_end_and_every_frame_says_where_it_is(stem, fir
             assert not line.startswith("=")
 
 
-@pytest.mark.parametrize("figure", rows.FIGURES, ids=lambda f: f.row)
+@pytest.mark.parametrize("figure", paper_figures.FIGURES, ids=lambda f: f.row)
 def test_a_figure_s_pictures_are_labelled_with_what_their_scenes_show(figure):
     for stem, label in figure.scenes:
         told = parameters(load(stem))
@@ -154,7 +156,9 @@ def test_a_label_fits_below_its_picture_and_frames_are_equally_high():
 
 
 def test_every_scene_of_the_atlas_is_in_a_figure_or_is_a_movie():
-    named = {stem for figure in rows.FIGURES for stem, _ in figure.scenes} | {stem for stem, _ in rows.MOVIES}
+    named = {stem for figure in paper_figures.FIGURES for stem, _ in figure.scenes} | {
+        stem for stem, _ in paper_figures.MOVIES
+    }
     assert named | {"fig1a", "fig1b"} == {path.stem for path in SCENES.glob("fig*.toml")}
 
 
@@ -171,7 +175,7 @@ def test_a_measured_row_fails_when_the_sheet_is_another(monkeypatch):
         eta = scene.design().law_spec.eta
         return scene.replace({"sheet.set": {"law.eta": [eta[0] * 1.2, eta[1]]}})
 
-    squash = next(figure for figure in rows.FIGURES if figure.row == "F2")
+    squash = next(figure for figure in paper_figures.FIGURES if figure.row == "F2")
     assert not all(one.passed for one in squash.check(other))
 
 
@@ -182,8 +186,8 @@ def test_winding_counts_turns():
         return np.linalg.inv(turn @ np.diag(stretch) @ turn.T)
 
     angles = np.linspace(0.0, 180.0, 19)
-    assert abs(rows.winding([spun(a, (-1.0, 2.0)) for a in angles])) == pytest.approx(360.0)
-    assert rows.winding([spun(a, (1.0, 2.0)) for a in angles]) == pytest.approx(0.0, abs=1e-9)
+    assert abs(paper_figures.winding([spun(a, (-1.0, 2.0)) for a in angles])) == pytest.approx(360.0)
+    assert paper_figures.winding([spun(a, (1.0, 2.0)) for a in angles]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_atlas_holds_figures_measurements_and_a_page_and_can_be_made_again(tmp_path):
@@ -221,7 +225,7 @@ class Parsed(HTMLParser):
 
 
 def test_names_in_the_page_are_text_and_it_loads_nothing_but_its_pictures():
-    figure = rows.Figure(HOSTILE, HOSTILE, HOSTILE, ((HOSTILE, HOSTILE),), lambda load: iter(()))
+    figure = paper_figures.Figure(HOSTILE, HOSTILE, HOSTILE, ((HOSTILE, HOSTILE),), lambda load: iter(()))
     finding = Finding(HOSTILE, 1.0, 1.0, 0.1)
     page = Parsed(
         page_of([figure], {HOSTILE: (finding,)}, [(HOSTILE, HOSTILE)], ["fig1a.svg", "fig1b.png", HOSTILE])
@@ -258,7 +262,7 @@ def test_a_design_s_name_is_text_in_the_section():
 
 def test_a_long_atlas_says_first_how_long_it_takes(tmp_path, monkeypatch, capsys):
     from clacad.cli import render_command
-    from clacad.render import atlas
+    from clacad.rendering.atlas import make_atlas as atlas
 
     monkeypatch.setattr(atlas, "make_atlas", lambda job, progress: Atlas(job.request.out, {}, ()))
     options = {"movies": False, "measured": False, "overwrite": False, "json": True}

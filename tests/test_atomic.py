@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from clacad.export.atomic import MANIFEST, Stage, file_hash, read_manifest, safe_name, sweep, write_file
-from clacad.export.errors import CannotWrite, ExportRefused
+from clacad.storage.atomic import MANIFEST, Stage, file_hash, read_manifest, safe_name, sweep, write_file
+from clacad.storage.errors import CannotWrite, ExportRefused
 
 BODY = {"a.bin": b"a" * 300_000, "b.bin": b"b" * 200_000}
 
@@ -186,7 +186,7 @@ VICTIM = textwrap.dedent(
     import sys, time
     from hashlib import sha256
     from pathlib import Path
-    from clacad.export.atomic import Stage
+    from clacad.storage.atomic import Stage
     out, digit = Path(sys.argv[1]), sys.argv[2].encode()
     while True:
         with Stage(out) as stage:
@@ -234,8 +234,8 @@ LIMITED = textwrap.dedent(
     """
     import resource, sys
     from pathlib import Path
-    from clacad.export.atomic import Stage
-    from clacad.export.errors import CannotWrite
+    from clacad.storage.atomic import Stage
+    from clacad.storage.errors import CannotWrite
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
     from hashlib import sha256
     try:

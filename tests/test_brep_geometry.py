@@ -9,12 +9,12 @@ from brepwindows import turn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clacad.brep.conics import parameter_curve, posed, quadric_patch, ruled_wall, section_arc
-from clacad.brep.lenses import fitted_lens, posed_quadric
-from clacad.brep.levels import linked_levels
-from clacad.brep.pattern import divided_pattern
-from clacad.sheet import Face, lens_height
-from clacad.surface import Biconic, Quadric
+from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.window import Face, lens_height
+from clacad.solid.face_pattern import divided_pattern
+from clacad.solid.lens_faces import fitted_lens, posed_quadric
+from clacad.solid.rational_conics import parameter_curve, posed, quadric_patch, ruled_wall, section_arc
+from clacad.solid.vertical_lines import linked_levels
 
 T = np.linspace(0.0, 1.0, 21)
 

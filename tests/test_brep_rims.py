@@ -12,15 +12,15 @@ from brepwindows import biconvex, one_body, turn
 from scipy.optimize import brentq
 
 import clacad
-from clacad.brep import describe_body
-from clacad.brep.bodies import layers
-from clacad.brep.kernel import KernelWriter, is_valid, volume
-from clacad.brep.rims import Gap, fitted_rim
-from clacad.cell_complex.build import pieces
-from clacad.cell_complex.refusal import CannotBuild
-from clacad.export import export
-from clacad.export.step import read_step, write_step
+from clacad.exporting.export_design import export
+from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh import tessellate
+from clacad.solid.describe_body import layers
+from clacad.solid.fitted_rims import Gap, fitted_rim
+from clacad.solid.occ_writer import KernelWriter, is_valid, volume
+from clacad.solid.solids import describe_body
+from clacad.topology.build_complex import pieces
+from clacad.topology.cannot_build import CannotBuild
 
 BASE = {
     "format": 1,
@@ -390,12 +390,12 @@ def test_the_web_that_a_refusal_names_holds_the_rim_and_less_leaves_an_overhang(
     thin = window(**changes, pair__web=0.9 * named).bodies[0]
     # somewhere on the vertical line over a point just inside the rim, air lies between plate and lens.
     x, y = (g.ravel() for g in np.meshgrid(*[np.linspace(-0.2499, 0.2499, 100)] * 2))
-    front, back = (clacad.sheet.lens_height(face, x, y) for face in (thin.front, thin.back))
+    front, back = (clacad.sheet.window.lens_height(face, x, y) for face in (thin.front, thin.back))
     overhangs = (front <= back) & ((front > thin.back.land) | (back < thin.front.land))
     assert overhangs.any()
     held = window(**changes, pair__web=named)
     front, back = (
-        clacad.sheet.lens_height(face, x, y) for face in (held.bodies[0].front, held.bodies[0].back)
+        clacad.sheet.window.lens_height(face, x, y) for face in (held.bodies[0].front, held.bodies[0].back)
     )
     assert not (
         (front <= back) & ((front > held.bodies[0].back.land) | (back < held.bodies[0].front.land))

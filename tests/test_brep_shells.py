@@ -12,12 +12,12 @@ from brepwindows import SWEEPS, biconvex, column_volume
 from often import often
 
 import clacad
-from clacad.brep import describe_body
-from clacad.brep.kernel import KernelWriter, is_valid, volume
-from clacad.cell_complex.build import cell_complex, pieces
-from clacad.cell_complex.refusal import CannotBuild
-from clacad.lattice import Circle, Rectangle
-from clacad.sheet import column
+from clacad.sheet.lattice import Circle, Rectangle
+from clacad.sheet.window import column
+from clacad.solid.occ_writer import KernelWriter, is_valid, volume
+from clacad.solid.solids import describe_body
+from clacad.topology.build_complex import cell_complex, pieces
+from clacad.topology.cannot_build import CannotBuild
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 

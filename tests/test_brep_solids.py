@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from brepwindows import biconvex, column_volume
 
-from clacad.brep import solids
+from clacad.solid.solids import solids
 
 
 @pytest.fixture(scope="module")

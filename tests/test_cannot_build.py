@@ -12,11 +12,11 @@ import meshwindows
 import pytest
 
 import clacad
-from clacad.cell_complex.refusal import CODES, CannotBuild
 from clacad.design import DesignError
-from clacad.export import ExportIncomplete, export
-from clacad.export.step import forecast_step, read_step, write_step
+from clacad.exporting.export_design import ExportIncomplete, export
+from clacad.formats.step.step_files import forecast_step, read_step, write_step
 from clacad.mesh import tessellate
+from clacad.topology.cannot_build import CODES, CannotBuild
 
 BASE = {
     "format": 1,

@@ -11,7 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from meshwindows import FORMS, window
 
-from clacad.cell_complex import (
+from clacad.base.roots import sign_changes
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.window import column, lens_height
+from clacad.topology import (
     cell_complex,
     count_holes,
     count_pieces,
@@ -20,10 +23,7 @@ from clacad.cell_complex import (
     pieces,
     saddle_count,
 )
-from clacad.cell_complex.nodes import cluster
-from clacad.cell_complex.roots import sign_changes
-from clacad.lattice import Lattice
-from clacad.sheet import column, lens_height
+from clacad.topology.nodes import cluster
 
 # -- roots -----------------------------------------------------------------------------------------
 

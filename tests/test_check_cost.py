@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.sheet import lens_height, lens_height_and_normal
+from clacad.sheet.window import lens_height, lens_height_and_normal
 
 DESIGN = Path(__file__).parents[1] / "designs" / "paper-a-covered.toml"
 
 
 def test_check_loads_neither_tracer_nor_kernel_nor_network():
     code = (
-        "import sys, json; from clacad.cli.run import main; "
+        "import sys, json; from clacad.cli.entry_point import main; "
         f"status = main(['check', {str(DESIGN)!r}, '-q']); "
         "print(json.dumps([status, sorted(sys.modules)]))"
     )
@@ -29,9 +29,14 @@ def test_check_loads_neither_tracer_nor_kernel_nor_network():
     assert status in (0, 1)
     heavy = {"OCP", "build123d", "numba", "scipy", "matplotlib", "trimesh", "manifold3d", "embreex", "PIL"}
     assert not heavy & set(loaded)
-    assert not {"clacad.trace", "clacad.effects", "clacad.render", "http.client", "ssl", "xml.sax"} & set(
-        loaded
-    )
+    assert not {
+        "clacad.tracing",
+        "clacad.effects",
+        "clacad.rendering",
+        "http.client",
+        "ssl",
+        "xml.sax",
+    } & set(loaded)
 
 
 @pytest.mark.parametrize("name", ["paper-base", "galilean", "slab", "plano", "hexagonal", "tilted"])

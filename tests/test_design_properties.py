@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clacad.design import CODES, Design, DesignError, load
-from clacad.design.canonical import to_toml
+from clacad.design.canonical_text import to_toml
 
 DESIGNS = sorted((Path(__file__).parent.parent / "designs").glob("*.toml"))
 GOOD = [

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from clacad.base.digits import digits, shown
 from clacad.cli.tables import checks_text
 from clacad.design import load
-from clacad.digits import digits, shown
-from clacad.feasibility import describe, feasibility
-from clacad.prescription import prescribe
+from clacad.prescription.prescribe import prescribe
 from clacad.report.content import row
 from clacad.report.fabrication import Line
-from clacad.verify.checks import Check, judge
+from clacad.sheet.feasibility import describe, feasibility
+from clacad.verification.checks import Check, judge
 
 SENSE = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -99,7 +99,7 @@ def test_a_failure_within_its_limit_says_that_the_limit_is_not_why():
 
 def test_a_gap_of_nothing_is_not_told_that_nothing_would_do():
     """Where the limit is 0 a value of 0 fails: the line must not say 0 >= 0."""
-    from clacad.verify.geometry import _at_least
+    from clacad.verification.design.design_rules import _at_least
 
     check = _at_least("edge", 0.0, 0.0, "default", "mm", "least thickness")
     assert (check.state, check.relation) == ("fail", ">")

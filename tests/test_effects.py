@@ -16,18 +16,24 @@ import pytest
 from often import often
 
 from clacad import Design, load, prescribe
+from clacad.base.sobol import sobol
 from clacad.effects import Setting, lit, trace_with
-from clacad.effects.follow import Rules, follow
-from clacad.effects.homogeneous import overlap
-from clacad.effects.interface import amplitudes, coated, deviation, inside_plate, transmission
-from clacad.effects.passes import NAMES
-from clacad.effects.view import cone
-from clacad.material import Material
-from clacad.rays import Fate, Rays
-from clacad.sobol import sobol
-from clacad.surface import Quadric
-from clacad.trace import Interface, trace, trace_sequence
-from clacad.vignetting import clip
+from clacad.effects.engine.homogeneous_light import overlap
+from clacad.effects.engine.nonsequential import Rules, follow
+from clacad.effects.engine.passes import NAMES
+from clacad.effects.engine.probe_rays import cone
+from clacad.optics.material.material import Material
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.surface import Quadric
+from clacad.optics.surface.fresnel_coefficients import (
+    amplitudes,
+    coated,
+    deviation,
+    inside_plate,
+    transmission,
+)
+from clacad.sheet.vignetting import clip
+from clacad.tracing.trace import Interface, trace, trace_sequence
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
@@ -98,7 +104,7 @@ def test_blocks_and_wavelengths_do_not_change_what_is_computed(monkeypatch):
     rays = bundle("slab")
     many = Rays(rays.position, rays.direction, np.where(np.arange(len(rays)) % 2, 600e-9, 500e-9))
     whole = trace(sheet, many, effects=("fresnel",))
-    monkeypatch.setattr("clacad.effects.passes.BLOCK", 100)
+    monkeypatch.setattr("clacad.effects.engine.passes.BLOCK", 100)
     parts = trace(sheet, many, effects=("fresnel",))
     assert same(whole, parts, ("position", "direction", "fate", "flux"))
 
@@ -134,7 +140,7 @@ def test_hits_are_kept_only_when_a_pass_or_the_caller_needs_them(monkeypatch):
         seen.append(options.get("record", False))
         return real(*args, **options)
 
-    monkeypatch.setattr(sys.modules["clacad.trace"], "trace", spy)
+    monkeypatch.setattr(sys.modules["clacad.tracing.trace"], "trace", spy)
     rays = bundle("slab")
     trace_with(window("slab"), rays, "surfaces", ("scatter",))
     trace_with(window("slab"), rays, "surfaces", ("fresnel",))
@@ -360,7 +366,7 @@ def test_diffraction_vanishes_with_the_wavelength(effect):
 
 
 def test_draws_are_the_same_every_time_and_independent_of_one_another():
-    from clacad.effects.draws import normal, uniform
+    from clacad.effects.engine.repeatable_draws import normal, uniform
 
     rays = bundle("slab")
     a, b = uniform(rays, 2, 0, 1), uniform(rays, 2, 0, 2)
@@ -400,7 +406,7 @@ def test_slope_errors_blur_as_traced_through_tilted_surfaces():
     sheet = window("slab")
     sigma = 1e-3
     from clacad.effects.scatter import blur
-    from clacad.vignetting import focal_ratio
+    from clacad.sheet.vignetting import focal_ratio
 
     rays = cone(sheet, 1e-9, 8192)
     bare = trace(sheet, rays)
@@ -709,7 +715,7 @@ def test_compiled_passes_say_what_the_numpy_ones_say(name, wave):
 @pytest.mark.long
 def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by_one(monkeypatch):
     sheet, rays = window("slab"), bundle("slab")
-    monkeypatch.setattr("clacad.effects.passes.BLOCK", 300)
+    monkeypatch.setattr("clacad.effects.engine.passes.BLOCK", 300)
     one, two = (
         trace_with(sheet, rays, "surfaces", ("fresnel",), record=True, path="numba", threads=n)
         for n in (1, 2)

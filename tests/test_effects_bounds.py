@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from random_situations import draw, fresh
 
-from clacad.effects.measure import measure
-from clacad.effects.passes import NAMES, module_of
-from clacad.effects.situation import DOUBT
+from clacad.effects.engine.bounds import DOUBT
+from clacad.effects.engine.measured_change import measure
+from clacad.effects.engine.passes import NAMES, module_of
 
 SLACK = 1.1
 TINY = 1e-9
@@ -56,7 +56,7 @@ def test_counted_shares_are_bounded_with_the_stated_doubt():
     """Wilson's bound covers a binomial share with the normal tail of DOUBT standard errors."""
     import numpy as np
 
-    from clacad.effects.situation import Situation
+    from clacad.effects.engine.bounds import Situation
 
     rng = np.random.default_rng(3)
     n, covered, trials = 1000, 0, 4000

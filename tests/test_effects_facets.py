@@ -11,11 +11,11 @@ import pytest
 
 from clacad import load, prescribe, tessellate
 from clacad.effects import Setting, plan_effects, trace_with
+from clacad.effects.engine.probe_rays import cone
 from clacad.effects.facets import forecast
-from clacad.effects.view import cone
-from clacad.rays import Fate
+from clacad.optics.rays import Fate
 from clacad.scene import load_scene
-from clacad.trace import trace
+from clacad.tracing.trace import trace
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 

@@ -13,7 +13,7 @@ import pytest
 from clacad import load, prescribe
 from clacad.cli import main
 from clacad.effects import NAMES, Setting, plan_effects
-from clacad.effects.view import cone, of_window
+from clacad.effects.engine.probe_rays import cone, of_window
 from clacad.scene import load_scene
 
 DESIGNS = Path(__file__).parents[1] / "designs"
@@ -148,7 +148,7 @@ def test_lenslets_that_a_pixel_resolves_are_traced():
 
 def test_daylight_lines_of_plan_and_picture_are_the_same():
     from clacad.effects.dispersion import LINES
-    from clacad.render.spectrum import DAYLIGHT_NM, RGB_LINES
+    from clacad.rendering.spectrum import DAYLIGHT_NM, RGB_LINES
 
     assert LINES["rgb"] == RGB_LINES
     assert LINES["D65"] == pytest.approx([1e-9 * nm for nm in DAYLIGHT_NM], rel=1e-15)

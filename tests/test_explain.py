@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from clacad.cli import main
-from clacad.explain import Unexplained, entries, explain
-from clacad.verify.checks import CODES, Check
+from clacad.explain.look_up import Unexplained, entries, explain
+from clacad.verification.checks import CODES, Check
 
 PACKAGE = Path(__file__).parents[1] / "clacad"
 

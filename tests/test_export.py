@@ -20,13 +20,20 @@ import pytest
 
 import clacad
 from clacad.design import Design
-from clacad.export import ExportIncomplete, ExportRefused, FileDisagrees, LimitRefused, UnknownFormat, export
-from clacad.export.atomic import MANIFEST
-from clacad.export.compare import Promise, compare_mesh
-from clacad.export.filemesh import FileMesh, Part
-from clacad.export.readers import read_mesh
-from clacad.export.tessellation import Tessellation
-from clacad.export.truth import body_volume
+from clacad.exporting.compare import Promise, compare_mesh
+from clacad.exporting.export_design import (
+    ExportIncomplete,
+    ExportRefused,
+    FileDisagrees,
+    LimitRefused,
+    UnknownFormat,
+    export,
+)
+from clacad.exporting.tessellations import Tessellation
+from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.readers import read_mesh
+from clacad.sheet.volume_and_extent import body_volume
+from clacad.storage.atomic import MANIFEST
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 MESHES = ("stl", "3mf", "ply", "glb")
@@ -157,7 +164,7 @@ def test_manifold_and_lib3mf_accept_what_is_written(tmp_path: Path) -> None:
 EXPORT = textwrap.dedent(
     """
     import sys, clacad
-    from clacad.export import export
+    from clacad.exporting.export_design import export
     design = clacad.load(sys.argv[1])
     export(design, sys.argv[2], formats=sys.argv[3].split(","), quads=4, cells=(3, 2))
     """
@@ -213,7 +220,7 @@ def test_a_file_that_is_not_ours_is_refused_before_any_work(tmp_path: Path) -> N
 @pytest.fixture
 def _no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever costs something fails: surfaces, meshes, the worker, the folder."""
-    run = import_module("clacad.export.run")
+    run = import_module("clacad.exporting.run")
 
     def worked(*_: object, **__: object) -> None:
         pytest.fail("work was begun")
@@ -357,7 +364,7 @@ def test_the_mesh_of_another_design_is_caught(good: tuple[Any, Any, Promise], ov
 def test_one_format_that_fails_does_not_stop_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from clacad.export import threemf
+    from clacad.formats.mesh import threemf
 
     def broken(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -376,7 +383,7 @@ def test_one_format_that_fails_does_not_stop_the_others(
 LIMITED = textwrap.dedent(
     """
     import resource, sys, clacad
-    from clacad.export import export, ExportError
+    from clacad.exporting.export_design import export, ExportError
     design = clacad.load(sys.argv[1])
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]),) * 2)
     try:
@@ -411,7 +418,7 @@ def test_whichever_write_fails_only_complete_files_appear(tmp_path: Path) -> Non
 SLOW = textwrap.dedent(
     """
     import sys, clacad
-    from clacad.export import export
+    from clacad.exporting.export_design import export
     design = clacad.load(sys.argv[1])
     try:
         export(design, sys.argv[2], formats=("step", "stl", "3mf"), quads=16, cells=(10, 10),
@@ -494,7 +501,7 @@ AUDITED = textwrap.dedent(
                 bad.append((event, full))
     design = clacad.load(sys.argv[1])
     sys.addaudithook(hook)
-    from clacad.export import export
+    from clacad.exporting.export_design import export
     export(design, out, formats=sys.argv[3].split(","), quads=4, cells=(2, 2))
     print(bad)
     sys.exit(bool(bad))

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.export import mask, sag, table
-from clacad.export.errors import FileDisagrees, UnreadableFile
-from clacad.export.raster import read_png, read_tiff, tiff_bytes
-from clacad.sheet import Window
+from clacad.formats.maps import mask, pose_table, sag
+from clacad.formats.maps.raster import read_png, read_tiff, tiff_bytes
+from clacad.sheet.window import Window
+from clacad.storage.errors import FileDisagrees, UnreadableFile
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 CASES = [
@@ -127,33 +127,33 @@ def test_normals_are_the_slopes_of_neighbouring_points(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_the_surface_table_alone_gives_the_faces(tmp_path: Path, name: str) -> None:
     w = window(name)
-    count = table.write_table_csv(w, tmp_path / "t.csv", scale(w))
-    table.write_table_json(w, tmp_path / "t.json", scale(w))
-    table.check_table(w, tmp_path / "t.json", tmp_path / "t.csv", scale(w), count)
+    count = pose_table.write_table_csv(w, tmp_path / "t.csv", scale(w))
+    pose_table.write_table_json(w, tmp_path / "t.json", scale(w))
+    pose_table.check_table(w, tmp_path / "t.json", tmp_path / "t.csv", scale(w), count)
 
 
 @pytest.mark.parametrize(("key", "change"), [("curvature_x_per_mm", 1e-6), ("kappa_per_mm", 1e-3)])
 def test_a_changed_coefficient_is_noticed(tmp_path: Path, key: str, change: float) -> None:
     w = window("tilted.toml")
-    count = table.write_table_csv(w, tmp_path / "t.csv", scale(w))
-    written = table.surface_table(w, scale(w))
+    count = pose_table.write_table_csv(w, tmp_path / "t.csv", scale(w))
+    written = pose_table.surface_table(w, scale(w))
     written["faces"][0][key] *= 1 + change
     (tmp_path / "t.json").write_text(json.dumps(written))
     with pytest.raises(FileDisagrees):
-        table.check_table(w, tmp_path / "t.json", tmp_path / "t.csv", scale(w), count)
+        pose_table.check_table(w, tmp_path / "t.json", tmp_path / "t.csv", scale(w), count)
 
 
 def test_swapped_lenslets_are_noticed(tmp_path: Path) -> None:
     w = window("tilted.toml", (2, 1))
-    count = table.write_table_csv(w, tmp_path / "t.csv", scale(w))
-    table.write_table_json(w, tmp_path / "t.json", scale(w))
+    count = pose_table.write_table_csv(w, tmp_path / "t.csv", scale(w))
+    pose_table.write_table_json(w, tmp_path / "t.json", scale(w))
     with (tmp_path / "t.csv").open(newline="") as stream:
         rows = list(csv.reader(stream))
     rows[1][3], rows[2][3] = rows[2][3], rows[1][3]
     with (tmp_path / "t.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows(rows)
     with pytest.raises(FileDisagrees):
-        table.check_table(w, tmp_path / "t.json", tmp_path / "t.csv", scale(w), count)
+        pose_table.check_table(w, tmp_path / "t.json", tmp_path / "t.csv", scale(w), count)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -218,8 +218,8 @@ def write_all(folder: Path) -> None:
         sag.write_grid_sag(w, face, 8, folder / f"{label}.dat", scale(w))
         mask.write_svg(w, body, face, label, folder / f"{label}.svg", scale(w))
         mask.write_dxf(w, body, face, label, folder / f"{label}.dxf", scale(w))
-    table.write_table_csv(w, folder / "t.csv", scale(w))
-    table.write_table_json(w, folder / "t.json", scale(w))
+    pose_table.write_table_csv(w, folder / "t.csv", scale(w))
+    pose_table.write_table_json(w, folder / "t.json", scale(w))
 
 
 def test_the_same_bytes_in_another_process_with_another_hash_seed_and_locale(tmp_path: Path) -> None:

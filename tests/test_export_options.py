@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 import clacad
 from clacad.cli.app import app
-from clacad.export import export
-from clacad.export.errors import NotPossible, UnreadableFile
-from clacad.export.readers import read_mesh
-from clacad.fixture import NoFixture, mark_place, marked_solids
-from clacad.fixture.mark import engraved, line_of_marks
+from clacad.exporting.export_design import export
+from clacad.exporting.fixtures import NoFixture, mark_place, marked_solids
+from clacad.formats.mesh.readers import read_mesh
+from clacad.solid.marks import engraved, line_of_marks
+from clacad.storage.errors import NotPossible, UnreadableFile
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 
@@ -78,7 +78,7 @@ def test_land_has_its_own_colour_in_a_stranger_reader(tmp_path: Path) -> None:
     from OCP.TDocStd import TDocStd_Document
     from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool, XCAFDoc_ShapeTool
 
-    from clacad.export.step import LAND_COLOUR, write_step
+    from clacad.formats.step.step_files import LAND_COLOUR, write_step
 
     facts = write_step(clacad.prescribe(small("tilted-seam", count=(2, 2))), tmp_path / "x.step")
     document = TDocStd_Document(TCollection_ExtendedString("x"))
@@ -155,7 +155,7 @@ def test_an_engraved_body_is_valid_and_has_lost_its_letters_only(case):
     design = clacad.load(DESIGNS / f"{name}.toml", overrides=overrides)
     design = design if "outline" in overrides[0] else design.with_cells((2, 2))
     window = clacad.prescribe(design)
-    from clacad.brep import solids
+    from clacad.solid.solids import solids
 
     for body, part, plain in zip(window.bodies, marked_solids(window, "ab 1").values(), solids(window)):
         place = mark_place(window, body)

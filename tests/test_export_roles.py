@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.export import BadRequest, LimitRefused, export
-from clacad.export.forecast import forecast
-from clacad.export.grade import POWERS, Grader, LightLimits
-from clacad.export.quads import Sizes
-from clacad.export.request import Request, asked_quads, asked_roles
-from clacad.export.run import forecast_rows
-from clacad.export.tessellation import Meshes, weld
+from clacad.exporting.export_design import BadRequest, LimitRefused, export
+from clacad.exporting.forecast import forecast
+from clacad.exporting.light_forecast import POWERS, Grader, LightLimits
+from clacad.exporting.quads_and_roles import Sizes
+from clacad.exporting.request import Request, asked_quads, asked_roles
+from clacad.exporting.run import forecast_rows
+from clacad.exporting.tessellations import Meshes, weld
 from clacad.mesh import tessellate
 
 DESIGNS = Path(__file__).parents[1] / "designs"
@@ -72,7 +72,7 @@ def test_light_through_coarse_and_fine_facets_is_forecast_as_measured(name):
 def test_light_through_facets_is_forecast_as_the_kernels_of_rung_mesh_trace_the_sheet(name, grids):
     design = design_of(name, (5, 5))
     window = clacad.prescribe(design)
-    lit = clacad.bundle.bundle(window, 8192, design.check.field)
+    lit = clacad.sheet.bundle.bundle(window, 8192, design.check.field)
     asked = design.law.refract(lit.rays.direction)
     grader = Grader.of(Meshes(window), design)
     for quads in grids:
@@ -155,7 +155,7 @@ def test_auto_keeps_every_limit_of_light_not_the_rms_alone():
 
     Both as the checks of files measure them, with their own rays, through the facets of the sheet.
     """
-    from clacad.verify.filelight import measure_light
+    from clacad.verification.files.law_through_file import measure_light
 
     design = design_of("galilean", (5, 5))
     window = clacad.prescribe(design)
@@ -354,8 +354,8 @@ def test_bytes_of_3mf_and_glb_are_forecast_within_a_fifth(tmp_path, name, cells,
 
 
 def test_bytes_of_a_whole_sheet_of_repeated_cells_are_forecast_within_a_fifth(tmp_path):
-    from clacad.export.glb import write_glb
-    from clacad.export.threemf import write_threemf
+    from clacad.formats.mesh.glb import write_glb
+    from clacad.formats.mesh.threemf import write_threemf
 
     window = clacad.prescribe(design_of("window-100mm"))
     meshes = Meshes(window)
@@ -416,7 +416,7 @@ def test_rows_that_share_a_hash_but_differ_are_not_welded():
 
 
 def test_the_convergence_check_says_from_how_many_quads_a_mesh_is_a_master_and_how_large_it_is():
-    from clacad.verify.convergence import converge, convergence_check
+    from clacad.verification.light.facet_convergence import converge, convergence_check
 
     design = design_of("slab")
     check = convergence_check(converge(design, clacad.prescribe(design), lambda *_: None, quads=(4, 8)))

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 import clacad
-from clacad.export import FileDisagrees, UnreadableFile, WorkerDied, export
-from clacad.export.step_record import compare_step, read, write
-from clacad.export.truth import body_volume
-from clacad.export.worker import Worker
-from clacad.sheet import Window
+from clacad.exporting.export_design import FileDisagrees, UnreadableFile, WorkerDied, export
+from clacad.exporting.step_record import compare_step, read, write
+from clacad.sheet.volume_and_extent import body_volume
+from clacad.sheet.window import Window
+from clacad.storage.worker import Worker
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 Made = tuple[Window, dict[str, Any], str]

@@ -9,15 +9,15 @@ from math import acos, atan, degrees, hypot, sqrt
 import numpy as np
 import pytest
 
+from clacad.base.sobol import sobol
 from clacad.design import Design
-from clacad.feasibility import components, describe, feasibility
-from clacad.feasibility.extremes import least, share_covered
-from clacad.prescription import prescribe
-from clacad.rays import Fate, Rays
-from clacad.sheet import column
-from clacad.sobol import sobol
-from clacad.trace import trace
-from clacad.vignetting import clip, ghost_step, share, thin_cells
+from clacad.optics.rays import Fate, Rays
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import components, describe, feasibility
+from clacad.sheet.feasibility.convex_extremes import least, share_covered
+from clacad.sheet.vignetting import clip, ghost_step, share, thin_cells
+from clacad.sheet.window import column
+from clacad.tracing.trace import trace
 
 PAPER = {
     "format": 1, "name": "paper", "unit": "m", "law": {"eta": [-0.25, -1.0]},

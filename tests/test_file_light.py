@@ -10,17 +10,17 @@ import pytest
 from filesonly import only_files
 from oracle.plain_mesh import facets, write_stl
 
-from clacad.bundle import bundle, central_cell
 from clacad.design import Design
-from clacad.export import export
-from clacad.export.roles import Role
-from clacad.prescription import prescribe
-from clacad.rays import Fate, Rays, TraceResult
-from clacad.trace import trace, trace_sequence
-from clacad.trace.sampled import height_and_slope, meet_sampled, sampled_face
-from clacad.verify import verify
-from clacad.verify.filelight import light_checks, measure_light
-from clacad.verify.parabasal import interfaces
+from clacad.exporting.export_design import export
+from clacad.exporting.roles import Role
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import bundle, central_cell
+from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
+from clacad.tracing.trace import trace, trace_sequence
+from clacad.verification import verify
+from clacad.verification.files.law_through_file import light_checks, measure_light
+from clacad.verification.light.confocality import interfaces
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "pair", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.02, -0.01]},

@@ -7,8 +7,15 @@ import pytest
 import trimesh
 
 from clacad import Design, Fate, Rays, prescribe, trace
-from clacad.fixture import COMPENSATIONS, NoFixture, baffle_mesh, coupon_solid, frame_solids, frame_spec
-from clacad.fixture.frame import MARK_DEPTH
+from clacad.exporting.fixtures import (
+    COMPENSATIONS,
+    NoFixture,
+    baffle_mesh,
+    coupon_solid,
+    frame_solids,
+    frame_spec,
+)
+from clacad.exporting.fixtures.frame import MARK_DEPTH
 
 BASE = {
     "format": 1,

@@ -16,10 +16,10 @@ from oracle import law as law_oracle
 from oracle import trace as trace_oracle
 from oracle import view as view_oracle
 
-from clacad.lattice import Lattice
-from clacad.law import Law, angle_between, rotation, stretch, stretch_on_sheet
-from clacad.rays import Fate, Rays
-from clacad.trace.sequence import trace_sequence
+from clacad.optics.law import Law, angle_between, rotation, stretch, stretch_on_sheet
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import trace_sequence
+from clacad.sheet.lattice import Lattice
 
 DIGITS = 450  # a sag of 1e-200 beside a start at distance 1
 

@@ -22,12 +22,12 @@ from oracle import sheet as sheet_oracle
 from oracle import trace as trace_oracle
 
 from clacad import tessellate, trace
-from clacad.rays import NO_CELL, Fate, Rays
-from clacad.surface import Biconic, Quadric, meet
-from clacad.trace import packing as slot
-from clacad.trace.sequence import largest, launch, pass_on, to_sheet, to_surface, trace_sequence, unit
+from clacad.optics.rays import NO_CELL, Fate, Rays
+from clacad.optics.sequence import largest, launch, pass_on, to_sheet, to_surface, trace_sequence, unit
+from clacad.optics.surface import Biconic, Quadric, meet
+from clacad.tracing.compiled import packing as slot
 
-kernel = pytest.importorskip("clacad.trace.kernel_scalar")
+kernel = pytest.importorskip("clacad.tracing.compiled.face")
 
 
 def packed(surface):

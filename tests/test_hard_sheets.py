@@ -14,12 +14,12 @@ from mpmath import mp
 from oracle import thick
 
 from clacad import DesignError, Rays, load, prescribe, tessellate, trace
-from clacad.export.closed import measure
-from clacad.export.truth import body_volume
-from clacad.feasibility import feasibility
-from clacad.rays import Fate
-from clacad.sheet import lens_height
-from clacad.trace import surfaces
+from clacad.formats.mesh.closed_stream import measure
+from clacad.optics.rays import Fate
+from clacad.sheet.feasibility import feasibility
+from clacad.sheet.volume_and_extent import body_volume
+from clacad.sheet.window import lens_height
+from clacad.tracing.reference import surfaces
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 PITCH = 0.005

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from hard import table
 
-from clacad.cli.run import main
-from clacad.stability import as_dict, as_markdown, as_text, hard_cases, stability_table
-from clacad.stability.show import worst_shares
+from clacad.cli.entry_point import main
+from clacad.verification.stability import as_dict, as_markdown, as_text, hard_cases, stability_table
+from clacad.verification.stability.show_table import worst_shares
 
 
 @cache

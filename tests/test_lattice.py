@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clacad.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
 KINDS = {
     "square": Lattice("square", (0.5, 0.5), (7, 4)),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 from oracle import law as oracle
 
-from clacad.law import (
+from clacad.optics.law import (
     Law,
     angle_between,
     apparent_map,

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from clacad import Design, DesignError, Law, Rays, prescribe, trace
-from clacad.effects.follow import Rules, follow
-from clacad.rays import Fate
+from clacad.effects.engine.nonsequential import Rules, follow
+from clacad.optics.rays import Fate
 
 FINITE = settings(
     max_examples=12, deadline=None, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]

@@ -1,162 +1,269 @@
-"""The layers of the package: a module imports only from rows above its own, and intent is read once."""
+"""The layers of the package: a file imports only from rooms above its own, nothing in a ring, and intent is read once."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "clacad"
 
-LAYER = {
-    # arithmetic and tables without optics: anything may use them, they use nothing
-    "compensated": -1, "sobol": -1, "process": -1, "log": -1, "rates": -1, "digits": -1, "aperture": -1,
-    # 0 mathematics: numpy only, not each other
-    "law": 0, "lattice": 0, "surface": 0, "material": 0, "rays": 0,
-    # 1 nouns
-    "design": 1, "sheet": 1, "scene": 1,
-    # 2 the bridge
-    "prescription": 2,
-    # 3 derived from the sheet
-    "extremes": 3, "vignetting": 3, "bundle": 3, "cell_complex": 3, "mesh": 3, "brep": 3, "feasibility": 3, "fixture": 3,
-    # 4 verbs
-    "trace": 4, "effects": 4, "export": 4,
-    # 5 judgement
-    "verify": 5, "accuracy": 5, "stability": 5, "tolerance": 5,
-    # 6 presentation
-    "report": 6, "render": 6, "doctor": 6, "explain": 6,
-    # 7 surface
-    "cli": 7, "__init__": 7, "__main__": 7,
-}  # fmt: skip
+ROOMS = [
+    "base",  # arithmetic, tables and services without optics
+    "optics",  # law, surfaces, materials, rays: single things
+    "sheet",  # the sheet as built, and what follows from it in closed form
+    "config",  # what design and scene files share
+    "design",
+    "scene",
+    "prescription",  # the only place where intent becomes geometry
+    "topology",  # where cells meet: mesh and solid both build from it
+    "mesh",
+    "solid",
+    "storage",  # files on disk, whatever is in them
+    "formats",  # one format a module
+    "tracing",
+    "effects",
+    "exporting",
+    "verification",
+    "rendering",
+    "report",
+    "explain",
+    "doctor",
+    "cli",
+    "__init__",
+    "__main__",
+]
+"""Top to bottom: a file imports from its own room and from those above it."""
 
-# Neighbours within a row that may use one another, each with its reason.
-SIDEWAYS = {
-    ("scene", "design"): "one reader for both kinds of file: units, places of mistakes, suggestions",
-    ("mesh", "cell_complex"): "one topology for mesh and B-Rep",
-    ("brep", "cell_complex"): "one topology for mesh and B-Rep",
-    ("cell_complex", "extremes"): "extremes of heights along a border",
-    ("feasibility", "extremes"): "extremes of heights over a cell",
-    ("feasibility", "vignetting"): "field of view and ghost onset are vignetting's",
-    ("feasibility", "cell_complex"): "pieces and holes in closed form",
-    ("bundle", "vignetting"): "the cone of the test rays stands about the aperture slope",
-    ("effects", "trace"): "effects are passes over the tracer's blocks",
-    ("trace", "effects"): "only when effects are named: the trace then runs under their passes",
-    ("trace", "export"): "rung mesh reads the file it is given; the readers' one home is export",
-    ("export", "trace"): "only export/grade.py: the light through a mesh is forecast before it is written",
-    ("export", "effects"): "the plan travels with what is written",
-    ("fixture", "feasibility"): "the gap between the bodies",
-    ("fixture", "brep"): "the coupon is made of the design's own solids",
-    ("fixture", "mesh"): "letters are sunk into the border's own triangles",
-    ("accuracy", "verify"): "both judge by the same bundle of rays",
-    ("render", "report"): "pictures carry the plan the report prints",
-    ("report", "render"): "a report holds a picture through the sheet",
-    ("verify", "accuracy"): "one bundle",
-    ("tolerance", "verify"): "samples are judged by the limits and with the bundles of the checks",
+EXCEPTIONS = {
+    (
+        "tracing/trace.py",
+        "effects/__init__.py",
+    ): "only when effects are named: the trace then runs under their passes",
 }
+"""Importing file, imported file: reason. One that nothing uses fails."""
+
+RINGS = {
+    ("cli/export_command.py", "cli/render_command.py"): "one exports scenes, the other reads angles as that does",
+    ("config/key_positions.py", "config/mistakes.py"): "places are looked up only once something is wrong",
+    ("design/canonical_text.py", "design/model.py", "design/read.py"): "methods of Design: hash, changed values",
+    (
+        "effects/engine/camera_light.py", "effects/engine/homogeneous_light.py", "effects/engine/split_paths.py",
+    ): "kinds of light that all give a Light",
+    ("exporting/format_table.py", "exporting/request.py"): "which formats there are",
+    ("exporting/limits.py", "exporting/tessellations.py"): "limits count the facets of one cell; tessellations know the limits",
+    ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "methods of Law: then, inverse, fit",
+    ("optics/material/database.py", "optics/material/material.py"): "materials named ri:… come from the database",
+    (
+        "rendering/compiled/pixels.py", "rendering/compiled/primitives.py", "rendering/compiled/scene_hits.py",
+        "rendering/compiled/scene_light.py", "rendering/compiled/scene_tables.py", "rendering/compiled/triangle_tree.py",
+        "rendering/picture.py", "rendering/picture_files.py", "rendering/pixel_input.py",
+        "rendering/reference/scene_hits.py", "rendering/scene_arrays.py", "rendering/view.py",
+    ): "photographs in a scene are read by the module that writes pictures",
+    (
+        "scene/animation.py", "scene/model.py", "scene/named_files.py", "scene/read.py", "scene/rules.py",
+    ): "methods of Scene: its design, its frames",
+    ("verification/files/map_file.py", "verification/files/map_light.py"): "point files are read in blocks by map_file",
+}  # fmt: skip
+"""Modules that import one another in a ring, function-local imports counted: why. One that is gone fails."""
 
 
-def modules() -> dict[str, list[Path]]:
-    """Top-level module or package → its files."""
-    found: dict[str, list[Path]] = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        name = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-        found.setdefault(name, []).append(path)
-    return found
+@cache
+def files() -> dict[str, Path]:
+    """Every module by its file's path inside the package."""
+    return {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
-def imports(path: Path, everywhere: bool) -> set[str]:
-    """Names of the modules imported by a file: at its head, or everywhere; typing-only imports left out."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    nodes: list[ast.AST] = list(ast.walk(tree)) if everywhere else list(tree.body)
+def room_of(name: str) -> str:
+    """Name of the room a file is in: its first folder, or the module at the top."""
+    return name.split("/")[0].removesuffix(".py")
+
+
+def in_rooms(*rooms: str) -> dict[str, Path]:
+    """Files of some rooms."""
+    return {name: path for name, path in files().items() if room_of(name) in rooms}
+
+
+@cache
+def imports(name: str, head_only: bool = False) -> frozenset[str]:
+    """Files that a file imports, anywhere or at its head; what only type checkers read is left out."""
+    tree = ast.parse(files()[name].read_text(encoding="utf-8"))
     typing_only = {
         id(inner)
         for node in ast.walk(tree)
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
         for inner in ast.walk(node)
     }
-    found = set()
-    for node in nodes:
+    found: set[str] = set()
+    for node in tree.body if head_only else ast.walk(tree):
         if id(node) in typing_only:
             continue
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "clacad":
-            parts = node.module.split(".")
-            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "clacad":
+            for alias in node.names:
+                found |= {file_of(f"{node.module}.{alias.name}") or file_of(node.module or "")}
         elif isinstance(node, ast.Import):
-            found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("clacad.")}
+            found |= {file_of(a.name) for a in node.names if a.name.split(".")[0] == "clacad"}
+    return frozenset(found - {"", "__init__.py"})
+
+
+def file_of(module: str) -> str:
+    """File of a module or package; empty if there is none of that name."""
+    path = "/".join(module.split(".")[1:])
+    return next((f for f in (f"{path}.py", f"{path}/__init__.py".lstrip("/")) if f in files()), "")
+
+
+def rings() -> list[tuple[str, ...]]:
+    """Strongly connected sets of more than one module (Tarjan)."""
+    number: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[tuple[str, ...]] = []
+
+    def visit(name: str) -> None:
+        number[name] = low[name] = len(number)
+        stack.append(name)
+        for target in sorted(imports(name)):
+            if target not in number:
+                visit(target)
+                low[name] = min(low[name], low[target])
+            elif target in stack:
+                low[name] = min(low[name], number[target])
+        if low[name] == number[name]:
+            ring = [stack.pop()]
+            while ring[-1] != name:
+                ring.append(stack.pop())
+            if len(ring) > 1:
+                found.append(tuple(sorted(ring)))
+
+    for name in files():
+        if name not in number:
+            visit(name)
     return found
 
 
-@pytest.mark.parametrize("module", sorted(modules()))
-def test_a_module_imports_only_from_rows_above(module):
-    assert module in LAYER, f"give {module} a row in LAYER"
-    for path in modules()[module]:
-        for target in imports(path, everywhere=True) - {module, "__version__"}:
-            if target not in LAYER or LAYER[module] == 7:
-                continue
-            allowed = LAYER[target] < LAYER[module] or (module, target) in SIDEWAYS
-            assert allowed, f"{path.relative_to(PACKAGE)} imports {target} (row {LAYER[target]})"
+def test_every_room_is_in_the_list_and_every_one_listed_exists():
+    assert {room_of(name) for name in files()} == set(ROOMS)
 
 
-@pytest.mark.parametrize("module", ["law", "lattice", "surface", "material", "rays"])
-def test_mathematics_knows_numpy_and_the_standard_library_only(module):
+@pytest.mark.parametrize("room", [room for room in ROOMS if not room.startswith("__")])
+def test_a_file_imports_only_from_its_own_room_and_those_above(room):
+    for name in in_rooms(room):
+        for target in imports(name):
+            allowed = ROOMS.index(room_of(target)) <= ROOMS.index(room) or (name, target) in EXCEPTIONS
+            assert allowed, f"{name} imports {target}"
+
+
+@pytest.mark.parametrize(("name", "target"), EXCEPTIONS)
+def test_every_exception_is_used(name, target):
+    assert target in imports(name)
+
+
+def test_modules_import_one_another_in_no_ring_but_those_listed():
+    found = set(rings())
+    assert found - set(RINGS) == set()
+    assert set(RINGS) - found == set(), "these rings are gone: take them off the list"
+
+
+def test_at_their_heads_modules_import_one_another_in_no_ring():
+    order: list[str] = []
+    waiting = {name: set(imports(name, head_only=True)) - {name} for name in files()}
+    while waiting:
+        free = [name for name, needed in waiting.items() if not needed & waiting.keys()]
+        assert free, f"a ring among {sorted(waiting)}"
+        order += free
+        for name in free:
+            del waiting[name]
+    assert len(order) == len(files())
+
+
+def test_no_module_has_the_name_of_what_its_package_gives():
+    """So that `import clacad.tracing.compiled.column as c` gives the module, whatever was imported before."""
+    for name, path in files().items():
+        if not name.endswith("__init__.py"):
+            continue
+        given = set()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom):
+                given |= {a.asname or a.name for a in node.names}
+            elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                given.add(node.name)
+            elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_HOME":
+                assert isinstance(node.value, ast.Dict)
+                given |= {key.value for key in node.value.keys if isinstance(key, ast.Constant)}
+        beside = {p.stem for p in path.parent.glob("*.py")} | {
+            p.parent.name for p in path.parent.glob("*/__init__.py")
+        }
+        assert not given & beside, (
+            f"{name} gives {sorted(given & beside)}, and so are modules beside it called"
+        )
+
+
+def test_every_package_says_what_lives_in_it():
+    for name, path in files().items():
+        if name.endswith("__init__.py"):
+            assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), f"{name} says nothing"
+
+
+def mathematics() -> list[str]:
+    """Files that know numpy and the standard library only."""
+    return [*in_rooms("optics"), "sheet/lattice.py", "base/pairs.py", "base/sobol.py", "base/roots.py"]
+
+
+def test_mathematics_knows_numpy_and_the_standard_library_only():
     heavy = {"scipy", "numba", "OCP", "build123d", "matplotlib", "trimesh", "manifold3d", "pydantic"}
-    for path in modules()[module]:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for name in mathematics():
+        tree = ast.parse(files()[name].read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
-                assert not heavy & {n.split(".")[0] for n in names}, path
+                assert not heavy & {n.split(".")[0] for n in names}, name
 
 
 def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_no_design():
-    forecast_of_light = PACKAGE / "export" / "grade.py"
-    for first, second in (("export", "trace"), ("export", "bundle"), ("mesh", "design"), ("brep", "design")):
-        for path in modules().get(first, []):
-            if path != forecast_of_light:
-                assert second not in imports(path, everywhere=True), f"{path} imports {second}"
+    for name in in_rooms("exporting"):
+        if name != "exporting/light_forecast.py":
+            known = {room_of(target) for target in imports(name)} | (imports(name) & {"sheet/bundle.py"})
+            assert not known & {"tracing", "sheet/bundle.py"}, f"{name} traces"
+    for name in in_rooms("mesh", "solid", "topology"):
+        assert "design" not in {room_of(target) for target in imports(name)}, f"{name} knows a design"
 
 
 def test_intent_is_read_once():
     """Only law, design, prescription and the judges read an attribute named eta*: the rest sees geometry."""
-    for module, paths in modules().items():
-        if module in {"law", "design", "prescription", "verify", "tolerance"}:
+    free = ("optics/law/", "design/", "prescription/", "verification/")
+    bound = ("verification/accuracy/", "verification/stability/")
+    for name, path in files().items():
+        if name.startswith(free) and not name.startswith(bound):
             continue
-        for path in paths:
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
-                    assert not node.attr.startswith("eta"), f"{path.name}:{node.lineno} reads .{node.attr}"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+                assert not node.attr.startswith("eta"), f"{name}:{node.lineno} reads .{node.attr}"
 
 
 def test_heavy_packages_are_imported_inside_functions():
     heavy = {"OCP", "build123d", "numba", "matplotlib", "trimesh", "scipy", "manifold3d", "pydantic", "PIL"}
     # modules that are themselves imported inside functions only, as the next test shows
-    entry = {
-        "trace/compiled.py": {"numba"},
-        "trace/kernels.py": {"numba"},
-        "design/schema.py": {"pydantic"},
-        "brep/kernel.py": {"OCP"},
-    }
-    for paths in modules().values():
-        for path in paths:
-            allowed = entry.get(str(path.relative_to(PACKAGE)), set())
-            for node in ast.parse(path.read_text(encoding="utf-8")).body:
-                if isinstance(node, (ast.Import, ast.ImportFrom)):
-                    names = (
-                        [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
-                    )
-                    found = heavy & {n.split(".")[0] for n in names} - allowed
-                    assert not found, f"{path.relative_to(PACKAGE)} imports {found} at its head"
+    entry = {"base/compiled.py": {"numba"}, "design/schema.py": {"pydantic"}, "solid/occ_writer.py": {"OCP"}}
+    for name, path in files().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                found = heavy & {n.split(".")[0] for n in names} - entry.get(name, set())
+                assert not found, f"{name} imports {found} at its head"
 
 
 def test_importing_every_package_loads_nothing_heavy():
-    names = sorted(name for name in modules() if not name.startswith("__"))
+    names = sorted(
+        ".".join(("clacad", *Path(name).parts[:-1])) for name in files() if name.endswith("/__init__.py")
+    )
     code = f"""
 import importlib, sys
-for name in {names!r}:
-    importlib.import_module("clacad." + name)
+for name in {[*names, "clacad.doctor"]!r}:
+    importlib.import_module(name)
 heavy = ("OCP", "build123d", "numba", "matplotlib", "trimesh", "scipy", "manifold3d", "pydantic", "PIL")
 print(sorted(m for m in heavy if m in sys.modules))
 """

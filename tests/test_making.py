@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
-from clacad.feasibility import feasibility
-from clacad.feasibility.making import groove, wall
-from clacad.prescription import prescribe
-from clacad.process import profile, profiles
-from clacad.verify import design_checks
-from clacad.verify.checks import CODES, accepted
+from clacad.design.process_profiles import profile, profiles
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import feasibility
+from clacad.sheet.feasibility.process_features import groove, wall
+from clacad.verification import design_checks
+from clacad.verification.checks import CODES, accepted
 
 RULES = ("tool", "wall", "draft", "slope", "voxel", "layer", "aspect", "undercut")
 PROCESSES = [p.name for p in profiles() if p.name != "none"]

@@ -15,20 +15,20 @@ from typer.testing import CliRunner
 
 import clacad
 from clacad.cli.app import app
-from clacad.export import export
-from clacad.export.errors import NotPossible
-from clacad.export.readers import read_mesh
-from clacad.export.roles import Role
-from clacad.export.stl import FACET, HEADER, write_stl
-from clacad.fixture import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
-from clacad.fixture.letters import CHORD, Engraving, polygons
-from clacad.fixture.mark import line_sketch, pockets
-from clacad.lattice import polygon_area
+from clacad.exporting.export_design import export
+from clacad.exporting.fixtures import NoFixture, engraved_mesh, engravings, mark_place, marked_solids
+from clacad.exporting.fixtures.letters import CHORD, Engraving, polygons
+from clacad.exporting.roles import Role
+from clacad.formats.mesh.readers import read_mesh
+from clacad.formats.mesh.stl import FACET, HEADER, write_stl
 from clacad.mesh import check_closed
-from clacad.verify import verify
-from clacad.verify.files import find_files
-from clacad.verify.registration import place
-from clacad.verify.returned import judge_placed
+from clacad.sheet.lattice import polygon_area
+from clacad.solid.marks import line_sketch, pockets
+from clacad.storage.errors import NotPossible
+from clacad.verification import verify
+from clacad.verification.files.find_files import find_files
+from clacad.verification.returned.judge_part import judge_placed
+from clacad.verification.returned.registration import place
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 BORDERED = ["body.border=2", "lattice.count=[4,4]"]

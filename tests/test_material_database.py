@@ -10,8 +10,8 @@ from mpmath import mp, mpf
 
 from clacad import Design, DesignError, prescribe
 from clacad.effects import Setting, plan_effects, trace_with
-from clacad.effects.view import cone, of_window
-from clacad.material import find
+from clacad.effects.engine.probe_rays import cone, of_window
+from clacad.optics.material.material import find
 
 pytest.importorskip("yaml")
 TOY = Path(__file__).parent / "data" / "refractiveindex"
@@ -86,7 +86,7 @@ def test_no_database_is_an_error_that_says_how_to_get_one(monkeypatch, tmp_path)
     with pytest.raises(ValueError, match=r"catalog-nk.yml is missing"):
         find("ri:toy/glass/one")
     monkeypatch.delenv("CLACAD_REFRACTIVEINDEX")
-    monkeypatch.setattr("clacad.material.database.find_spec", lambda name: None)
+    monkeypatch.setattr("clacad.optics.material.database.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"pip install 'clacad\[materials\]'"):
         find("ri:toy/glass/one")
 

@@ -13,7 +13,6 @@ from meshwindows import FORMS, window
 from often import often
 
 import clacad
-from clacad.cell_complex import cell_complex, count_holes, count_pieces, saddle_count
 from clacad.mesh import (
     cell_solid,
     check_closed,
@@ -25,9 +24,10 @@ from clacad.mesh import (
     mesh_body,
     tessellate,
 )
-from clacad.mesh.template import BACK, FRONT, WALL
-from clacad.sheet import column, lens_height
-from clacad.surface import Quadric
+from clacad.mesh.cell_template import BACK, FRONT, WALL
+from clacad.optics.surface import Quadric
+from clacad.sheet.window import column, lens_height
+from clacad.topology import cell_complex, count_holes, count_pieces, saddle_count
 
 
 def as_file(body):

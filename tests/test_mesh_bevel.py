@@ -10,12 +10,12 @@ import trimesh
 from meshwindows import FORMS, window
 
 import clacad
-from clacad.cell_complex.build import cell_complex
-from clacad.cell_complex.count import saddle_count
-from clacad.export import export
-from clacad.export.readers import read_mesh
+from clacad.exporting.export_design import export
+from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
-from clacad.mesh.template import WALL
+from clacad.mesh.cell_template import WALL
+from clacad.topology.build_complex import cell_complex
+from clacad.topology.pieces_and_holes import saddle_count
 
 WIDTH = 1e-4
 SADDLED = ("saddle at every corner", "tilted about both axes, offset", "plano", "slab", "pinholes")
@@ -91,7 +91,7 @@ def test_the_added_volume_is_that_of_the_corner_prisms_and_is_said():
 
 
 def _corner_height(sheet, face, sign):
-    from clacad.sheet import lens_height
+    from clacad.sheet.window import lens_height
 
     half = 0.5 * sheet.lattice.pitch[0]
     return lens_height(face, np.array([half]), np.array([sign * half]))[0]

@@ -13,22 +13,22 @@ from oracle.plain_mesh import sheet_facets, write_stl
 from trust.spoiling import document_of, glb, model_changed
 
 from clacad.design import Design
-from clacad.export.closed import welded
-from clacad.export.compare import compare_mesh
-from clacad.export.errors import FileDisagrees, UnreadableFile
-from clacad.export.filemesh import FileMesh, Part
-from clacad.export.glb import write_glb
-from clacad.export.ply import write_ply
-from clacad.export.readers import read_mesh
-from clacad.export.tessellation import Meshes
-from clacad.export.threemf import write_threemf
-from clacad.export.truth import Integral, body_volume
-from clacad.prescription import prescribe
-from clacad.verify import wholeness
-from clacad.verify.gather import Gatherer, chosen_cells
-from clacad.verify.meshfile import judge_mesh
-from clacad.verify.meshshape import clean_forecast
-from clacad.verify.wholeness import connected
+from clacad.exporting.compare import compare_mesh
+from clacad.exporting.tessellations import Meshes
+from clacad.formats.mesh.closed_stream import welded
+from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.glb import write_glb
+from clacad.formats.mesh.ply import write_ply
+from clacad.formats.mesh.readers import read_mesh
+from clacad.formats.mesh.threemf import write_threemf
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.volume_and_extent import Integral, body_volume
+from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.verification.files import mesh_wholeness
+from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
+from clacad.verification.files.mesh_file import judge_mesh
+from clacad.verification.files.mesh_shape import clean_forecast
+from clacad.verification.files.mesh_wholeness import connected
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "repeated", "unit": "mm", "law": {"eta": [-0.25, -1.0]},
@@ -487,10 +487,10 @@ def test_pieces_of_a_stream_are_counted_to_the_last_one():
 def test_pieces_of_a_large_file_are_counted_or_the_sentence_says_that_they_are_not(tmp_path, monkeypatch):
     path = stl(tmp_path, DESIGN, QUADS)
     small = judged(path)[0]["pieces"]
-    monkeypatch.setattr(wholeness, "COUNTED_FACETS", 0)
+    monkeypatch.setattr(mesh_wholeness, "COUNTED_FACETS", 0)
     large = judged(path)[0]["pieces"]
     assert (large.state, large.value) == (small.state, small.value) == ("pass", 2.0)
-    monkeypatch.setattr(wholeness, "COUNTED_PIECES", 0)
+    monkeypatch.setattr(mesh_wholeness, "COUNTED_PIECES", 0)
     none = judged(path)[0]["pieces"]
     assert none.state == "not run"
     assert not none.required

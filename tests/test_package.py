@@ -26,8 +26,10 @@ def test_every_public_name_resolves_to_a_function_or_a_class(name):
 
 def test_a_verb_stays_a_verb_after_its_module_was_imported():
     code = """
-import clacad, clacad.trace, clacad.export, clacad.verify
-from clacad.trace import trace_sequence
+import clacad, clacad.tracing.trace, clacad.exporting.export_design, clacad.verification
+import clacad.tracing.compiled.column as column
+from clacad.tracing.trace import trace_sequence
+assert column.__name__ == 'clacad.tracing.compiled.column'
 assert clacad.trace is not None and callable(clacad.trace) and callable(clacad.export) and callable(clacad.verify)
 from clacad import trace
 assert trace is clacad.trace

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from clacad import Design, DesignError, Fate, Interface, Rays, prescribe, trace, trace_sequence
-from clacad.law import angle_between
-from clacad.sheet import column, lens_height
+from clacad.optics.law import angle_between
+from clacad.sheet.window import column, lens_height
 
 PAPER = {
     "format": 1,

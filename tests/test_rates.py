@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clacad import rates as rates_module
-from clacad.cli.forecasting import forecast
-from clacad.rates import KEPT, Rates, Span, span_text, total
+from clacad.base import machine_rates as rates_module
+from clacad.base.machine_rates import KEPT, Rates, Span, span_text, total
+from clacad.cli.announce_cost import forecast
 
 
 class Clock:
@@ -167,7 +167,7 @@ def test_the_machine_is_timed_by_the_clock_it_is_given(cache, monkeypatch):
 
 
 def test_a_long_command_says_its_range_and_learns_from_the_run(cache, capsys, monkeypatch):
-    monkeypatch.setattr("clacad.cli.forecasting._kernels", lambda: 5)
+    monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: 5)
     clock = Clock()
     with forecast("verify", 20.0, quiet=False, clock=clock):
         clock.now += 16.0
@@ -185,7 +185,7 @@ def test_a_long_command_says_its_range_and_learns_from_the_run(cache, capsys, mo
 
 def test_a_run_that_compiled_kernels_is_not_noted(cache, monkeypatch):
     counts = iter([0, 3])
-    monkeypatch.setattr("clacad.cli.forecasting._kernels", lambda: next(counts))
+    monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: next(counts))
     clock = Clock()
     with forecast("verify", 1.0, quiet=True, clock=clock):
         clock.now += 60.0

@@ -18,14 +18,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from clacad.export import threemf
-from clacad.export.closed import crowded_edges, measure
-from clacad.export.errors import FileDisagrees, UnreadableFile
-from clacad.export.glb import write_glb
-from clacad.export.ply import read_ply, write_ply
-from clacad.export.readers import read_mesh
-from clacad.export.stl import check_stl_facets, facet_normals, stl_bytes, write_stl
-from clacad.export.threemf import write_threemf
+from clacad.formats.mesh import threemf
+from clacad.formats.mesh.closed_stream import crowded_edges, measure
+from clacad.formats.mesh.glb import write_glb
+from clacad.formats.mesh.ply import read_ply, write_ply
+from clacad.formats.mesh.readers import read_mesh
+from clacad.formats.mesh.stl import check_stl_facets, facet_normals, stl_bytes, write_stl
+from clacad.formats.mesh.threemf import write_threemf
+from clacad.storage.errors import FileDisagrees, UnreadableFile
 
 WRITERS = {".3mf": write_threemf, ".ply": write_ply, ".glb": write_glb}
 SCALE = 2.5  # mm per design unit, so that a unit lost on the way shows

@@ -8,13 +8,13 @@ from filesonly import only_files
 from oracle.plain_mesh import sheet_facets, write_stl
 
 from clacad.design import Design
-from clacad.export.readers import read_mesh
-from clacad.prescription import prescribe
-from clacad.verify import CannotRegister, verify
-from clacad.verify.deviationmap import deviation_map, plot_deviation
-from clacad.verify.files import find_files
-from clacad.verify.registration import place
-from clacad.verify.returned import cut_to
+from clacad.formats.mesh.readers import read_mesh
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import CannotRegister, verify
+from clacad.verification.files.find_files import find_files
+from clacad.verification.returned.deviation_map import deviation_map, plot_deviation
+from clacad.verification.returned.judge_part import cut_to
+from clacad.verification.returned.registration import place
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "part", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.01, 0.005]},
@@ -280,8 +280,8 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     from OCP.gp import gp_Ax1, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
     from OCP.STEPControl import STEPControl_AsIs, STEPControl_Writer
 
-    from clacad.export import export
-    from clacad.export.step_read import kernel_shape
+    from clacad.exporting.export_design import export
+    from clacad.formats.step.read_back import kernel_shape
 
     export(DESIGN.with_cells((4, 3)), tmp_path / "made", ("step",))
     made = next((tmp_path / "made").glob("*.step"))

@@ -15,10 +15,13 @@ import numpy as np
 import pytest
 from viewscenes import CASES, ROOT, VIEWS, view_data, view_scene
 
-from clacad.rays import Fate
-from clacad.render import view_through
-from clacad.render.camera import aim, offsets, rays
-from clacad.render.files import (
+from clacad.optics.rays import Fate
+from clacad.rendering import view_through
+from clacad.rendering.camera import aim, offsets, rays
+from clacad.rendering.compiled.scene_hits import look_all
+from clacad.rendering.compiled.scene_tables import tables
+from clacad.rendering.picture import render, render_movie
+from clacad.rendering.picture_files import (
     UnknownPicture,
     decode,
     encode,
@@ -28,16 +31,13 @@ from clacad.render.files import (
     write_movie,
     write_picture,
 )
-from clacad.render.kernel_look import look_all
-from clacad.render.measure import measure
-from clacad.render.meet import look, nearest
-from clacad.render.picture import render, render_movie
-from clacad.render.plan import geometry_alone
-from clacad.render.stage import set_stage
-from clacad.render.tables import tables
-from clacad.render.tree import grow, nearest_triangle
+from clacad.rendering.reference.scene_hits import look, nearest
+from clacad.rendering.reference.triangle_tree import grow, nearest_triangle
+from clacad.rendering.scene_arrays import set_stage
+from clacad.rendering.screen_measure import measure
+from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene, SceneError
-from clacad.scene.place import turned
+from clacad.scene.object_rotation import turned
 
 PLAIN = {
     "format": 1,
@@ -328,7 +328,7 @@ def test_more_samples_come_nearer_to_the_mean():
 
 
 def test_three_lines_of_a_material_without_dispersion_give_the_plain_picture():
-    from clacad.render.spectrum import lines
+    from clacad.rendering.spectrum import lines
 
     window = view_through(scene()).window
     for spectrum in ("rgb", "D65", 550e-9):
@@ -339,8 +339,8 @@ def test_three_lines_of_a_material_without_dispersion_give_the_plain_picture():
 
 @pytest.mark.parametrize("spectrum", ["rgb", "D65"])
 def test_colours_come_back_through_the_spectrum(spectrum):
-    from clacad.prescription import prescribe
-    from clacad.render.spectrum import lines
+    from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.spectrum import lines
 
     glass = scene(sheet={"set": {"pair.material": "PMMA"}, "design": "designs/window-100mm.toml"})
     design = glass.design() if "pair.index" not in glass.design().given else glass.design()

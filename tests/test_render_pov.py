@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from viewscenes import CASES, ROOT, view_data, view_scene
 
-from clacad.export.pov import NotForPov, pov_lines, write_pov
-from clacad.prescription import prescribe
-from clacad.render import view_through
-from clacad.render.measure import coordinate_scene, fitted, sheet_points
-from clacad.render.plan import geometry_alone
+from clacad.formats.pov.pov_scene import NotForPov, pov_lines, write_pov
+from clacad.prescription.prescribe import prescribe
+from clacad.rendering import view_through
+from clacad.rendering.screen_measure import coordinate_scene, fitted, sheet_points
+from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene
 
 needs_povray = pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")

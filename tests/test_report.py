@@ -18,9 +18,9 @@ from clacad.design import Design, load
 from clacad.report import write_report
 from clacad.report.content import content
 from clacad.report.page import Section, number
-from clacad.report.write import is_report
-from clacad.verify import verify
-from clacad.verify.checks import Check
+from clacad.report.report_files import is_report
+from clacad.verification import verify
+from clacad.verification.checks import Check
 
 TEXT = {
     "format": 1, "name": "page", "unit": "mm", "notes": ["<script>alert(1)</script> & \"quotes\""],
@@ -183,7 +183,7 @@ def test_the_same_report_gives_the_same_bytes(page, made, tmp_path):
 
 
 def test_a_report_replaces_a_report_but_nothing_else(made, short, tmp_path):
-    from clacad.export.errors import CannotWrite
+    from clacad.storage.errors import CannotWrite
 
     write_report(made, tmp_path)
     write_report(made, tmp_path)
@@ -302,7 +302,7 @@ def test_headings_and_controls_have_names_and_the_page_can_be_walked_by_keyboard
 @pytest.mark.long
 def test_the_paper_version_says_the_same_and_is_the_same_every_time(made, short, tmp_path, monkeypatch):
     pytest.importorskip("typst")
-    paper = importlib.import_module("clacad.report.paper")
+    paper = importlib.import_module("clacad.report.pdf")
     compose, composed = paper._document, []
 
     def kept(content, shelf):
@@ -326,7 +326,7 @@ def test_the_paper_version_says_the_same_and_is_the_same_every_time(made, short,
 
 
 def test_without_the_typesetter_the_error_says_what_to_install(made, tmp_path, monkeypatch):
-    from clacad.report.paper import PdfMissing
+    from clacad.report.pdf import PdfMissing
 
     monkeypatch.setitem(sys.modules, "typst", None)
     with pytest.raises(PdfMissing, match=r"clacad\[pdf\]") as error:

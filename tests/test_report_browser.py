@@ -12,7 +12,7 @@ import pytest
 from clacad.design import Design
 from clacad.report import write_report
 from clacad.report.content import content
-from clacad.verify import verify
+from clacad.verification import verify
 
 pytestmark = pytest.mark.skipif(
     browser.find() is None or importlib.util.find_spec("websockets") is None,

@@ -7,16 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clacad.bundle import bundle
 from clacad.design import Design
-from clacad.law import angle_between
 from clacad.mesh import tessellate
-from clacad.prescription import prescribe
-from clacad.rays import Fate
-from clacad.surface import Quadric
-from clacad.trace import trace
-from clacad.verify.attribution import NAMES, Facets, as_it_would_be_written, as_written, attribute
-from clacad.verify.gather import Gathered, Gatherer, onto_face, owner
+from clacad.optics.law import angle_between
+from clacad.optics.rays import Fate
+from clacad.optics.surface import Quadric
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import bundle
+from clacad.tracing.trace import trace
+from clacad.verification.files.cell_triangles import Gathered, Gatherer, onto_face, owner
+from clacad.verification.light.error_attribution import (
+    NAMES,
+    Facets,
+    as_it_would_be_written,
+    as_written,
+    attribute,
+)
 
 ULP = 2.0**-52
 NOTHING = 8 * ULP

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
-from clacad.export.truth import whole_extent
-from clacad.feasibility import feasibility
 from clacad.mesh import tessellate
-from clacad.prescription import prescribe
+from clacad.prescription.prescribe import prescribe
 from clacad.report import drawing
+from clacad.report.body_outlines import across_cell, heights, outlines
 from clacad.report.fabrication import fabrication, orientation
-from clacad.report.parts import packed, parts, picture
-from clacad.report.profile import across_cell, heights, outlines
-from clacad.verify.caustic import foci
-from clacad.verify.ghosts import ghost_map
-from clacad.verify.parabasal import confocality
+from clacad.report.parts_in_3d import packed, parts, picture
+from clacad.sheet.feasibility import feasibility
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.verification.light.caustic import foci
+from clacad.verification.light.confocality import confocality
+from clacad.verification.light.ghost_map import ghost_map
 
 TEXT = {
     "format": 1, "name": "parts", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.01, 0.0]},
@@ -93,7 +93,7 @@ def test_sag_is_that_of_the_triangles_of_the_lens(made):
         body = next(b for b in alone.bodies if face in (b.front, b.back))
         corners = tessellate(alone, quads=16).bodies[alone.bodies.index(body)].vertices
         place = corners[:, :2] - np.asarray(alone.shifts[lens.array])
-        from clacad.sheet import lens_height
+        from clacad.sheet.window import lens_height
 
         inside = np.abs(place).max(axis=1) < 0.2499
         z = corners[inside, 2]

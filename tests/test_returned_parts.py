@@ -12,19 +12,19 @@ from oracle.plain_mesh import sheet_facets, write_stl
 
 import clacad
 from clacad.design import Design
-from clacad.export import export
-from clacad.export.filemesh import FileMesh, Part
-from clacad.export.readers import read_mesh
-from clacad.export.roles import Role
+from clacad.exporting.export_design import export
+from clacad.exporting.roles import Role
+from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
-from clacad.prescription import prescribe
-from clacad.verify import verify
-from clacad.verify.damage import find_features
-from clacad.verify.deviationmap import plot_deviation, write_deviation
-from clacad.verify.files import find_files
-from clacad.verify.opensurface import is_open_surface, rims
-from clacad.verify.registration import place
-from clacad.verify.returned import judge_placed
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import verify
+from clacad.verification.files.find_files import find_files
+from clacad.verification.files.open_surface import is_open_surface, rims
+from clacad.verification.returned.damage import find_features
+from clacad.verification.returned.deviation_map import plot_deviation, write_deviation
+from clacad.verification.returned.judge_part import judge_placed
+from clacad.verification.returned.registration import place
 
 DESIGNS = Path(__file__).resolve().parents[1] / "designs"
 RAYS = 1024

@@ -12,7 +12,7 @@ from viewscenes import ROOT, view_data
 
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.scene import keys as scene_keys
-from clacad.scene.moves import value_at
+from clacad.scene.animation import value_at
 from clacad.scene.schema import scene_schema
 
 SCENES = sorted((ROOT / "designs" / "scenes").glob("*.toml"))

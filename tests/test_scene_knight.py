@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from viewscenes import ROOT
 
-from clacad.export.readers import read_mesh
-from clacad.render import view_through
+from clacad.formats.mesh.readers import read_mesh
+from clacad.rendering import view_through
 from clacad.scene import Scene
 
 FILE = ROOT / "designs" / "chess-knight.stl"

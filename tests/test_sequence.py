@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import mpf
 
-from clacad.rays import NO_CELL, Fate, Rays
-from clacad.surface import Biconic, Quadric
-from clacad.trace.sequence import Interface, trace_sequence
+from clacad.optics.rays import NO_CELL, Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
+from clacad.optics.surface import Biconic, Quadric
 
 ULP = 2.0**-52
 

@@ -13,10 +13,10 @@ import pytest
 from brepwindows import SWEEPS, biconvex, column_volume, one_body
 
 import clacad
-from clacad.export.errors import UnreadableFile
-from clacad.export.step import forecast_step, read_step, write_step
-from clacad.export.step_scan import scan_step
-from clacad.lattice import Circle, Rectangle
+from clacad.formats.step.step_files import forecast_step, read_step, write_step
+from clacad.formats.step.text_health import scan_step
+from clacad.sheet.lattice import Circle, Rectangle
+from clacad.storage.errors import UnreadableFile
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 TILTED = {"euler": (20.0, 3.0, 0.0)}
@@ -164,7 +164,7 @@ def test_the_same_window_gives_the_same_bytes_in_any_process(tmp_path):
     script = (
         "import sys; sys.path[:0] = sys.argv[2:]\n"
         "from brepwindows import biconvex\n"
-        "from clacad.export.step import write_step\n"
+        "from clacad.formats.step.step_files import write_step\n"
         "window = biconvex(euler=(20.0, 3.0, 0.0), web=0.03, thickness=0.06)\n"
         "for mode in ('fused', 'instanced'):\n"
         "    write_step(window, sys.argv[1] + mode, mode=mode)\n"
@@ -182,7 +182,7 @@ def test_writing_loads_no_kernel(tmp_path):
     script = (
         "import sys; sys.path[:0] = sys.argv[2:]\n"
         "from brepwindows import biconvex\n"
-        "from clacad.export.step import write_step\n"
+        "from clacad.formats.step.step_files import write_step\n"
         "write_step(biconvex(), sys.argv[1])\n"
         "assert not {'OCP', 'build123d'} & set(sys.modules)\n"
     )

@@ -8,11 +8,11 @@ import pytest
 from meshwindows import window
 
 import clacad
-from clacad.brep import solids
-from clacad.export.step import read_step, write_step
-from clacad.export.step_record import compare_step
-from clacad.export.truth import body_volume
+from clacad.exporting.step_record import compare_step
+from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh.volume import exact_volume
+from clacad.sheet.volume_and_extent import body_volume
+from clacad.solid.solids import solids
 
 FORMS = {
     "flat": {},

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import clacad
-from clacad.export.step import read_step, write_step
-from clacad.export.step_scan import patch_points, scan_step
-from clacad.verify.filelight import IDS
-from clacad.verify.solidfile import judge_solid
+from clacad.formats.step.step_files import read_step, write_step
+from clacad.formats.step.text_health import patch_points, scan_step
+from clacad.verification.files.law_through_file import IDS
+from clacad.verification.files.step_file import judge_solid
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 UNITS = {"MM": 1.0, "INCH": 25.4, "M": 1000.0}
@@ -60,7 +60,7 @@ def good(checks):
 
 
 def kernel_shape(path):
-    from clacad.export.step_read import kernel_shape
+    from clacad.formats.step.read_back import kernel_shape
 
     return kernel_shape(path)
 
@@ -284,7 +284,7 @@ def test_mapped_items_and_turned_parts_are_placed(tmp_path):
     parts = compound([moved(moved(part, turn=0.3), x=5.0 * k, y=1.0, z=2.0) for k in range(3)])
     path = written_by_another(compound([moved(parts, turn=-1.1)]), tmp_path / "y.step", "INCH", True)
     scan = scan_step(path)
-    from clacad.export.placing import applied
+    from clacad.formats.step.placements import applied
 
     lenses = patch_points(scan)
     ours = np.concatenate([
@@ -322,7 +322,7 @@ def rippled(shape, height):
     from OCP.gp import gp_Pnt
     from OCP.TopAbs import TopAbs_FACE
 
-    from clacad.export.solid_walk import explored
+    from clacad.formats.step.shape_parts import explored
 
     for face in explored(shape, TopAbs_FACE):
         surface = BRep_Tool.Surface_s(face)
@@ -365,10 +365,10 @@ def test_lens_faces_that_another_program_fitted_badly_fail(written, tmp_path):
 def test_light_through_the_patches_of_the_text_goes_where_the_kernel_sends_it(
     written, tmp_path, monkeypatch, bodies
 ):
-    from clacad.bundle import bundle
-    from clacad.export.worker import Worker
-    from clacad.rays import Fate
-    from clacad.verify.solidlight import FaceTracer
+    from clacad.optics.rays import Fate
+    from clacad.sheet.bundle import bundle
+    from clacad.storage.worker import Worker
+    from clacad.verification.files.step_light import FaceTracer
 
     design, window = written[bodies]
     path = str(written[bodies, "fused"])
@@ -396,7 +396,7 @@ def test_a_piece_with_a_drilled_hole_is_recognised_and_the_hole_is_named(tmp_pat
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder
     from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt
 
-    from clacad.verify.run import verify
+    from clacad.verification.run import verify
 
     design = clacad.load(str(DESIGNS / "slab.toml"))
     write_step(clacad.prescribe(design.with_cells((4, 4))), tmp_path / "x.step", mode="fused")

@@ -15,10 +15,10 @@ from brepwindows import biconvex, column_volume
 from slicing import assert_nothing_repaired, slicer_for
 
 import clacad
-from clacad.export import export
-from clacad.export.errors import NotPossible
-from clacad.export.step import write_step
-from clacad.sheet import column, face_height
+from clacad.exporting.export_design import export
+from clacad.formats.step.step_files import write_step
+from clacad.sheet.window import column, face_height
+from clacad.storage.errors import NotPossible
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 SADDLES = ["lattice.seam=0", "pair.web=0", "law.euler=[45,0,0]"]
@@ -91,7 +91,7 @@ def test_gdsii_levels_are_the_heights_of_the_lens(tmp_path, name):
 
 
 def test_without_gdstk_the_format_names_its_extra_before_any_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(import_module("clacad.export.gds"), "find_spec", lambda name: None)
+    monkeypatch.setattr(import_module("clacad.formats.maps.gds"), "find_spec", lambda name: None)
     with pytest.raises(NotPossible, match=r"pip install .clacad\[gds\]"):
         export(clacad.load(DESIGNS / "slab.toml"), tmp_path / "x", ("gds", "step"))
     assert not (tmp_path / "x").exists()
@@ -111,8 +111,8 @@ def test_a_number_of_levels_no_reader_takes_is_refused(tmp_path, levels):
 
 def test_a_cut_gdsii_stream_is_unreadable(tmp_path):
     pytest.importorskip("gdstk", reason="the extra gds is not installed")
-    from clacad.export.errors import UnreadableFile
-    from clacad.export.gds import layer_counts
+    from clacad.formats.maps.gds import layer_counts
+    from clacad.storage.errors import UnreadableFile
 
     export(clacad.load(DESIGNS / "slab.toml").with_cells((2, 2)), tmp_path / "x", ("gds",))
     path = next((tmp_path / "x").glob("*back.gds"))

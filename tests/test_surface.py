@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 from oracle import trace as oracle
 
-from clacad.compensated import two_product, two_sum
-from clacad.surface import (
+from clacad.base.pairs import two_product, two_sum
+from clacad.optics.surface import (
     Biconic,
     Quadric,
     as_quadric,

@@ -12,10 +12,10 @@ import pytest
 
 from clacad.cli import main
 from clacad.design import Design
-from clacad.prescription import prescribe
-from clacad.tolerance import Farm, bench, parse_vary, sweep, tolerance, write_sweep
-from clacad.tolerance.errors import CannotVary
-from clacad.tolerance.write import study_table, sweep_parquet, sweep_table
+from clacad.prescription.prescribe import prescribe
+from clacad.verification.tolerance import Farm, bench, parse_vary, sweep, tolerance, write_sweep
+from clacad.verification.tolerance.no_tolerances import CannotVary
+from clacad.verification.tolerance.study_files import study_table, sweep_parquet, sweep_table
 
 SHEET = {
     "format": 1, "name": "sheet", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

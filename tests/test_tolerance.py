@@ -13,11 +13,12 @@ from math import hypot, pi
 import numpy as np
 import pytest
 
-from clacad.bundle import bundle
 from clacad.design import Design, DesignError
-from clacad.prescription import prescribe
-from clacad.rays import Fate, Rays
-from clacad.tolerance import (
+from clacad.optics.rays import Fate, Rays
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import bundle
+from clacad.tracing.trace import trace
+from clacad.verification.tolerance import (
     MEASURES,
     Checkpoint,
     Farm,
@@ -31,8 +32,7 @@ from clacad.tolerance import (
     tolerance,
     write_study,
 )
-from clacad.tolerance.errors import NoCluster
-from clacad.trace import trace
+from clacad.verification.tolerance.no_tolerances import NoCluster
 
 SLAB = {
     "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

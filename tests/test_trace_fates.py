@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oracle.windows import biconvex
 
-from clacad.rays import Fate
+from clacad.optics.rays import Fate
 
 HERE = Path(__file__).parent
 
@@ -45,8 +45,8 @@ class Count(event.Listener):
 count = Count()
 event.register('numba:compile', count)
 from oracle.windows import beam, biconvex
-from clacad.rays import Rays
-from clacad.trace import trace
+from clacad.optics.rays import Rays
+from clacad.tracing.trace import trace
 window = biconvex()
 trace(window, Rays(*beam(window, 1000, 0)), path='numba')
 print(count.compiled)

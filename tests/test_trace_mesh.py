@@ -9,9 +9,9 @@ import pytest
 from oracle.windows import PITCH, beam, biconvex, collection
 
 from clacad.mesh import tessellate
-from clacad.rays import Fate, Rays
-from clacad.trace import trace
-from clacad.trace.soup import TriangleSoup
+from clacad.optics.rays import Fate, Rays
+from clacad.tracing.trace import trace
+from clacad.tracing.triangles.triangle_soup import TriangleSoup
 
 WINDOWS = collection()
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from oracle.windows import PITCH, beam, biconvex, collection, plano, slab
 
-from clacad.lattice import Lattice
-from clacad.material import find
-from clacad.rays import NO_CELL, Fate, Rays
-from clacad.trace import Interface, trace, trace_sequence
+from clacad.optics.material.material import find
+from clacad.optics.rays import NO_CELL, Fate, Rays
+from clacad.sheet.lattice import Lattice
+from clacad.tracing.trace import Interface, trace, trace_sequence
 
 WINDOWS = collection()
 PATHS = ("numpy", "numba")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
-from clacad.verify.checks import CODES, Check, accepted, judge, not_run, passed, plain
+from clacad.verification.checks import CODES, Check, accepted, judge, not_run, passed, plain
 
 GOOD = Check("eta", "pass", "fine")
 

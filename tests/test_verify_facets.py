@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from oracle.plain_mesh import facets, sheet_facets
 
-from clacad.bundle import bundle
 from clacad.design import Design
-from clacad.prescription import prescribe
-from clacad.rays import Fate, Rays
-from clacad.trace.facets import FacetBody, facet_face, first_crossing, trace_facets
-from clacad.verify.deviation import deviation, forecast_rms
-from clacad.verify.gather import Gatherer, chosen_cells, telescopelet
+from clacad.optics.rays import Fate, Rays
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import bundle
+from clacad.tracing.triangles.telescopelet_facets import FacetBody, facet_face, first_crossing, trace_facets
+from clacad.verification.files.cell_triangles import Gatherer, chosen_cells, telescopelet
+from clacad.verification.files.facet_deviation import deviation, forecast_rms
 
 PLAIN = Design.from_dict({
     "format": 1, "name": "plain", "unit": "mm", "law": {"eta": [-0.5, -1.0]},
@@ -135,8 +135,8 @@ def test_facets_err_in_slope_as_their_size_over_the_radius():
 
 
 def test_the_forecast_is_the_error_that_light_shows():
-    from clacad.law import angle_between
-    from clacad.trace import trace
+    from clacad.optics.law import angle_between
+    from clacad.tracing.trace import trace
 
     window = prescribe(PLAIN)
     gatherer = Gatherer(window, [(2, 2)])

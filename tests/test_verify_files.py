@@ -11,9 +11,9 @@ from filesonly import only_files
 from oracle.plain_mesh import facets, sheet_facets, write_stl
 
 from clacad.design import Design
-from clacad.prescription import prescribe
-from clacad.verify import CannotRegister, passed, verify
-from clacad.verify.files import find_files, register
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import CannotRegister, passed, verify
+from clacad.verification.files.find_files import find_files, register
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "good", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.0]},
@@ -47,7 +47,7 @@ def failed(report):
 
 def with_manifest(folder, design=DESIGN):
     """Seal whatever lies in a folder as an export would."""
-    from clacad.export.atomic import canonical_json, file_hash
+    from clacad.storage.atomic import canonical_json, file_hash
 
     files = [
         {"name": p.name, "sha256": file_hash(p), "bytes": p.stat().st_size, "format": "stl-binary", "unit": "mm",
@@ -193,7 +193,7 @@ def test_a_manifest_of_another_design_is_said_and_the_files_are_still_judged(tmp
 
 @pytest.mark.parametrize(("unit", "word"), [(1.0, "mm"), (1e-3, "m"), (1.0 / 25.4, "in")])
 def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word):
-    from clacad.export.readers import read_mesh
+    from clacad.formats.mesh.readers import read_mesh
 
     path = tmp_path / "part.stl"
     write_stl(path, soup * MM * unit)

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clacad.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
 from clacad.design import Design
-from clacad.feasibility import feasibility
-from clacad.prescription import prescribe
-from clacad.rays import Fate
-from clacad.surface import Quadric
-from clacad.trace import trace
-from clacad.verify.checks import passed
-from clacad.verify.optics import confocality_check, law_checks, measure, throughput_check
-from clacad.verify.parabasal import confocality
-from clacad.verify.run import judge_window
+from clacad.optics.rays import Fate
+from clacad.optics.surface import Quadric
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
+from clacad.sheet.feasibility import feasibility
+from clacad.tracing.trace import trace
+from clacad.verification.checks import passed
+from clacad.verification.light.confocality import confocality
+from clacad.verification.light.law_checks import confocality_check, law_checks, measure, throughput_check
+from clacad.verification.run import judge_window
 
 BASE = Design.from_dict({
     "format": 1, "name": "base", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.02], "euler": [0.0, 0.5, 0.0]},
@@ -32,7 +32,9 @@ RAYS = 4096
 def _few_rays(request, monkeypatch):
     """What is caught here is caught by a factor; only published numbers need all rays."""
     if "published" not in request.node.name:
-        monkeypatch.setattr(importlib.import_module("clacad.verify.optics"), "POINT_RAYS", 512)
+        monkeypatch.setattr(
+            importlib.import_module("clacad.verification.light.law_checks"), "POINT_RAYS", 512
+        )
 
 
 def judged(window, design=BASE):
@@ -321,7 +323,7 @@ def test_a_meridian_without_power_is_no_defect():
 def test_a_cone_is_even_in_solid_angle_and_stays_within_its_half_angle():
     middle = np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13)
     half = np.radians(12.0)
-    from clacad.sobol import sobol
+    from clacad.base.sobol import sobol
 
     found = cone(middle, half, sobol(4096, 2))
     angle = np.arccos(np.clip(found @ middle, -1.0, 1.0))
@@ -335,7 +337,7 @@ def test_a_cone_is_even_in_solid_angle_and_stays_within_its_half_angle():
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 def test_points_over_a_cell_are_in_it_and_even(kind):
     window = prescribe(BASE.replace({"lattice.kind": kind}))
-    from clacad.sobol import sobol
+    from clacad.base.sobol import sobol
 
     points = over_cell(window, sobol(4096, 2))
     for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):

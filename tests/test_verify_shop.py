@@ -9,9 +9,9 @@ import pytest
 
 import clacad
 from clacad.cli import main
-from clacad.export.readers import read_mesh
+from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
-from clacad.verify.meshfile import judge_mesh
+from clacad.verification.files.mesh_file import judge_mesh
 
 trimesh = pytest.importorskip("trimesh")
 FORMATS = ("obj", "stl", "3mf", "ply")

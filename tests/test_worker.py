@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clacad.export.errors import CannotWrite, LimitRefused, WorkerDied
-from clacad.export.worker import Worker
+from clacad.storage.errors import CannotWrite, LimitRefused, WorkerDied
+from clacad.storage.worker import Worker
 
 TESTS = str(Path(__file__).parent)
 
@@ -131,7 +131,7 @@ def test_a_kernel_that_hears_nothing_is_ended_without_its_answer() -> None:
 CALLER = textwrap.dedent(
     """
     import sys
-    from clacad.export.worker import Worker, ended_by_signals
+    from clacad.storage.worker import Worker, ended_by_signals
     try:
         with ended_by_signals(), Worker() as worker:
             worker.run("worker_tricks:hang_with_child", progress=lambda name, _: print(name, worker.pid, flush=True))
@@ -167,7 +167,7 @@ def _path() -> str:
 
 
 def test_the_parent_loads_nothing_heavy() -> None:
-    code = "import clacad.export.worker, clacad.export.atomic, sys; print(*sys.modules)"
+    code = "import clacad.storage.worker, clacad.storage.atomic, sys; print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -11,8 +11,8 @@ import time
 
 import numpy as np
 
-from clacad.export.errors import LimitRefused
-from clacad.export.worker import report_stage
+from clacad.storage.errors import LimitRefused
+from clacad.storage.worker import report_stage
 
 
 def add(a: float, b: float) -> float:
@@ -45,7 +45,7 @@ def leave() -> None:
 
 
 def garbage() -> None:
-    from clacad.export import worker
+    from clacad.storage import worker
 
     worker._answer_stream.write(b"\x00\xffnonsense\n")
     time.sleep(60)

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from clacad.cli.run import main
+from clacad.cli.entry_point import main
 
 __all__ = ["main"]

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
 from clacad.cli.export_command import parse_angle
-from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
-    from clacad.accuracy import Row, Table
-    from clacad.accuracy.floors import Floor
+    from clacad.verification.accuracy.accuracy_table import Row, Table
+    from clacad.verification.accuracy.file_floors import Floor
 
 
 def measure_accuracy(
@@ -22,8 +22,8 @@ def measure_accuracy(
 ) -> int:  # fmt: skip
     """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
     design = load_counted(path, overrides)
-    from clacad.accuracy import accuracy
-    from clacad.accuracy.forecast import TASK, seconds
+    from clacad.verification.accuracy.accuracy_cost import TASK, seconds
+    from clacad.verification.accuracy.accuracy_table import accuracy
 
     limit = None if target is None else parse_angle("--target", target)
     progress = Progress(quiet=quiet)
@@ -52,8 +52,8 @@ def measure_accuracy(
 
 
 def _write(out: Path, measured: Table, target: float | None, overwrite: bool) -> None:
-    from clacad.accuracy.plot import plot_png, plot_svg
-    from clacad.export.atomic import write_file
+    from clacad.storage.atomic import write_file
+    from clacad.verification.accuracy.accuracy_plot import plot_png, plot_svg
 
     if out.suffix.lower() == ".png":
         write_file(out, lambda path: _bytes(path, plot_png(measured, target)), overwrite=overwrite)

@@ -228,7 +228,7 @@ def accuracy(
 ) -> int:  # fmt: skip
     """Error against seconds over the rungs: table, plot, the cheapest setting for a target."""
     if hard:
-        from clacad.cli.hard_command import show_hard
+        from clacad.cli.stability_command import show_hard
 
         return show_hard(json=json, quiet=quiet)
     if design is None:

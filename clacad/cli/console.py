@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from clacad import log
+from clacad.base import log
 
 
 def show_json(value: Any) -> None:

@@ -9,13 +9,13 @@ from clacad.cli.console import show_json, show_text
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.sheet import Window
+    from clacad.sheet.window import Window
 
 
 def new_design(name: str, template: str, *, overwrite: bool, json: bool, quiet: bool) -> int:
     """Write NAME.toml from a template and say what to do next."""
     from clacad.design import template as text_of
-    from clacad.export.atomic import write_file
+    from clacad.storage.atomic import write_file
 
     stem = name.removesuffix(".toml")
     text = text_of(Path(stem).name, template)
@@ -54,7 +54,7 @@ def load_counted(path: Path, overrides: list[str]) -> Design:
     ------
     DesignError, LimitRefused
     """
-    from clacad.export.limits import refuse_uncountable
+    from clacad.exporting.limits import refuse_uncountable
 
     design = load_design(path, overrides)
     refuse_uncountable(design)
@@ -63,10 +63,10 @@ def load_counted(path: Path, overrides: list[str]) -> Design:
 
 def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
     """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails, 3 when nothing could be written."""
-    from clacad.export.errors import LimitRefused
-    from clacad.feasibility import describe, feasibility
-    from clacad.prescription import prescribe
-    from clacad.verify import design_checks
+    from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.feasibility import describe, feasibility
+    from clacad.storage.errors import LimitRefused
+    from clacad.verification import design_checks
 
     design = load_design(path, overrides)
     window = prescribe(design)
@@ -96,6 +96,6 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
 
 
 def _forecast(window: Window) -> list[dict[str, Any]]:
-    from clacad.export.forecast import outlook
+    from clacad.exporting.forecast import outlook
 
     return outlook(window)

@@ -33,7 +33,7 @@ def show_effects(
 ) -> int:
     """Print the plan, or the plan as JSON."""
     from clacad.design import Design
-    from clacad.export.limits import refuse_uncountable
+    from clacad.exporting.limits import refuse_uncountable
 
     target = load_target(path, overrides)
     refuse_uncountable(target if isinstance(target, Design) else target.design())

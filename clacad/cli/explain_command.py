@@ -9,7 +9,7 @@ from clacad.cli.console import show_json, show_text, table
 
 def show_explanation(asked: str | None, *, json: bool, quiet: bool) -> int:
     """Print one explanation, or the list of all."""
-    from clacad.explain import entries, explain
+    from clacad.explain.look_up import entries, explain
 
     if asked is None:
         known = list(entries().values())

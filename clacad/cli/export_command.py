@@ -12,7 +12,7 @@ from clacad.cli.design_commands import load_design
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.export.request import Request
+    from clacad.exporting.request import Request
 
 
 class BadOption(ValueError):
@@ -73,7 +73,7 @@ def _asked(design: Design, request: ExportRequest) -> Request:
     ------
     BadOption, BadRequest
     """
-    from clacad.export.request import Request, asked_quads, asked_roles
+    from clacad.exporting.request import Request, asked_quads, asked_roles
 
     quads, role = per_format("--quads", request.quads), per_format("--role", request.role)
     return Request(
@@ -86,9 +86,9 @@ def _asked(design: Design, request: ExportRequest) -> Request:
 
 def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
     from clacad.cli.tables import derived_text, files_text
-    from clacad.export.run import run_export
-    from clacad.feasibility import describe, feasibility
-    from clacad.prescription import prescribe
+    from clacad.exporting.run import run_export
+    from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.feasibility import describe, feasibility
 
     progress = Progress(quiet=quiet)
     try:
@@ -132,7 +132,7 @@ def _refuse_early(design: Design, asked: Request) -> None:
     ------
     LimitRefused
     """
-    from clacad.export.limits import refuse_early
+    from clacad.exporting.limits import refuse_early
 
     refuse_early(_cut(design, asked), asked.formats, asked.quads)
 
@@ -144,10 +144,10 @@ def _within_target(design: Design, request: ExportRequest, asked: Request, *, qu
     ------
     TargetOutOfReach, LimitRefused, BadOption
     """
-    from clacad.accuracy.choose import facets_for
-    from clacad.export.formats import known_formats
-    from clacad.export.roles import Role
-    from clacad.prescription import prescribe
+    from clacad.exporting.format_table import known_formats
+    from clacad.exporting.roles import Role
+    from clacad.prescription.prescribe import prescribe
+    from clacad.verification.accuracy.choose_setting import facets_for
 
     assert request.target is not None
     target = parse_angle("--target", request.target)
@@ -173,7 +173,7 @@ def _within_target(design: Design, request: ExportRequest, asked: Request, *, qu
 def _forecast(design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
     """Print what an export would cost and what its files would be; refused is what an export would be refused."""
     from clacad.cli.tables import forecast_text
-    from clacad.export.run import forecast_rows, in_all
+    from clacad.exporting.run import forecast_rows, in_all
 
     found = forecast_rows(design, asked, out)
     rows: list[dict[str, Any]] = [row.to_dict() for row in found]
@@ -232,7 +232,7 @@ def parse_slope_error(text: str | None) -> float | Literal["auto"]:
 
 def parse_angle(option: str, text: str) -> float:
     """Read an angle above 0 such as "5 mrad" as radians; a bare number is degrees, as in a design file."""
-    from clacad.design.units import family_of, in_radians, split
+    from clacad.base.units import family_of, in_radians, split
 
     parts = split(text)
     if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
@@ -259,7 +259,7 @@ def parse_schema(text: str) -> Literal["ap242", "ap214"]:
 
 def parse_length(text: str | None, design: Design) -> float:
     """Read a length such as "5 um" in the design's unit; a bare number is in that unit, None is 0."""
-    from clacad.design.units import family_of, in_metres, split
+    from clacad.base.units import family_of, in_metres, split
 
     if text is None:
         return 0.0

@@ -70,7 +70,7 @@ def _circumstances() -> dict[str, Any]:
 def start_log(value: bool) -> bool:
     """Begin the log on standard error, if asked for."""
     if value:
-        from clacad import log
+        from clacad.base import log
 
         log.start()
         log.note("start", **_circumstances())

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text, table
-from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
-    from clacad.render.picture import Picture
+    from clacad.rendering.picture import Picture
     from clacad.scene import Scene
 
 MOVIE_ENDINGS = (".webp", ".apng", ".gif", ".mp4")
@@ -38,9 +38,9 @@ class RenderRequest:
 
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
     """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
-    from clacad.render.files import write_picture
-    from clacad.render.forecast import seconds, task
-    from clacad.render.picture import view_through
+    from clacad.rendering.picture import view_through
+    from clacad.rendering.picture_cost import seconds, task
+    from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
 
     scene = _adjusted(load_scene(path, tuple(overrides)), request)
@@ -81,15 +81,15 @@ def _within_target(scene: Scene, text: str) -> Scene:
     TargetOutOfReach
     """
     from clacad.cli.export_command import parse_angle
-    from clacad.render.target import within_target
+    from clacad.rendering.picture_target import within_target
 
     return within_target(scene, parse_angle("--target", text))
 
 
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
-    from clacad.render.files import write_movie
-    from clacad.render.forecast import seconds, task
-    from clacad.render.picture import render_movie
+    from clacad.rendering.picture import render_movie
+    from clacad.rendering.picture_cost import seconds, task
+    from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
     with forecast(task(scene), seconds(scene, scene.animation.frames), quiet=quiet):
@@ -110,7 +110,7 @@ def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bo
 
 def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool) -> None:
     """Say what was written and how it was made."""
-    from clacad.render.files import facts
+    from clacad.rendering.picture_files import facts
 
     if json:
         shown = []
@@ -137,8 +137,8 @@ def render_eye(
     *, json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render a photograph behind the sheet, seen by an eye, with and without the sheet."""
-    from clacad.render.eye import EyeRequest, before_and_after, eye_scene
-    from clacad.render.files import write_picture
+    from clacad.rendering.photograph_view import EyeRequest, before_and_after, eye_scene
+    from clacad.rendering.picture_files import write_picture
 
     if not photo.is_file():
         raise BadRequest(f"{photo}: there is no such picture")
@@ -162,9 +162,10 @@ def _length(design: Path, overrides: list[str], option: str, text: str | None) -
     """A length of the command line in design units: bare, or with a unit."""
     if text is None:
         return None
-    from clacad.design import load, units
-    from clacad.design.kinds import Refusal
-    from clacad.design.quantity import Quantity
+    from clacad.base import units
+    from clacad.config.quantities import Quantity
+    from clacad.config.value_kinds import Refusal
+    from clacad.design import load
 
     unit = units.design_unit(load(design, tuple(overrides)).unit)
     assert unit is not None  # the design was read
@@ -183,9 +184,9 @@ def make_atlas(
     overwrite: bool, json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Make the paper's figures and movies, measure their rows; exit 1 when one fails."""
-    from clacad.render.atlas import AtlasRequest, prepare
-    from clacad.render.atlas import make_atlas as make
-    from clacad.render.forecast import ATLAS, atlas_seconds
+    from clacad.rendering.atlas.make_atlas import AtlasRequest, prepare
+    from clacad.rendering.atlas.make_atlas import make_atlas as make
+    from clacad.rendering.picture_cost import ATLAS, atlas_seconds
 
     if not scenes.is_dir():
         raise BadRequest(
@@ -239,11 +240,11 @@ def export_scene(
     path: Path, overrides: list[str], out: Path, *, overwrite: bool, json: bool, quiet: bool
 ) -> int:
     """Write a scene, sheet and all, for POV-Ray; of an animated scene the first frame."""
-    from clacad.export.atomic import Stage, safe_name
-    from clacad.export.pov import write_pov
-    from clacad.prescription import prescribe
-    from clacad.render.atlas import manifest_of
+    from clacad.formats.pov.pov_scene import write_pov
+    from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.atlas.make_atlas import manifest_of
     from clacad.scene import load_scene
+    from clacad.storage.atomic import Stage, safe_name
 
     scene = load_scene(path, tuple(overrides))
     still = scene.at(0) if scene.animation is not None else scene

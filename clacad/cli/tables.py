@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import isinf
 from typing import Any
 
+from clacad.base.digits import shown
+from clacad.base.machine_rates import span_text
 from clacad.cli.console import size, table
-from clacad.digits import shown
-from clacad.rates import span_text
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
 

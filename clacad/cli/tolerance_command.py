@@ -11,7 +11,7 @@ from clacad.cli.console import Progress, say, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
 
 if TYPE_CHECKING:
-    from clacad.tolerance import Study, Sweep
+    from clacad.verification.tolerance import Study, Sweep
 
 TOP = 5
 """Contributors printed for each measure."""
@@ -33,8 +33,8 @@ def run_tolerance(
 ) -> int:  # fmt: skip
     """Make many sheets with the design's tolerances, print contributors and yield, write the tables."""
     design = load_counted(path, overrides)
-    from clacad.tolerance import Farm, tolerance, write_study
-    from clacad.tolerance.write import TOLERANCES, study_document
+    from clacad.verification.tolerance import Farm, tolerance, write_study
+    from clacad.verification.tolerance.study_files import TOLERANCES, study_document
 
     kept = _kept(where, TOLERANCES)
     again = kept is not None and kept.exists()
@@ -59,8 +59,8 @@ def run_sweep(
 ) -> int:  # fmt: skip
     """Build, judge and trace every point of a grid, print the table, write it."""
     design = load_counted(path, overrides)
-    from clacad.tolerance import Farm, parse_vary, sweep, write_sweep
-    from clacad.tolerance.write import SWEEP
+    from clacad.verification.tolerance import Farm, parse_vary, sweep, write_sweep
+    from clacad.verification.tolerance.study_files import SWEEP
 
     axes = [parse_vary(text) for text in vary]
     kept = _kept(where, SWEEP)
@@ -87,7 +87,7 @@ def run_sweep(
 
 def _kept(where: Where, kind: str) -> Path | None:
     """The checkpoint in the output folder; with --overwrite a new one."""
-    from clacad.tolerance.write import checkpoint_path
+    from clacad.verification.tolerance.study_files import checkpoint_path
 
     if where.out is None:
         return None
@@ -99,8 +99,8 @@ def _kept(where: Where, kind: str) -> Path | None:
 
 def tolerance_text(study: Study) -> str:
     """Contributors of each measure, limits and yield."""
-    from clacad.tolerance.plot import WORDS
-    from clacad.tolerance.study import RANKED
+    from clacad.verification.tolerance.study import RANKED
+    from clacad.verification.tolerance.study_plots import WORDS
 
     sides = (
         "± tolerance; two standard deviations" if study.distribution == "normal" else "± tolerance; uniform"

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
-from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from clacad.rays import TraceResult
+    from clacad.optics.rays import TraceResult
 
 CHUNK = 1_000_000
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
@@ -129,8 +129,8 @@ class RayFile:
 def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json: bool, quiet: bool) -> int:
     """Trace every ray of a file; prints how many met which fate."""
     design = load_counted(path, overrides)
-    from clacad.export.atomic import write_file
-    from clacad.prescription import prescribe
+    from clacad.prescription.prescribe import prescribe
+    from clacad.storage.atomic import write_file
 
     window = prescribe(design)
     rays = RayFile(request.rays)
@@ -155,7 +155,7 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
 
 def _cost(request: TraceRequest, rays: int, faces: int) -> tuple[str, float]:
     """Task and modelled seconds, for the forecast."""
-    from clacad.trace.forecast import seconds, task
+    from clacad.tracing.trace_cost import seconds, task
 
     mesh = request.mesh
     size = mesh.stat().st_size if mesh is not None and mesh.is_file() else 0
@@ -185,7 +185,7 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
     if request.mesh is not None and not request.mesh.is_file():
         raise BadRays(f"{request.mesh}: there is no such file")
     if request.effects:
-        from clacad.effects.passes import NAMES
+        from clacad.effects.engine.passes import NAMES
 
         unknown = [name for name in request.effects if name not in NAMES]
         if unknown:
@@ -196,7 +196,7 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
         options["normals"] = request.normals
         options["mesh"] = tessellate(window, quads=request.quads) if request.mesh is None else request.mesh
         if request.mesh is not None and request.search == "embree":
-            from clacad.trace.soup import read_soup
+            from clacad.tracing.triangles.triangle_soup import read_soup
 
             try:
                 options["mesh"] = read_soup(request.mesh, window, "embree")
@@ -216,8 +216,8 @@ def _write(
     """Trace chunk by chunk into one raw file a column, then gather them into the archive."""
     import numpy as np
 
-    from clacad.rays import Rays
-    from clacad.trace import trace
+    from clacad.optics.rays import Rays
+    from clacad.tracing.trace import trace
 
     parts = {name: private.with_name(f"{private.name}.{name}") for name in COLUMNS}
     streams = {name: part.open("wb") for name, part in parts.items()}

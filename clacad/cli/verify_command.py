@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
 from clacad.cli.export_command import parse_angle, parse_cells
-from clacad.cli.forecasting import forecast
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
 if TYPE_CHECKING:
-    from clacad.verify import Report
+    from clacad.verification import Report
 
 
 def verify_design(
@@ -28,9 +28,9 @@ def verify_design(
     """
     design = load_counted(path, overrides)
     from clacad.cli.tables import checks_text, verdicts_text
-    from clacad.verify import verify
-    from clacad.verify.files import declared_roles, find_files
-    from clacad.verify.forecast import seconds, task
+    from clacad.verification import verify
+    from clacad.verification.files.find_files import declared_roles, find_files
+    from clacad.verification.verification_cost import seconds, task
 
     roles = parse_roles(role)
     limit = None if target is None else parse_angle("--target", target)
@@ -44,7 +44,7 @@ def verify_design(
                 design, files=files, cells=parse_cells(cells), rays=rays, progress=progress, role=roles
             )
         if limit is not None:
-            from clacad.verify.target import judged_by
+            from clacad.verification.error_target import judged_by
 
             report = judged_by(report, limit)
         if out is not None:
@@ -76,7 +76,7 @@ def parse_roles(text: str | None) -> str | dict[str, str] | None:
     ------
     UnknownRole
     """
-    from clacad.verify.files import UnknownRole
+    from clacad.verification.files.find_files import UnknownRole
 
     if text is None or "=" not in text:
         return text
@@ -93,7 +93,7 @@ def parse_roles(text: str | None) -> str | dict[str, str] | None:
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
     """Maps of how far each returned part is off, beside the report."""
-    from clacad.verify.deviationmap import write_deviation
+    from clacad.verification.returned.deviation_map import write_deviation
 
     found: list[Path] = []
     for file in report.files:
@@ -110,9 +110,9 @@ def _rays(design: Design, files: Path | None, target: float, cells: tuple[int, i
     ------
     TargetOutOfReach
     """
-    from clacad.accuracy.choose import FACETED, floor_of, out_of_reach
-    from clacad.prescription import prescribe
-    from clacad.verify.target import rays_for
+    from clacad.prescription.prescribe import prescribe
+    from clacad.verification.accuracy.choose_setting import FACETED, floor_of, out_of_reach
+    from clacad.verification.error_target import rays_for
 
     window = prescribe(design if cells is None else design.with_cells(cells))
     suffixes = {"stl": "stl", "3mf": "3mf", "ply": "ply", "glb": "glb", "obj": "ply"}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clacad.design.errors import CODES, DesignError, Mistake
+from clacad.config.mistakes import CODES, DesignError, Mistake
 from clacad.design.model import (
     Allowed,
     BodySpec,
@@ -22,7 +22,7 @@ from clacad.design.model import (
     TolerancesSpec,
 )
 from clacad.design.read import load
-from clacad.design.starters import template, templates
+from clacad.design.starter_designs import template, templates
 
 __all__ = [
     "CODES",

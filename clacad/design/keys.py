@@ -10,11 +10,21 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Final
 
-from clacad.design import units
-from clacad.design.compound import ListOf, Several, Table, WordOr
-from clacad.design.kinds import LARGEST_COUNT, Flag, JsonSchema, Kind, Refusal, Text, Whole, Word, not_this
-from clacad.design.quantity import Quantity
-from clacad.design.units import Unit
+from clacad.base import units
+from clacad.base.units import Unit
+from clacad.config.compound_kinds import ListOf, Several, Table, WordOr
+from clacad.config.quantities import Quantity
+from clacad.config.value_kinds import (
+    LARGEST_COUNT,
+    Flag,
+    JsonSchema,
+    Kind,
+    Refusal,
+    Text,
+    Whole,
+    Word,
+    not_this,
+)
 
 FORMAT: Final = 1
 REQUIRED: Final = object()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from clacad.law import Law
+    from clacad.optics.law import Law
 
 Pair2 = tuple[float, float]
 
@@ -364,7 +364,7 @@ class Design:
     @property
     def law(self) -> Law:
         """The asked law of refraction."""
-        from clacad.law import Law
+        from clacad.optics.law import Law
 
         phi, theta, psi = self.law_spec.euler
         (eta_x, eta_y), (delta_x, delta_y) = self.law_spec.eta, self.law_spec.delta
@@ -384,13 +384,13 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Return every key with its value, defaults included; `Design.from_dict` of it is an equal design."""
-        from clacad.design.canonical import to_dict
+        from clacad.design.canonical_text import to_dict
 
         return to_dict(self)
 
     def canonical_toml(self) -> str:
         """Return the design as TOML in one fixed form: every key, fixed order, shortest numbers."""
-        from clacad.design.canonical import to_toml
+        from clacad.design.canonical_text import to_toml
 
         return to_toml(self.to_dict())
 

@@ -6,10 +6,14 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from clacad.design import override, units
-from clacad.design.errors import DesignError, Mistake, in_order
+from clacad.base import units
+from clacad.base.units import Unit
+from clacad.config import overrides as override
+from clacad.config.key_positions import KeyPath, located, split_key
+from clacad.config.mistakes import DesignError, Mistake, in_order
+from clacad.config.toml_text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
-from clacad.design.kinds import Refusal, kind_of, not_this, shown
 from clacad.design.model import (
     Allowed,
     BodySpec,
@@ -22,10 +26,7 @@ from clacad.design.model import (
     PairSpec,
     TolerancesSpec,
 )
-from clacad.design.places import KeyPath, located, split_key
 from clacad.design.rules import Asked, broken
-from clacad.design.text import DEEPEST, parse, plain, read_text, too_deep
-from clacad.design.units import Unit
 
 if TYPE_CHECKING:
     from pydantic import ValidationError

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from clacad.design.errors import Mistake
-from clacad.design.kinds import shown
-from clacad.design.units import Unit
+from clacad.base.units import Unit
+from clacad.config.mistakes import Mistake
+from clacad.config.value_kinds import shown
 
 SMALLEST_PITCH_M: Final = 1e-7
 """Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
@@ -142,7 +142,7 @@ def material_is_known(a: Asked) -> Iterator[Mistake]:
     name, wavelength = a("pair.material"), a("pair.wavelength")
     if name is None:
         return
-    from clacad.material import find
+    from clacad.optics.material.material import find
 
     try:
         material = find(name)

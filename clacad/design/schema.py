@@ -18,10 +18,10 @@ from pydantic import (
     create_model,
 )
 
+from clacad.base.units import Unit, nanometres
+from clacad.config.quantities import Quantity
+from clacad.config.value_kinds import Kind
 from clacad.design.keys import OPTIONAL, REQUIRED, ROOT, SECTIONS, Key
-from clacad.design.kinds import Kind
-from clacad.design.quantity import Quantity
-from clacad.design.units import Unit, nanometres
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 

@@ -10,14 +10,14 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "NAMES": "passes",
-    "Effect": "passes",
-    "trace_with": "passes",
-    "Setting": "setting",
-    "Light": "shine",
-    "lit": "shine",
-    "Plan": "planner",
-    "plan_effects": "planner",
+    "NAMES": "engine.passes",
+    "Effect": "engine.passes",
+    "trace_with": "engine.passes",
+    "Setting": "engine.parameters",
+    "Light": "engine.camera_light",
+    "lit": "engine.camera_light",
+    "Plan": "engine.plan",
+    "plan_effects": "engine.plan",
 }
 
 __all__ = sorted(_HOME)

@@ -15,12 +15,12 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.block import Block, Crossing, inside_of, unit_rows
-from clacad.effects.passes import Effect, Losses, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
-from clacad.sheet import Body, Window
+from clacad.effects.engine.block import Block, Crossing, inside_of, unit_rows
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Losses, Stage
+from clacad.optics.rays import Fate
+from clacad.sheet.window import Body, Window
 
 NAME = "absorption"
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         if not any(rates):
             return
         if block.compiled:
-            from clacad.effects.kernels import absorption_pass
+            from clacad.effects.engine.compiled_passes import absorption_pass
 
             assert block.result.hits is not None
             absorption_pass(block.result.hits, np.array(rates), block.result.flux)
@@ -84,7 +84,7 @@ def path_in(block: Block, number: int, body: Body) -> Floats:
     """Length of each ray inside a body (m,)."""
     result = block.result
     if block.rung in ("law", "thin"):
-        from clacad.effects.shape import mean_thickness
+        from clacad.effects.engine.cell_averages import mean_thickness
 
         ray = unit_rows(block.rays.direction) if number == 0 else result.direction
         axis = block.window.thin.rotation[:, 2]

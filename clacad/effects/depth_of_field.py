@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.effects.draws import disc
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Rays
-from clacad.sheet import Window
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.repeatable_draws import disc
+from clacad.optics.rays import Rays
+from clacad.sheet.window import Window
 
 NAME = "depth_of_field"
 SALT = 4

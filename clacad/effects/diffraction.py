@@ -16,15 +16,15 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.aperture import equivalent_widths
-from clacad.effects.block import Block, Crossing
-from clacad.effects.draws import uniform
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import NO_CELL, Fate
-from clacad.sheet import Window
-from clacad.vignetting import ThinCells, lit_zone, thin_cells
+from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.repeatable_draws import uniform
+from clacad.optics.aperture import equivalent_widths
+from clacad.optics.rays import NO_CELL, Fate
+from clacad.sheet.vignetting import ThinCells, lit_zone, thin_cells
+from clacad.sheet.window import Window
 
 NAME = "diffraction"
 SALT = 2
@@ -62,7 +62,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) -> Floats:
     """Width (m, 2) along the lens axes of what is lit of lens 2, lengths.
 
-    In the middle of the field the equivalent width of what is lit (`clacad.aperture`); off it, and for ghosts, as much
+    In the middle of the field the equivalent width of what is lit (`clacad.optics.aperture`); off it, and for ghosts, as much
     less as the overlap of the boxes round lens 1's image and the lenslet met is narrower. Exact for cells along the axes.
     """
     image, zone = cells.image, cells.zone

@@ -15,12 +15,12 @@ from math import hypot
 
 import numpy as np
 
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate, Rays
-from clacad.sheet import Window
-from clacad.vignetting import aperture_slope, focal_ratio, thin_cells
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
+from clacad.sheet.window import Window
 
 NAME = "dispersion"
 

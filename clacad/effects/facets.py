@@ -13,12 +13,12 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.sheet import Window
-from clacad.surface import principal_radii
-from clacad.vignetting import focal_ratio, thin_cells
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.optics.surface import principal_radii
+from clacad.sheet.vignetting import focal_ratio, thin_cells
+from clacad.sheet.window import Window
 
 NAME = "facets"
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.block import Block, Crossing
-from clacad.effects.interface import deviation, normal_loss, reflected, transmission
-from clacad.effects.passes import Effect, Stage, trace_with
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
-from clacad.sheet import Window
+from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage, trace_with
+from clacad.optics.rays import Fate
+from clacad.optics.surface.fresnel_coefficients import deviation, normal_loss, reflected, transmission
+from clacad.sheet.window import Window
 
 NAME = "fresnel"
 Floats = NDArray[np.float64]
@@ -56,7 +56,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def _compiled(block: Block) -> None:
-    from clacad.effects.kernels import fresnel_pass
+    from clacad.effects.engine.compiled_passes import fresnel_pass
 
     rays, result = block.rays, block.result
     assert result.hits is not None

@@ -2,7 +2,7 @@
 
 *Model.* Geometry finds it (fate GHOST, order); the effect says that it is seen as light. Off: black.
 *Law.* Orders partition the rays: the partner's share and all ghosts' add up to the light that passes
-(`clacad.vignetting.share`), and order m leaves with the slope that `clacad.vignetting.ghost_step` gives.
+(`clacad.sheet.vignetting.share`), and order m leaves with the slope that `clacad.sheet.vignetting.ghost_step` gives.
 *On when* the share of ghost light exceeds the radiance that matters. *Cost* none: they are traced anyway.
 """
 
@@ -12,13 +12,13 @@ from math import degrees
 
 import numpy as np
 
-from clacad.effects.homogeneous import shares
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
-from clacad.sheet import Window
-from clacad.vignetting import aperture_slope, ghost_onset, thin_cells
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.homogeneous_light import shares
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.optics.rays import Fate
+from clacad.sheet.vignetting import aperture_slope, ghost_onset, thin_cells
+from clacad.sheet.window import Window
 
 NAME = "ghosts"
 

@@ -22,13 +22,13 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.block import Block, Crossing, crossings, unit_rows
-from clacad.effects.interface import amplitudes, deviation, reflected
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
-from clacad.sheet import Window
+from clacad.effects.engine.block import Block, Crossing, crossings, unit_rows
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.optics.rays import Fate
+from clacad.optics.surface.fresnel_coefficients import amplitudes, deviation, reflected
+from clacad.sheet.window import Window
 
 NAME = "polarisation"
 
@@ -58,7 +58,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         block.result.flux[:] *= passed(setting, block.state.pop(NAME), block.result.direction)
 
     def compiled(block: Block) -> None:
-        from clacad.effects.kernels import polarisation_pass
+        from clacad.effects.engine.compiled_passes import polarisation_pass
 
         rays, result = block.rays, block.result
         assert result.hits is not None

@@ -1,7 +1,7 @@
 """Light reflected inside and at the sheet: forward after two reflections, and back to the camera's side after one.
 
 *Model.* Every path of up to `Setting.order` partial reflections is split off deterministically and followed
-exactly (`clacad.effects.follow`), with Fresnel's share at every face; it implies the losses of `fresnel` on the
+exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of `fresnel` on the
 straight path. In a trace, one row a ray, only those losses appear; the split paths are rows of `clacad.effects.lit`.
 *Law.* Shares of all paths, what was cut off beyond the order included, sum to 1 without noise.
 *On when* N(N − 1)/2 r0² D (forward, D the scene's contrast) or N r0 times the front world's brightness exceeds the
@@ -10,13 +10,13 @@ radiance that matters. *Cost* 1.75 N², compiled.
 
 from __future__ import annotations
 
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect
 from clacad.effects.fresnel import effect as straight
 from clacad.effects.fresnel import losses
-from clacad.effects.interface import normal_loss
-from clacad.effects.passes import Effect
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.sheet import Window
+from clacad.optics.surface.fresnel_coefficients import normal_loss
+from clacad.sheet.window import Window
 
 NAME = "reflections"
 COST = 1.75

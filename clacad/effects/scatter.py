@@ -15,13 +15,13 @@ from math import expm1, hypot, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.block import Block, Crossing, bend, lens_slopes
-from clacad.effects.draws import normal
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.sheet import Window
-from clacad.vignetting import focal_ratio
+from clacad.effects.engine.block import Block, Crossing, bend, lens_slopes
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.repeatable_draws import normal
+from clacad.sheet.vignetting import focal_ratio
+from clacad.sheet.window import Window
 
 NAME = "scatter"
 SALT = 3

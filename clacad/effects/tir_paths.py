@@ -8,12 +8,12 @@ they leave. Off: they end, black.
 
 from __future__ import annotations
 
-from clacad.effects.block import Block, Crossing
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
-from clacad.sheet import Window
+from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.optics.rays import Fate
+from clacad.sheet.window import Window
 
 NAME = "tir_paths"
 
@@ -22,7 +22,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """Follow what was reflected totally; see `clacad.effects.walls.effect`."""
 
     def apply(block: Block, _: Crossing | None) -> None:
-        from clacad.effects.followed import carry_on
+        from clacad.effects.engine.nonsequential_rows import carry_on
 
         carry_on(block, setting, Fate.TIR)
 

@@ -3,7 +3,7 @@
 *Model.* Such rays (fate WALL) are followed face by face: Snell's law at the wall, total reflection there
 included, up to `Setting.faces` further faces. Off: they end, black. Light through land, web and holes (fate LAND)
 goes on with or without the effect; it is a label of geometry.
-*Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.follow`).
+*Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.engine.nonsequential`).
 *On when* the share of WALL light exceeds the radiance that matters.
 """
 
@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.effects.block import Block, Crossing
-from clacad.effects.passes import Effect, Stage
-from clacad.effects.setting import Setting
-from clacad.effects.situation import Bound, Situation
-from clacad.rays import Fate
-from clacad.sheet import Window
+from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import Effect, Stage
+from clacad.optics.rays import Fate
+from clacad.sheet.window import Window
 
 NAME = "walls"
 
@@ -28,7 +28,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """Follow what ended at walls; rows that leave get their last point, direction and flux, the others flux 0."""
 
     def apply(block: Block, _: Crossing | None) -> None:
-        from clacad.effects.followed import carry_on
+        from clacad.effects.engine.nonsequential_rows import carry_on
 
         carry_on(block, setting, Fate.WALL)
 
@@ -51,6 +51,6 @@ def bound(situation: Situation) -> Bound:
 
 def step_share(window: Window) -> float:
     """Σ over borders of mean step height over pitch, summed over the faces: WALL share per unit of slope."""
-    from clacad.effects.shape import mean_steps
+    from clacad.effects.engine.cell_averages import mean_steps
 
     return mean_steps(window)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from clacad.mesh.body import BodyMesh
+from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.health import Health, check_closed
-from clacad.mesh.normals import CellSolid, cell_solid, corner_normals
-from clacad.mesh.nouns import Mesh
-from clacad.mesh.tessellate import (
+from clacad.mesh.tessellation import (
     count_facets,
     forecast_bytes,
     forecast_quads,
@@ -14,7 +12,9 @@ from clacad.mesh.tessellate import (
     slope_error_at,
     tessellate,
 )
+from clacad.mesh.vertex_normals import CellSolid, cell_solid, corner_normals
 from clacad.mesh.volume import exact_volume, mesh_volume
+from clacad.mesh.window_mesh import Mesh
 
 __all__ = [
     "BodyMesh",

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.cell_complex.count import connect
+from clacad.topology.pieces_and_holes import connect
 
 Floats = NDArray[np.float64]
 Hashes = NDArray[np.uint64]

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.cell_complex import CellComplex, Tiling
-from clacad.mesh import planar as pl
-from clacad.mesh.bevel import added_volume, bevelled, check_width
-from clacad.mesh.cut import Curve, cut, land_curve, rim_curve, side_of
-from clacad.mesh.edges import settle_inside, settle_sides, with_borders
-from clacad.mesh.levels import FAR, LAND, LENS, NONE, VOID
-from clacad.mesh.maker import Maker
-from clacad.sheet import Body, Window, optical_tile
+from clacad.mesh import cell_triangulation as pl
+from clacad.mesh.border_samples import settle_inside, settle_sides, with_borders
+from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID
+from clacad.mesh.prototile_input import Maker
+from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
+from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
+from clacad.sheet.window import Body, Window, optical_tile
+from clacad.topology import CellComplex, Tiling
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.cell_complex import one_tiling
-from clacad.cell_complex.roots import bisect, sign_changes
-from clacad.lattice import Circle, polygon_area
-from clacad.sheet import Body, Face, Window, lens_height, optical_tile
+from clacad.base.roots import bisect, sign_changes
+from clacad.sheet.lattice import Circle, polygon_area
+from clacad.sheet.window import Body, Face, Window, lens_height, optical_tile
+from clacad.topology import one_tiling
 
 if TYPE_CHECKING:
-    from clacad.mesh.body import BodyMesh
+    from clacad.mesh.body_mesh import BodyMesh
 
 Floats = NDArray[np.float64]
 _ANGLES, _RADII = 40, 24  # Gauss nodes per smooth stretch

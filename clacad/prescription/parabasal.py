@@ -13,8 +13,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.sheet import Body, Window
-from clacad.surface import meet_at, refract
+from clacad.optics.surface import meet_at, refract
+from clacad.sheet.window import Body, Window
 
 Floats = NDArray[np.float64]
 Shifts = Sequence[tuple[float, float]]

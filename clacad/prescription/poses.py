@@ -9,11 +9,11 @@ from math import asin
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.law import Law, rotation
+from clacad.optics.law import Law, rotation
+from clacad.optics.surface import refract
 from clacad.prescription.parabasal import parabasal
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet import Body
-from clacad.surface import refract
+from clacad.sheet.window import Body
 
 Floats = NDArray[np.float64]
 Aperture = str | tuple[float, float]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from clacad.prescription.extent import border_overlap, least_thickness, proud_of_land
+from clacad.prescription.cell_heights import border_overlap, least_thickness, proud_of_land
 from clacad.prescription.radii import NoSuchLens, Pair2
-from clacad.sheet import Window
+from clacad.sheet.window import Window
 
 
 def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, limit: float) -> Pair2:

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from clacad.report.write import write_report
+from clacad.report.report_files import write_report
 
 __all__ = ["write_report"]

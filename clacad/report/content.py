@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from clacad.digits import plainly, shown
-from clacad.feasibility import describe
+from clacad.base.digits import plainly, shown
 from clacad.report.fabrication import Line, fabrication, orientation
+from clacad.sheet.feasibility import describe
 
 if TYPE_CHECKING:
-    from clacad.report.look import Look
-    from clacad.report.parts import Parts
-    from clacad.verify import Check, Report
-    from clacad.verify.evidence import Evidence
-    from clacad.verify.gather import Progress
+    from clacad.report.parts_in_3d import Parts
+    from clacad.report.view_through_sheet import Look
+    from clacad.verification import Check, Report
+    from clacad.verification.evidence import Evidence
+    from clacad.verification.files.cell_triangles import Progress
 
 WORDS = {"pass": "pass", "fail": "FAIL", "warn": "warning", "not run": "not run"}
 SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}
@@ -167,7 +167,7 @@ class Content:
     @property
     def asked(self) -> list[tuple[str, str, str]]:
         """What was asked, and what was built or measured."""
-        from clacad.verify.asked import asked_and_built
+        from clacad.verification.asked_and_built import asked_and_built
 
         return asked_and_built(self.report)
 
@@ -264,7 +264,7 @@ class Content:
     def numbers(self) -> dict[str, Any]:
         """Everything the page says as numbers: what goes into report.json."""
         from clacad.report.fabrication import fabrication_dict
-        from clacad.verify.checks import plain
+        from clacad.verification.checks import plain
 
         found = self.report.to_dict() | {"fabrication": plain(fabrication_dict(self.report))}
         found["budget"] = [list(one) for one in self._budget_numbers()]
@@ -290,8 +290,8 @@ def _title(check: Check) -> str:
 
 def content(report: Report, progress: Progress, timings: bool = False) -> Content:
     """Gather what the page of a report shows: evidence, a picture, the parts."""
-    from clacad.report.look import look
-    from clacad.report.parts import parts
+    from clacad.report.parts_in_3d import parts
+    from clacad.report.view_through_sheet import look
 
     full = report.with_evidence(progress)
     seen = look(report.design, report.window, progress)

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.digits import digits
-from clacad.export.truth import body_extent, whole_extent
-from clacad.feasibility import body_range
-from clacad.lattice import Circle
+from clacad.base.digits import digits
+from clacad.report.body_outlines import Floats, across_cell, heights, outlines
 from clacad.report.canvas import Canvas
-from clacad.report.profile import Floats, across_cell, heights, outlines
-from clacad.sheet import Body, Window
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.lattice import Circle
+from clacad.sheet.volume_and_extent import body_extent, whole_extent
+from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
-    from clacad.verify import Report
+    from clacad.verification import Report
 
 WIDTH = 760.0
 MOST_CELLS = 240

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.digits import digits
-from clacad.export.truth import body_extent, body_volume, whole_extent
-from clacad.lattice import Circle, polygon_area
-from clacad.sheet import Window, optical_tile
+from clacad.base.digits import digits
+from clacad.sheet.lattice import Circle, polygon_area
+from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
+from clacad.sheet.window import Window, optical_tile
 
 if TYPE_CHECKING:
-    from clacad.feasibility import BodyFacts, LensFacts
-    from clacad.verify import Report
+    from clacad.sheet.feasibility import BodyFacts, LensFacts
+    from clacad.verification import Report
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def _smallest(report: Report, mm: float) -> list[Line]:
 
 def _calipers(window: Window, mm: float) -> list[Line]:
     """Outer sizes that a caliper can check, as built."""
-    from clacad.feasibility import body_range
+    from clacad.sheet.feasibility import body_range
 
     lines = []
     x0, x1, y0, y1 = whole_extent(window)

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.rays import Fate, Rays
-from clacad.sheet import Window, column, face_height
-from clacad.trace import trace
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.window import Window, column, face_height
+from clacad.tracing.trace import trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from clacad.verify import Report
+    from clacad.verification import Report
 
 INK, ACCENT, SECOND, FAINT, BAD = "#1c2733", "#1b6ca8", "#c2571a", "#8b98a5", "#b3261e"
 STYLE = {
@@ -323,7 +323,7 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
 
 def ray_fan(window: Window) -> list[Any]:
     """Five parallel rays, along the middle of the field, through the cell in the middle: points (k, 3) each."""
-    from clacad.bundle import middle_direction
+    from clacad.sheet.bundle import middle_direction
 
     one = window.with_cells((1, 1))
     x = np.linspace(-0.4, 0.4, 5) * window.lattice.pitch[0]

@@ -15,7 +15,7 @@ from clacad.report.content import Content, data_uri, number
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-    from clacad.verify.gather import Progress
+    from clacad.verification.files.cell_triangles import Progress
 
 __all__ = ["SECTIONS", "Section", "number", "page", "sections"]
 
@@ -52,7 +52,7 @@ def _fabrication(content: Content) -> dict[str, str]:
 def _parts(content: Content) -> dict[str, str]:
     from markupsafe import escape
 
-    from clacad.report.parts import packed, picture
+    from clacad.report.parts_in_3d import packed, picture
 
     facts, triangles = packed(content.parts)
     return {"facts": str(escape(facts)), "triangles": triangles, "picture": data_uri(picture(content.parts))}

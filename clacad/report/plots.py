@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, svg
-from clacad.verify.attribution import NAMES
+from clacad.verification.light.error_attribution import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from clacad.verify import Report
-    from clacad.verify.attribution import Attribution
-    from clacad.verify.caustic import Fan, MeridianFocus
-    from clacad.verify.evidence import Evidence
+    from clacad.verification import Report
+    from clacad.verification.evidence import Evidence
+    from clacad.verification.light.caustic import Fan, MeridianFocus
+    from clacad.verification.light.error_attribution import Attribution
 
 GREEN = "#2b7a4b"
 SHADES = (ACCENT, "#5b9bd5", FAINT, SECOND, "#8a6fb0")

@@ -6,7 +6,6 @@ A scene knows its design's file and changes; nothing of optics is computed here.
 
 from __future__ import annotations
 
-from clacad.scene.errors import SceneError
 from clacad.scene.model import (
     Animation,
     Background,
@@ -19,6 +18,7 @@ from clacad.scene.model import (
     SheetSpec,
 )
 from clacad.scene.read import load_scene
+from clacad.scene.scene_error import SceneError
 
 __all__ = [
     "Animation",

@@ -6,8 +6,8 @@ import math
 import re
 from dataclasses import dataclass
 
-from clacad.design.kinds import JsonSchema, Refusal, not_this
-from clacad.design.units import Unit
+from clacad.base.units import Unit
+from clacad.config.value_kinds import JsonSchema, Refusal, not_this
 
 Rgb = tuple[float, float, float]
 

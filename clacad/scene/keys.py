@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Final
 
-from clacad.design.compound import ListOf, Several, WordOr
+from clacad.base.units import Unit
+from clacad.config.compound_kinds import ListOf, Several, WordOr
+from clacad.config.quantities import Quantity
+from clacad.config.value_kinds import Flag, JsonSchema, Refusal, Text, Whole, Word, not_this
 from clacad.design.keys import REQUIRED, FormatVersion, Key, UnitWord
-from clacad.design.kinds import Flag, JsonSchema, Refusal, Text, Whole, Word, not_this
-from clacad.design.quantity import Quantity
-from clacad.design.units import Unit
 from clacad.scene.colour import Colour
 
 

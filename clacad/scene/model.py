@@ -307,7 +307,7 @@ class Scene:
         SceneError
             With every mistake of the design file or of the changes.
         """
-        from clacad.scene.sheet import design_of
+        from clacad.scene.named_files import design_of
 
         return design_of(self)
 
@@ -319,7 +319,7 @@ class Scene:
         SceneError
             It lies outside the scene's folder and its parent, or does not exist.
         """
-        from clacad.scene.sheet import file_of
+        from clacad.scene.named_files import file_of
 
         return file_of(self, name)
 
@@ -350,6 +350,6 @@ class Scene:
         ValueError
             There is no such frame.
         """
-        from clacad.scene.moves import still
+        from clacad.scene.animation import still
 
         return still(self, frame)

@@ -6,15 +6,16 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clacad.design import override, units
-from clacad.design.errors import DesignError, Mistake, in_order
+from clacad.base import units
+from clacad.base.units import Unit
+from clacad.config import overrides as override
+from clacad.config.key_positions import located, split_key
+from clacad.config.mistakes import DesignError, Mistake, in_order
+from clacad.config.toml_text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.keys import REQUIRED, Key
-from clacad.design.kinds import Refusal, kind_of, not_this, shown
-from clacad.design.places import located, split_key
-from clacad.design.text import DEEPEST, parse, plain, read_text, too_deep
-from clacad.design.units import Unit
 from clacad.scene import keys
-from clacad.scene.errors import SceneError
+from clacad.scene.key_table import Reader
 from clacad.scene.model import (
     Animation,
     Background,
@@ -27,7 +28,7 @@ from clacad.scene.model import (
     SheetSpec,
 )
 from clacad.scene.rules import broken
-from clacad.scene.table import Reader
+from clacad.scene.scene_error import SceneError
 
 
 def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from clacad.design.errors import Mistake
+from clacad.config.mistakes import Mistake
 from clacad.scene.model import Camera, Scene, SceneObject
-from clacad.scene.sheet import outside
+from clacad.scene.named_files import outside
 
 
 def broken(scene: Scene) -> list[Mistake]:

@@ -10,9 +10,9 @@ import os
 from pathlib import Path
 
 import clacad
-from clacad.accuracy import Table
-from clacad.accuracy.plot import plot_png
 from clacad.cli.accuracy_command import accuracy_text
+from clacad.verification.accuracy.accuracy_plot import plot_png
+from clacad.verification.accuracy.accuracy_table import Table
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -16,9 +16,9 @@ import numpy as np
 
 from clacad import load, prescribe
 from clacad.effects import Setting, lit, trace_with
-from clacad.effects.view import cone
-from clacad.rays import Rays
-from clacad.trace import trace
+from clacad.effects.engine.probe_rays import cone
+from clacad.optics.rays import Rays
+from clacad.tracing.trace import trace
 
 DESIGN = Path(__file__).parents[2] / "designs" / "paper-a-covered.toml"
 ROUNDS = 5

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clacad.render import view_through
+from clacad.rendering import view_through
 from clacad.scene import load_scene
 
 SCENES = Path(__file__).parents[2] / "designs" / "scenes"

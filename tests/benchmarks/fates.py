@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from oracle.windows import beam, biconvex, collection
 from trace_peers import write
 
-from clacad.rays import Fate, Rays
-from clacad.sheet import Window
-from clacad.trace import trace
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace
 
 BLOCK = 100_000
 COLUMNS = ("fate", "cell", "order", "surface")

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from clacad.rates import Rates
-from clacad.render.forecast import task as render_task
+from clacad.base.machine_rates import Rates
+from clacad.rendering.picture_cost import task as render_task
 from clacad.scene import load_scene
-from clacad.trace.forecast import task as trace_task
+from clacad.tracing.trace_cost import task as trace_task
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

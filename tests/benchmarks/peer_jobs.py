@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from clacad.rays import Rays
-from clacad.sheet import Window
+from clacad.optics.rays import Rays
+from clacad.sheet.window import Window
 
 Job = Callable[[], object]
 FACES = 4

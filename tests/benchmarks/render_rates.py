@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from viewscenes import view_scene
 
-from clacad.render import view_through
+from clacad.rendering import view_through
 
 SIZES = (330, 1650)
 VIEWS = ("base", "eta_x_-1", "phi_45", "phi_45_theta_0.5_psi_90")
@@ -53,8 +53,8 @@ def mine(name: str, rung: str) -> float:
 
 def povray(name: str) -> float:
     """Rays a second, user time of the process."""
-    from clacad.export.pov import write_pov
-    from clacad.prescription import prescribe
+    from clacad.formats.pov.pov_scene import write_pov
+    from clacad.prescription.prescribe import prescribe
 
     spent = []
     with tempfile.TemporaryDirectory() as folder:

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from clacad import Design, DesignError, Rays, prescribe, trace
-from clacad.rays import Fate
+from clacad.optics.rays import Fate
 
 PAGE = Path(__file__).parents[1] / "hard" / "soak.json"
 BATCH = 250_000

@@ -32,9 +32,9 @@ import numpy as np
 
 from clacad import __version__
 from clacad.design import Design, DesignError
-from clacad.export import LimitRefused, export
-from clacad.verify import verify
-from clacad.verify.checks import not_run
+from clacad.exporting.export_design import LimitRefused, export
+from clacad.verification import verify
+from clacad.verification.checks import not_run
 
 RECORD = Path(__file__).parents[1] / "trust" / "soak.json"
 INDEXED = ("3mf", "ply", "glb")
@@ -101,7 +101,7 @@ def formats_of(number: int) -> tuple[str, ...]:
 @contextlib.contextmanager
 def without_curves() -> Iterator[None]:
     """Leave out what verify says of the design by many more traces, whatever the files are."""
-    run = importlib.import_module("clacad.verify.run")
+    run = importlib.import_module("clacad.verification.run")
     nothing = (None, not_run("convergence", "left out", required=False))
     with mock.patch.multiple(run, _convergence=lambda *_: nothing, meridians=lambda *_: ()):
         yield

@@ -23,7 +23,7 @@ from brepwindows import SWEEPS, biconvex  # noqa: E402
 from meshwindows import window as sheet  # noqa: E402
 from step_table import replace_between  # noqa: E402
 
-from clacad.sheet import Window  # noqa: E402
+from clacad.sheet.window import Window  # noqa: E402
 
 MARKS = ("<!-- sweep -->", "<!-- end of sweep -->")
 HEAD = ("| family | parameter curves | tilts or turns | valid as built | valid as read back | same faces "
@@ -53,9 +53,9 @@ def member(family: str, angle: float) -> Window:
 
 def swept(family: str, number: int, pcurves: bool) -> str:
     """One line of the table: a family at `number` angles."""
-    from clacad.brep import describe_body
-    from clacad.brep.kernel import KernelWriter, is_valid
-    from clacad.export.step import read_step, write_step
+    from clacad.formats.step.step_files import read_step, write_step
+    from clacad.solid.occ_writer import KernelWriter, is_valid
+    from clacad.solid.solids import describe_body
 
     built = read = same = walls = ruled = merged = 0
     shift = 0.0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import clacad
-from clacad.tolerance import MEASURES, Farm, tolerance
+from clacad.verification.tolerance import MEASURES, Farm, tolerance
 
 HERE = Path(__file__).parent
 STATED = {

@@ -38,8 +38,8 @@ from peer_jobs import (
 from trace_speed import beam, cpu, floor_loop, kernel
 
 from clacad.mesh import tessellate
-from clacad.rays import Rays, TraceResult
-from clacad.sheet import Window
+from clacad.optics.rays import Rays, TraceResult
+from clacad.sheet.window import Window
 
 ROUNDS = 5
 QUADS = 100
@@ -104,7 +104,7 @@ def peers(count: int) -> list[dict[str, object]]:
 
 def users(count: int) -> list[dict[str, object]]:
     """One row a peer, as a user of each calls it, from arrays to new arrays; points are compared too."""
-    from clacad.trace import trace
+    from clacad.tracing.trace import trace
 
     window = biconvex(eta=(-0.5, -0.5), count=(1, 1))
     rows: list[dict[str, object]] = []
@@ -194,9 +194,9 @@ def threads(count: int) -> dict[str, float]:
 
 def trace_with(window: Window, rays: Rays, number: int) -> Job:
     """The compiled tracer on so many threads, into arrays that exist already."""
-    from clacad.trace.compiled_surfaces import trace_compiled
-    from clacad.trace.layout import lay_out
-    from clacad.trace.ledger import Ledger
+    from clacad.tracing.compiled.surfaces import trace_compiled
+    from clacad.tracing.layout import lay_out
+    from clacad.tracing.ledger import Ledger
 
     ledger, layout, indices = Ledger.blank(len(rays), 0), lay_out(window), [b.index for b in window.bodies]
     return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, number)

@@ -23,13 +23,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from oracle.windows import PITCH, biconvex, slab
 
 from clacad.mesh import tessellate
-from clacad.rays import Rays
-from clacad.trace import trace
-from clacad.trace.kernel_chunk import trace_chunk
-from clacad.trace.layout import lay_out
-from clacad.trace.ledger import Ledger
-from clacad.trace.mesh_layout import NO_TILES, lay_out_mesh
-from clacad.trace.packing import pack
+from clacad.optics.rays import Rays
+from clacad.tracing.compiled.chunk import trace_chunk
+from clacad.tracing.compiled.packing import pack
+from clacad.tracing.layout import lay_out
+from clacad.tracing.ledger import Ledger
+from clacad.tracing.trace import trace
+from clacad.tracing.triangles.tiles import NO_TILES, lay_out_mesh
 
 ROUNDS = 7
 SURFACES = 4

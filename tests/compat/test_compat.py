@@ -63,8 +63,8 @@ def _flat(value: Any) -> list[float]:
 
 def test_an_export_of_format_1_is_recognised_and_owned(tmp_path: Path) -> None:
     """Its manifest vouches for its files, so that verify accepts them and a new export may replace them."""
-    from clacad.export.atomic import owns, read_manifest
-    from clacad.export.readers import read_mesh
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.storage.atomic import owns, read_manifest
 
     folder = tmp_path / "export"
     shutil.copytree(HERE / "export", folder)

@@ -149,8 +149,8 @@ def _read_design(path):
 
 
 def _read_mesh(path):
-    from clacad.export.errors import UnreadableFile
-    from clacad.export.readers import read_mesh
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.storage.errors import UnreadableFile
 
     try:
         mesh = read_mesh(path)

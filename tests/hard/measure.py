@@ -6,9 +6,9 @@ import numpy as np
 from mpmath import mp, mpf
 from oracle import trace as oracle
 
-from clacad.rays import Fate
-from clacad.surface import Biconic, Quadric
-from clacad.trace.sequence import Interface
+from clacad.optics.rays import Fate
+from clacad.optics.sequence import Interface
+from clacad.optics.surface import Biconic, Quadric
 
 ULP = 2.0**-52
 FATE_OF = {"ok": Fate.ALIVE, "missed": Fate.MISSED, "tir": Fate.TIR}

@@ -43,10 +43,16 @@ NORMAL, TANGENT, STEP = (f"{SURFACE} -k {word}" for word in ("normal", "nearly_t
 KERNELS, LATTICE = f"{HARD} -k 'compiled_surfaces or kernel_tells'", "tests/test_lattice.py"
 SHEETS = f"{HARD} -k 'sheet and numpy'"
 SHAPE, QUADRIC, MEETING, BICONIC = (
-    f"clacad/surface/{n}.py" for n in ("shape", "quadric", "meeting", "biconic")
+    f"clacad/optics/surface/{n}.py" for n in ("sag_and_normal", "quadric", "intersection", "biconic")
 )
-MODEL, IMAGING, EXACT, TURN = (f"clacad/law/{n}.py" for n in ("model", "imaging", "exact", "rotation"))
-SCALAR, LAUNCH, TRACE = "clacad/trace/kernel_scalar.py", "clacad/trace/launch.py", "clacad/trace/sequence.py"
+MODEL, IMAGING, EXACT, TURN = (
+    f"clacad/optics/law/{n}.py" for n in ("law", "imaging", "angle", "orientation")
+)
+SCALAR, LAUNCH, TRACE = (
+    "clacad/tracing/compiled/face.py",
+    "clacad/tracing/reference/launch.py",
+    "clacad/optics/sequence.py",
+)
 
 MUTATIONS = [
     # -- sag and normal
@@ -83,10 +89,10 @@ MUTATIONS = [
     Mutation("launch: plane step in double", LAUNCH, "return quotient, rest[0] / scaled[:, 2]", "return quotient, 0.0 * rest[0]", f"{HARD} -k distance_of_the_source"),
     Mutation("launch: lateral step in double", LAUNCH, "return pair_sum(pair_product((high, low), pair(along)), pair(x))", "return x + high * along, 0.0 * x", SHEETS),
     # -- cells
-    Mutation("cell: rounded product", "clacad/lattice.py", "high, low = two_product(k, step)", "high, low = k * step, 0.0"),
-    Mutation("cell: floor alone", "clacad/lattice.py", "guess = guess + (local >= half) - (local < -half)", "guess = guess + 0.0 * half"),
-    Mutation("cell: hexagons by rounding alone", "clacad/lattice.py", "for _ in range(4):  # a nearest-row", "for _ in range(0):  # a nearest-row", LATTICE),
-    Mutation("cell: relative to the sheet's centre", "clacad/trace/layout.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
+    Mutation("cell: rounded product", "clacad/sheet/lattice.py", "high, low = two_product(k, step)", "high, low = k * step, 0.0"),
+    Mutation("cell: floor alone", "clacad/sheet/lattice.py", "guess = guess + (local >= half) - (local < -half)", "guess = guess + 0.0 * half"),
+    Mutation("cell: hexagons by rounding alone", "clacad/sheet/lattice.py", "for _ in range(4):  # a nearest-row", "for _ in range(0):  # a nearest-row", LATTICE),
+    Mutation("cell: relative to the sheet's centre", "clacad/tracing/layout.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
     # -- law
     Mutation("law: t - δ rounded", MODEL, "m = total + (total_error - product_error)", "m = total"),
     Mutation("law: slopes without scaling", MODEL, "shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]", "shift = 0 * np.frexp(np.where(answered, largest, 1.0))[1]"),
@@ -102,8 +108,8 @@ MUTATIONS = [
     Mutation("stretch: D + z/η", IMAGING, "numerator * eta / (total + (rest + low))", "numerator / (camera_distance + z / eta)"),
     Mutation("stretch: Dη + z rounded twice", IMAGING, "numerator * eta / (total + (rest + low))", "numerator * eta / total"),
     # -- exact products
-    Mutation("two_product: no error term", "clacad/compensated.py", "return product, np.asarray(low)", "return product, np.zeros_like(low)"),
-    Mutation("two_sum: no error term", "clacad/compensated.py", "return total, np.asarray((a - (total - part_b)) + (b - part_b))", "return total, np.zeros_like(total)"),
+    Mutation("two_product: no error term", "clacad/base/pairs.py", "return product, np.asarray(low)", "return product, np.zeros_like(low)"),
+    Mutation("two_sum: no error term", "clacad/base/pairs.py", "return total, np.asarray((a - (total - part_b)) + (b - part_b))", "return total, np.zeros_like(total)"),
     # -- compiled kernels
     Mutation("kernel: root by the textbook", SCALAR, "if signed * b <= 0.0:\n        return c / (signed - b), root", "if a == 0.0:\n        return c / (signed - b), root", KERNELS),
     Mutation("kernel: discriminant never in pairs", SCALAR, "if b * b > CANCELS * abs(disc):", "if b * b < 0.0:", KERNELS),

@@ -22,7 +22,7 @@ from oracle import law as law_oracle  # noqa: E402
 from oracle import sheet as sheet_oracle  # noqa: E402
 
 from clacad import tessellate, trace  # noqa: E402
-from clacad.rays import Fate, Rays  # noqa: E402
+from clacad.optics.rays import Fate, Rays  # noqa: E402
 
 PAGE = HERE / "paths.md"
 QUADS = 32
@@ -31,8 +31,8 @@ QUADS = 32
 
 def looked_at(window, rays, compiled):
     """The rays as the renderer sends them: only if its box says that they may meet the sheet."""
-    from clacad.render.plan import Passage
-    from clacad.render.view import may_cross, sheet_box
+    from clacad.rendering.sheet_passage import Passage
+    from clacad.rendering.view import may_cross, sheet_box
 
     passage = Passage("surfaces", (Fate.ALIVE, Fate.GHOST, Fate.LAND))
     beyond, result = passage.light(window, rays, compiled)

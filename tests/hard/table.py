@@ -1,7 +1,7 @@
 """Works the stability table out anew: answers and conditions by the oracle, errors of textbook and clacad.
 
 python tests/hard/table.py            compare with what is recorded, exit 1 where a row worsened
-python tests/hard/table.py --write    record: clacad/stability/cases.json and tests/hard/stability.md
+python tests/hard/table.py --write    record: clacad/verification/stability/cases.json and tests/hard/stability.md
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from textbook import forms  # noqa: E402
 from textbook import trace as textbook_trace  # noqa: E402
 
 DIGITS = 450
-STORED = HERE.parents[1] / "clacad" / "stability" / "cases.json"
+STORED = HERE.parents[1] / "clacad" / "verification" / "stability" / "cases.json"
 PAGE = HERE / "stability.md"
 
 
@@ -199,7 +199,7 @@ def worked_out():
 
 def with_record(cases):
     """The cases with clacad's own errors of now."""
-    from clacad.stability import stability_table
+    from clacad.verification.stability import stability_table
 
     errors = {}
     for row in stability_table(cases):
@@ -215,7 +215,7 @@ def as_json(cases):
 
 def page():
     """The table as documentation."""
-    from clacad.stability import as_markdown, stability_table
+    from clacad.verification.stability import as_markdown, stability_table
 
     head = (
         "# Stability table\n\nErrors in ulp (2⁻⁵²), textbook formula against clacad; allowed = so many ulp times the\n"
@@ -232,7 +232,7 @@ def main(write):
         STORED.write_text(as_json(with_record(cases)), encoding="utf-8")
         PAGE.write_text(page(), encoding="utf-8")
         return 0
-    from clacad.stability import hard_cases, stability_table
+    from clacad.verification.stability import hard_cases, stability_table
 
     stored = [{k: v for k, v in case.items() if k != "recorded"} for case in hard_cases()]
     changed = [a["name"] for a, b in zip(stored, cases) if a != json.loads(json.dumps(b))]

@@ -9,7 +9,7 @@ import struct
 
 import numpy as np
 
-from clacad.sheet import column
+from clacad.sheet.window import column
 
 
 def facets(window, body, quads):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.lattice import Circle, Lattice, Rectangle
-from clacad.law import Law
-from clacad.sheet import IDENTITY, PLANE, Baffle, Body, Face, Land, ThinPair, Window
-from clacad.surface import Biconic, Quadric
+from clacad.optics.law import Law
+from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.window import IDENTITY, PLANE, Baffle, Body, Face, Land, ThinPair, Window
 
 SPACING, PITCH, INDEX = 0.05, 0.005, 1.5
 

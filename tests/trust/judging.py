@@ -11,8 +11,8 @@ from typing import Any
 from trust.running import TINY
 
 from clacad.design import Design
-from clacad.export import ExportError
-from clacad.verify import CannotRegister, verify
+from clacad.exporting.export_design import ExportError
+from clacad.verification import CannotRegister, verify
 
 
 def read(text: str, **changes: Any) -> Design:

@@ -49,7 +49,7 @@ HEAVY = {
 }
 """Packages that cost seconds, or that work with rays, meshes and solids."""
 
-JUDGES = {"cli", "design", "export", "log", "material", "rates"}
+JUDGES = {"base", "cli", "config", "design", "exporting", "optics", "storage"}
 """Parts of the package that read a design and count what it asks for; none can build or trace anything."""
 
 DRIVER = """

@@ -82,7 +82,11 @@ def test_too_many_lenslets_are_3_before_anything_is_loaded_that_could_build_or_t
     assert ", or export a part with cells=(" in sentence
     assert not ended.packages & HEAVY
     assert words[0] == "check" or ended.parts <= JUDGES
-    assert not ended.parts & {"brep", "trace", "effects", "render", "report", "tolerance", "accuracy"}
+    assert not ended.parts & {"tracing", "effects", "rendering", "report"}
+    never = tuple(
+        f"clacad.{part}" for part in ("solid.describe", "verification.tolerance", "verification.accuracy")
+    )
+    assert not {name for name in ended.modules if name.startswith(never)}
     assert not out.exists()
     if "--json" in words:
         rows = json.loads(ended.out)["forecast"]
@@ -126,7 +130,7 @@ def test_a_full_disk_is_4_and_what_fits_is_published(design: Path, disk: Path) -
     """The forecast refuses what cannot fit; a disk that others filled meanwhile is found by the write."""
     ballast = disk / "ballast"
     ballast.write_bytes(b"\0" * 120_000)
-    blind = "from clacad.export import limits as f; f.free_disk = lambda folder: 1 << 40"
+    blind = "from clacad.exporting import limits as f; f.free_disk = lambda folder: 1 << 40"
     ended = clacad("export", design, "-o", disk / "out", "--format", "ply,xyz", "--quads", "4", before=blind)
     assert ended.status == 4
     assert "no space left" in ended.err
@@ -156,7 +160,7 @@ def test_a_file_size_limit_is_4_whatever_file_meets_it(design: Path, tmp_path: P
 
 
 CRASH = """
-from clacad.export.worker import Worker
+from clacad.storage.worker import Worker
 run = Worker.run
 Worker.run = lambda self, function, *a, **k: run(self, "worker_tricks:{trick}", timeout=3)
 """
@@ -198,7 +202,7 @@ def test_a_kernel_without_memory_is_70_in_one_sentence_and_the_other_files_are_w
 ) -> None:
     """The real export of a solid, in a worker that may have less than the kernel needs to begin."""
     out = tmp_path / "out"
-    starved = "from clacad.export import run; run._worker_memory = lambda: 600_000_000"
+    starved = "from clacad.exporting import run; run._worker_memory = lambda: 600_000_000"
     ended = clacad("export", design, "-o", out, "-q", "--format", "step,stl", "--quads", "2", before=starved)
     assert (ended.status, ended.out) == (70, "")
     (sentence,) = talk(ended)
@@ -222,7 +226,7 @@ def test_a_format_that_the_design_cannot_have_is_said_and_the_others_are_written
 
 
 def test_a_mistake_of_our_own_is_70_and_v_tells_where(design: Path) -> None:
-    broken = "import clacad.feasibility as f; f.describe = lambda *a: {}['lost']"
+    broken = "import clacad.sheet.feasibility as f; f.describe = lambda *a: {}['lost']"
     plain = clacad("check", design, before=broken)
     assert plain.status == 70
     assert plain.err.startswith("internal error: KeyError")

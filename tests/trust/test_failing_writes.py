@@ -64,7 +64,7 @@ FAULTS = textwrap.dedent(
         return File(stream, file) if writes else stream
 
     from clacad.design import Design
-    from clacad.export import ExportError, export
+    from clacad.exporting.export_design import ExportError, export
     from clacad.report import write_report
     import tomllib
     TINY = sys.stdin.read()
@@ -207,7 +207,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_small_disk_is_emptied_page_by_page_until_all_is_written(design: Path, disk: Path) -> None:
     """Others have filled the disk; each time they leave a little more room."""
     out, ballast, statuses = disk / "out", disk / "ballast", []
-    blind = "from clacad.export import limits as f; f.free_disk = lambda folder: 1 << 40"
+    blind = "from clacad.exporting import limits as f; f.free_disk = lambda folder: 1 << 40"
     for room in (0, 12, 28, 200):
         ballast.write_bytes(b"")
         held = (

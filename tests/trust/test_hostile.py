@@ -121,7 +121,7 @@ def test_harmless_oddities_are_read(place: Path, name: str) -> None:
 )
 def test_a_file_of_noise_fails_its_checks(place: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from clacad.design import load
-    from clacad.verify import verify
+    from clacad.verification import verify
 
     only_files(monkeypatch)
     (place / name).write_bytes((place / name).read_bytes()[: 0 if name == "noise.stl" else None])
@@ -153,9 +153,9 @@ def test_links_in_the_folder_are_not_followed_and_nothing_outside_is_touched(pla
 def test_mutated_step_text_is_scanned_or_refused(tmp_path: Path) -> None:
     """The text is read before the kernel, in this process: it may not crash, hang or grow."""
     from clacad.design import load
-    from clacad.export import export
-    from clacad.export.errors import ExportError
-    from clacad.export.step_scan import scan_step
+    from clacad.exporting.export_design import export
+    from clacad.formats.step.text_health import scan_step
+    from clacad.storage.errors import ExportError
 
     (tmp_path / "t.toml").write_text(TINY)
     export(load(tmp_path / "t.toml"), tmp_path / "out", formats=("step",))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from trust.running import environment
 
-from clacad.cli.ending import SENTENCE, Ending
+from clacad.cli.interrupts import SENTENCE, Ending
 
 HANG = 30.0
 """Seconds after which a command that was interrupted is held to hang: many times what any takes."""
@@ -118,13 +118,13 @@ def test_signals_at_any_instant_are_heard_or_come_too_late(design: Path, tmp_pat
 
 WORK = """
 import sys, time
-import clacad.feasibility
+import clacad.sheet.feasibility
 def wait():
     sys.stderr.write("ready\\n")
     time.sleep(60)
 def work(*_):
 {work}
-clacad.feasibility.describe = work
+clacad.sheet.feasibility.describe = work
 """
 
 
@@ -179,14 +179,14 @@ def test_the_loading_of_a_module_is_not_unwound(design: Path, tmp_path: Path) ->
     work = f"""
 import sys
 sys.path.insert(0, {str(tmp_path)!r})
-import clacad.feasibility
+import clacad.sheet.feasibility
 def work(*_):
     try:
         import slowly
     except BaseException:
         sys.stderr.write("unwound\\n")
         raise
-clacad.feasibility.describe = work
+clacad.sheet.feasibility.describe = work
 """
     running = started(["check", design], before=work)
     until(running, "ready")

@@ -25,7 +25,7 @@ KILLED = textwrap.dedent(
 
     out, times, seed, what = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     from clacad.design import Design
-    from clacad.export import export
+    from clacad.exporting.export_design import export
     import clacad.report.content, clacad.report.page
     from clacad.report import write_report
 

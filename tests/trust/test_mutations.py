@@ -16,9 +16,9 @@ from trust.judging import alone, failed, read, tiny, vouched
 from trust.running import TINY
 from trust.spoiling import Change, Floats, Ints, changed, document_of, glb, model_changed, obj
 
-from clacad.export import export
-from clacad.prescription import prescribe
-from clacad.verify import verify
+from clacad.exporting.export_design import export
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import verify
 
 TEXTS = ("stl-parts", "sag", "tiff", "png", "xyz", "table", "mask")
 MESHES = ["tiny.stl", "tiny.3mf", "tiny.ply", "tiny.glb", "tiny.obj"]
@@ -87,7 +87,7 @@ def damages(data: bytes) -> list[bytes]:
 
 def hold_by_hash(files: dict[str, bytes], folder: Path) -> set[str]:
     """Damage every file of an export; each must fail. Returns their formats."""
-    from clacad.verify.files import find_files, integrity
+    from clacad.verification.files.find_files import find_files, integrity
 
     for entry in listed(files):
         for spoilt in damages(files[entry["name"]]):

@@ -8,9 +8,9 @@ import pytest
 from filesonly import only_files
 from trust.bench import meshes, readers, sheets, tracer
 
-from clacad.export import export
-from clacad.prescription import prescribe
-from clacad.verify import verify
+from clacad.exporting.export_design import export
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import verify
 
 DAILY = {("galilean", 8), ("galilean", 32), ("tilted", 16), ("tilted", 32), ("biconvex, hexagonal", 8), ("biconvex, hexagonal", 32)}  # fmt: skip
 PAIRS = [

@@ -16,8 +16,8 @@ from trust import golden
 from trust.running import ROOT, TINY, clacad, command, environment
 
 from clacad.design import Design
-from clacad.export import export
-from clacad.verify import verify
+from clacad.exporting.export_design import export
+from clacad.verification import verify
 
 ALL = "stl,stl-parts,3mf,ply,glb,sag,tiff,png,xyz,table,mask"
 
@@ -85,7 +85,7 @@ def test_the_bytes_are_those_recorded_for_these_versions() -> None:
 ANOTHER_USER = """
 import os, sys
 from clacad.design import load
-from clacad.export import export
+from clacad.exporting.export_design import export
 source, ours, theirs = sys.argv[1:]
 formats = ("stl", "3mf", "glb", "table", "png")
 export(load(source), ours, formats=formats, quads=4)
@@ -135,7 +135,7 @@ def test_no_test_can_reach_another_machine() -> None:
 
 TALKATIVE = """
 import socket, sys
-from clacad.export.worker import Worker
+from clacad.storage.worker import Worker
 try:
     socket.create_connection(("192.0.2.1", 80), 1)
 except RuntimeError as refusal:

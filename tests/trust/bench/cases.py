@@ -28,9 +28,9 @@ from trust.bench import readers, tracer
 from trust.spoiling import Change, changed, model_changed
 
 from clacad.design import Design
-from clacad.export import export
-from clacad.prescription import prescribe
-from clacad.verify import verify
+from clacad.exporting.export_design import export
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import verify
 
 RAYS = 8192
 FINE, COARSE = 32, 8

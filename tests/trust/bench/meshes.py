@@ -11,9 +11,9 @@ from trust.bench import readers, tracer
 from trust.bench.cases import RAYS
 
 from clacad.design import Design
-from clacad.export import export
-from clacad.prescription import prescribe
-from clacad.verify import verify
+from clacad.exporting.export_design import export
+from clacad.prescription.prescribe import prescribe
+from clacad.verification import verify
 
 QUADS = (4, 8, 16, 32, 64, 128, 256)
 BANDS = {"rms": 0.02, "bias": 0.05, "eta": 0.1, "delta": 0.1, "confocality": 0.1, "throughput": 0.02}

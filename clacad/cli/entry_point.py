@@ -1,0 +1,156 @@
+"""Entry point: parse, call the command, turn what went wrong into one sentence and an exit status.
+
+0 done, all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
+4 cannot write; 70 internal; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from clacad.base import log
+from clacad.cli.interrupts import INTERRUPTED, Ending, ended_in_time
+
+OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL = 0, 1, 2, 3, 4, 70
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status; never raises, never prints a traceback unasked.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; default sys.argv[1:].
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    ending = Ending()
+    try:
+        status = _answered(given, ending)
+        log.note("end", status=status, seconds=round(log.seconds(), 3), memory=log.memory())
+        return status
+    except KeyboardInterrupt:  # just before signals were taken, or just after they were given back
+        ending.tell(sys.stderr.write)
+        return INTERRUPTED
+    finally:
+        log.stop()
+
+
+def _answered(given: list[str], ending: Ending) -> int:
+    with ended_in_time(ending):
+        try:
+            status = _status(given, ending)
+        except KeyboardInterrupt:
+            status = INTERRUPTED
+        if ending.asked and status != OK:  # what a library made of the interruption
+            status = INTERRUPTED
+        if status == INTERRUPTED:
+            ending.tell(sys.stderr.write)
+        return status
+
+
+def _status(given: list[str], ending: Ending) -> int:
+    try:
+        from clacad.cli.app import app
+
+        status = app(given, prog_name="clacad", standalone_mode=False)
+        sys.stdout.flush()
+        return int(status or 0)
+    except BrokenPipeError:
+        return _unread()
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # the command-line library makes this of it
+            return _unread()
+        if ending.asked:
+            return INTERRUPTED
+        raise
+    except Exception as error:
+        return INTERRUPTED if ending.asked else _explained(error)
+
+
+def _unread() -> int:
+    """The reader of our output went away: what it did not read is not ours to report."""
+    sys.stdout = open(os.devnull, "w")
+    return OK
+
+
+def _explained(error: Exception) -> int:
+    """Say what went wrong and give its exit status."""
+    status = status_of(error)
+    if type(error).__module__.startswith(("click", "typer")):
+        return _usage(error)
+    if log.on():
+        log.note("error", **_facts(error), status=INTERNAL if status is None else status)
+    if status is None:
+        text = f"internal error: {type(error).__name__}: {error}".rstrip(": ")
+        if isinstance(error, MemoryError):
+            text = f"out of memory ({error}): ask for fewer rays, quads or cells".replace(" ()", "")
+        _say(
+            text
+            if log.on() or isinstance(error, MemoryError)
+            else f"{text}\n  run again with -v for the details"
+        )
+        return INTERNAL
+    _say(_sentence(error))
+    return status
+
+
+def _sentence(error: Exception) -> str:
+    """The system's errors by the place and the cause, without their numbers."""
+    if isinstance(error, OSError) and error.strerror and isinstance(error.filename, str):
+        return f"{error.filename}: {error.strerror.lower()}"
+    return str(error)
+
+
+def _facts(error: Exception) -> dict[str, Any]:
+    """What the log keeps of an error: all that the sentence leaves out."""
+    import traceback
+
+    return {
+        "kind": type(error).__name__, "sentence": str(error), "details": getattr(error, "details", ""),
+        "traceback": "".join(traceback.format_exception(error)).splitlines(),
+    }  # fmt: skip
+
+
+def status_of(error: Exception) -> int | None:
+    """Exit status of an error clacad knows, None for one it does not."""
+    module = type(error).__module__
+    known = getattr(error, "exit_status", None)
+    if isinstance(known, int):
+        return known
+    if module.startswith(("click", "typer")):
+        return BAD_INPUT
+    if type(error).__name__ == "DesignError":
+        return BAD_INPUT
+    if isinstance(error, (FileNotFoundError, IsADirectoryError, NotADirectoryError, UnicodeError)):
+        return BAD_INPUT
+    if type(error).__name__ == "UnidentifiedImageError":
+        return BAD_INPUT
+    if isinstance(error, (PermissionError, OSError)):
+        return CANNOT_WRITE
+    return None
+
+
+def _usage(error: Exception) -> int:
+    """Click's own errors: exits, aborts and misuse."""
+    name = type(error).__name__
+    if name == "Exit":
+        return int(getattr(error, "exit_code", 0))
+    if name == "Abort":
+        return INTERRUPTED
+    if name == "NoArgsIsHelpError":
+        show = getattr(error, "show", None)
+        if callable(show):
+            show()
+        return BAD_INPUT
+    message = getattr(error, "format_message", None)
+    context = getattr(error, "ctx", None)
+    hint = f"\n  try: {context.command_path} --help" if context is not None else ""
+    _say(f"{message() if callable(message) else error}{hint}")
+    return BAD_INPUT
+
+
+def _say(text: str) -> None:
+    print(f"clacad: {text}" if "\n" not in text else text, file=sys.stderr)  # noqa: T201

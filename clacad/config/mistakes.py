@@ -1,0 +1,169 @@
+"""What is wrong with a design, said the way a compiler says it.
+
+A `Mistake` is one finding with its place; a `DesignError` carries all of them at once. Codes are
+stable words for programs: CL100 … CL129 are mistakes of a design file, listed in `CODES`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from clacad.design.model import Design
+
+CODES: dict[str, str] = {
+    "CL100": "the file cannot be read",
+    "CL101": "the text is not TOML (or JSON)",
+    "CL102": "unknown key",
+    "CL103": "missing key",
+    "CL104": "wrong kind of value",
+    "CL105": "wrong or unknown unit",
+    "CL106": "number out of range",
+    "CL107": "not one of the allowed words",
+    "CL108": "wrong number of values in a list",
+    "CL109": "unknown file format version",
+    "CL110": "eta that no pair of lenses has",
+    "CL111": "eta = 1 with an offset",
+    "CL112": "keys that exclude each other",
+    "CL113": "key that needs another key",
+    "CL114": "key that does not belong to this form",
+    "CL115": "pitch below the wavelength",
+    "CL116": "lattice and pitch disagree",
+    "CL117": "seam, web or outline that leaves no lens",
+    "CL118": "override that cannot be applied",
+    "CL119": "unknown material, or its index table does not reach the wavelength",
+    "CL120": "a pair that cannot be built",
+}
+"""Meaning of each stable code of a design mistake."""
+
+WIDTH = 110
+"""Longest piece of a source line that is shown, in characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """One thing that is wrong, and where.
+
+    Parameters
+    ----------
+    code : str
+        Stable code, a key of `CODES`.
+    message : str
+        What is wrong, in one line.
+    key : str
+        Dotted path of the key, "" for the file as a whole.
+    path : str
+        File name as the user gave it, "--set" for an override, "" for a dictionary.
+    line, column : int or None
+        Place in the file, both from 1, in characters.
+    width : int
+        Number of characters the caret line marks.
+    found, allowed, hint : str
+        What stood there, what may stand there, the nearest way out (for an unknown key: the key probably
+        meant); "" if there is nothing to say.
+    source_line : str
+        The line of the file (or the override) the mistake is in.
+    """
+
+    code: str
+    message: str
+    key: str = ""
+    path: str = ""
+    line: int | None = None
+    column: int | None = None
+    width: int = 1
+    found: str = ""
+    allowed: str = ""
+    hint: str = ""
+    source_line: str = ""
+
+    def __str__(self) -> str:
+        """Return the finding as a compiler would print it, with a caret line where a place is known."""
+        lines = [f"{self._where()}error {self.code}: {self.message}", *self._excerpt()]
+        for word, text in (("found", self.found), ("allowed", self.allowed), ("hint", self.hint)):
+            if text and not (word != "allowed" and text in self.message):  # said once
+                lines.append(f"  {word}: {text}")
+        return "\n".join(map(printable, lines))
+
+    def _where(self) -> str:
+        if self.path == "--set":
+            return f"--set {self.source_line}: "
+        place = [self.path] if self.path else []
+        if self.path and self.line is not None:
+            place += [str(self.line), str(self.column)]
+        return ":".join(place) + ": " if place else ""
+
+    def _excerpt(self) -> list[str]:
+        if not self.source_line or self.column is None or (self.line is None and self.path != "--set"):
+            return []
+        start = max(0, self.column - 1 - WIDTH // 2) if len(self.source_line) > WIDTH else 0
+        shown = self.source_line[start : start + WIDTH]
+        caret = " " * (self.column - 1 - start) + "^" * max(1, min(self.width, WIDTH // 2))
+        number = "" if self.line is None else str(self.line)
+        return [f"  {number} | {shown}".rstrip(), f"  {' ' * len(number)} | {caret}"]
+
+
+class DesignError(ValueError):
+    """A design that cannot be accepted; holds every mistake that was found.
+
+    Parameters
+    ----------
+    mistakes : iterable of Mistake
+        At least one.
+    """
+
+    def __init__(self, mistakes: Iterable[Mistake]) -> None:
+        self.mistakes: tuple[Mistake, ...] = tuple(mistakes)
+        super().__init__(self.mistakes)
+
+    def __str__(self) -> str:
+        """Return all mistakes, one block each, in the order of their places."""
+        blocks = [str(mistake) for mistake in self.mistakes]
+        if len(blocks) > 1:
+            blocks.append(f"{len(blocks)} mistakes")
+        return "\n".join(blocks)
+
+    @classmethod
+    def at(
+        cls, design: Design, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
+        hint: str = "",
+    ) -> DesignError:  # fmt: skip
+        """Refuse a design for a reason found after reading, at the place of one of its keys.
+
+        Parameters
+        ----------
+        design : Design
+            The design that is refused; its file text gives line and column.
+        key : str
+            Dotted key the reason belongs to, such as "pair.thickness".
+        message : str
+            What is wrong, with the computed numbers.
+        code, found, allowed, hint : str
+            As in `Mistake`.
+
+        Returns
+        -------
+        DesignError
+            With one mistake; raise it.
+        """
+        from clacad.config.key_positions import located
+
+        mistake = Mistake(code, message, key=key, found=found, allowed=allowed, hint=hint)
+        return cls(located([mistake], design.source, design.path, ()))
+
+
+def printable(text: str) -> str:
+    """Return the text with every character that could move the cursor replaced by a space or a '?'.
+
+    A stranger's file must not steer the terminal. The length is kept, so that carets stay in place.
+    """
+    return "".join(" " if c == "\t" else c if c.isprintable() else "?" for c in text)
+
+
+def in_order(mistakes: Iterable[Mistake]) -> list[Mistake]:
+    """Return the mistakes sorted by place, then key; those without a place last; no duplicates."""
+    unique = dict.fromkeys(mistakes)
+    return sorted(unique, key=lambda m: (m.path == "--set", m.line or 10**9, m.column or 0, m.key, m.code))

@@ -1,0 +1,92 @@
+"""Overrides: one key of a design changed from outside the file (--set "law.eta=[-1.4,-1]")."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clacad.config.key_positions import KeyPath, split_key
+from clacad.config.mistakes import Mistake
+from clacad.config.value_kinds import kind_of
+
+
+def parse(text: str) -> tuple[str, Any] | Mistake:
+    """Split "key.path=value"; the value is read as TOML, and as plain text where it is no TOML.
+
+    Returns
+    -------
+    (key, value) or Mistake
+    """
+    key, equals, value = text.partition("=")
+    key, value = key.strip(), value.strip()
+    if not equals or not key or not value or "\n" in text or "\r" in text:
+        return Mistake("CL118", "an override is written key.path=value", path="--set", source_line=text,
+                       allowed='such as "law.eta=[-1.4,-1]" or pair.form=slab')  # fmt: skip
+    try:
+        return key, tomllib.loads(f"value = {value}")["value"]
+    except (ValueError, RecursionError):
+        if value[0] in "[{\"'" or not value.isprintable():
+            return Mistake("CL118", f"the value of {key} is not TOML", path="--set", source_line=text,
+                           column=text.find("=") + 2, width=len(value),
+                           allowed='a number, "text", [list], true or false')  # fmt: skip
+        return key, value
+
+
+def apply(
+    data: Mapping[str, Any], texts: Sequence[str]
+) -> tuple[dict[str, Any], list[tuple[KeyPath, str]], list[Mistake]]:
+    """Apply overrides to the data of a file.
+
+    Returns
+    -------
+    data : dict
+        A new dictionary; the given one is left alone.
+    places : list of (key path, override text)
+        To name the override in later messages.
+    mistakes : list of Mistake
+        Overrides that cannot be applied.
+    """
+    made, places, mistakes = dict(data), [], []
+    for text in texts:
+        parsed = parse(text)
+        if isinstance(parsed, Mistake):
+            mistakes.append(parsed)
+            continue
+        key, value = parsed
+        path = split_key(key)
+        complaint = ""
+        try:
+            made = put(made, path, value)
+        except LookupError as problem:
+            complaint = str(problem.args[0])
+        if complaint:
+            mistakes.append(
+                Mistake("CL118", complaint, key=key, path="--set", source_line=text, column=1, width=len(key))
+            )
+        places.append((path, text))
+    return made, places, mistakes
+
+
+def put(data: Any, path: KeyPath, value: Any, done: KeyPath = ()) -> Any:
+    """Return the data with one value replaced; missing tables are made, lists are never extended.
+
+    Raises
+    ------
+    LookupError
+        With a sentence, if the path leads through something that has no such part.
+    """
+    if not path:
+        return value
+    step, rest = path[0], path[1:]
+    name = ".".join(map(str, done))
+    if isinstance(data, Mapping):
+        step = str(step)
+        if step not in data and not rest:
+            return {**data, step: value}
+        return {**data, step: put(data.get(step, {}), rest, value, (*done, step))}
+    if isinstance(data, list | tuple):
+        if not isinstance(step, int) or step >= len(data):
+            raise LookupError(f"{name} is a list of {len(data)}: no element {step}")
+        return [put(item, rest, value, (*done, step)) if i == step else item for i, item in enumerate(data)]
+    raise LookupError(f"{name} is {kind_of(data)}: it has no part {step}")

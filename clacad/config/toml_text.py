@@ -1,0 +1,154 @@
+"""Text of a file → nested dictionaries, with every slip in the syntax named and placed.
+
+Design files and scene files are read here alike; `what` is the word the messages use.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any, Final, NoReturn
+
+from clacad.config.key_positions import Place, find, syntax_place
+from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.value_kinds import kind_of
+
+LARGEST_FILE: Final = 16 * 2**20
+DEEPEST: Final = 64
+
+
+def _refuse(mistake: Mistake) -> NoReturn:
+    raise DesignError([mistake])
+
+
+def read_text(name: str, what: str = "design") -> str:
+    """Read a UTF-8 text of at most 16 MB.
+
+    Raises
+    ------
+    DesignError
+        With one mistake: no such file, too large, not UTF-8.
+    """
+    try:
+        with open(name, "rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+    except OSError as problem:
+        why = (problem.strerror or str(problem)).lower()
+        _refuse(Mistake("CL100", f"cannot read the {what}: {why}", path=name, hint=_nearest_file(name)))
+    except ValueError:
+        _refuse(
+            Mistake(
+                "CL100", f"cannot read the {what}: the name holds a zero byte", path=name.replace("\0", "?")
+            )
+        )
+    if len(raw) > LARGEST_FILE:
+        _refuse(Mistake("CL100", f"the file is too large for a {what}", path=name, allowed="16 MB"))
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        line = raw.count(b"\n", 0, problem.start) + 1
+        column = problem.start - raw.rfind(b"\n", 0, problem.start)
+        _refuse(Mistake("CL100", "the file is not UTF-8 text", path=name, line=line, column=column,
+                        found=f"byte 0x{raw[problem.start]:02x}", hint="save it as UTF-8"))  # fmt: skip
+
+
+def _nearest_file(name: str) -> str:
+    folder, base = os.path.split(name)
+    try:
+        listed = sorted(
+            entry
+            for entry in os.listdir(folder or ".")
+            if entry.endswith((".toml", ".json")) and entry != base
+        )
+    except (OSError, ValueError):
+        return ""
+    close = get_close_matches(base, listed, n=1, cutoff=0.6) or get_close_matches(base + ".toml", listed, n=1)
+    return f"did you mean {os.path.join(folder, close[0])}?" if close else ""
+
+
+def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
+    """Turn TOML (JSON, if the name ends in .json) into nested dictionaries.
+
+    Raises
+    ------
+    DesignError
+        With one mistake: the first slip in the syntax, nesting beyond 64, a JSON key that stands twice.
+    """
+    is_json = name.lower().endswith(".json")
+    _refuse_deep_keys(text, name)
+    try:
+        data = json.loads(text) if is_json else tomllib.loads(text)
+    except RecursionError:
+        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+    except ValueError as problem:
+        slip = re.sub(r" \(at .*\)$|: line [0-9]+ column.*$", "", str(problem))[:200]
+        slip = re.sub(r"\('(.*)',\)", r"[\1]", slip)
+        _refuse_syntax(f"not {'JSON' if is_json else 'TOML'}: {slip[:1].lower()}{slip[1:]}", name, text,
+                       syntax_place(problem, text))  # fmt: skip
+    if not isinstance(data, dict):
+        _refuse(Mistake("CL104", f"a {what} is a table, not {kind_of(data)}", path=name, line=1, column=1))
+    if too_deep(data):
+        _refuse(Mistake("CL100", f"nested more than {DEEPEST} deep", path=name))
+    twins = find(text, name).twins if is_json else []
+    if twins:
+        _refuse_syntax(f"not a {what}: a key that is there twice", name, text, twins[0])
+    return data
+
+
+def _refuse_syntax(message: str, name: str, text: str, place: Place) -> NoReturn:
+    line = re.split("\r\n|\n", text)[place.line - 1]
+    mistake = Mistake("CL101", message, path=name, line=place.line, column=place.column, width=place.width)
+    raise DesignError([replace(mistake, source_line=line, hint=_syntax_hint(line))])
+
+
+def _syntax_hint(line: str) -> str:
+    """Name the three slips people make in TOML: a unit or a word without quotes, a decimal comma."""
+    _, equals, value = line.partition("=")
+    value = value.split("#")[0].strip()
+    if not equals or not value:
+        return ""
+    if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", value):
+        return f"write {value.replace(',', '.')}: the decimal sign is a point"
+    if re.fullmatch(r"[+-]?[0-9.]+(e[+-]?[0-9]+)? ?[^\s\d\[\]\"',]+", value) or re.fullmatch(
+        r"[A-Za-z][\w -]*", value
+    ):
+        return f'write "{value}" in quotes'
+    return ""
+
+
+def _refuse_deep_keys(text: str, name: str) -> None:
+    """Refuse dotted keys of more than 64 parts before parsing: the time to parse them grows as their square."""
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".", 0, 100_000) > DEEPEST and re.match(r"\s*\[*\s*(?:[^.=#\"'\[\]]*\.){65}", line):
+            _refuse(Mistake("CL100", f"a key nested more than {DEEPEST} deep", path=name, line=number, column=1,
+                            source_line=line))  # fmt: skip
+
+
+def too_deep(data: Any) -> bool:
+    """Whether tables and lists are nested more than 64 deep."""
+    level, depth = [data], 0
+    while level:
+        depth += 1
+        if depth > DEEPEST:
+            return True
+        level = [item for part in level if isinstance(part, dict | list)
+                 for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
+    return False
+
+
+def plain(value: Any, depth: int = 0) -> Any:
+    """Turn tuples, mappings, paths and number-like scalars of other libraries into what TOML knows."""
+    if depth > DEEPEST:
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, depth + 1) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, depth + 1) for item in value]
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return plain(value.tolist(), depth + 1)
+    return value

@@ -1,0 +1,207 @@
+"""Kinds of value a design key can have: each reads one value, says what it allows, and knows its JSON Schema.
+
+A kind is a frozen dataclass with `read(value, unit)`, which returns the converted value or raises
+`Refusal`, `allowed(unit)`, the words of the message, and `schema()`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, Final, Protocol
+
+from clacad.base.units import Unit
+
+JsonSchema = dict[str, Any]
+LARGEST_COUNT: Final = 2**63 - 1
+
+
+class Refusal(ValueError):
+    """A value that its key does not take.
+
+    Parameters
+    ----------
+    code : str
+        Stable code of the mistake.
+    complaint : str
+        What is wrong, to stand after "pair.index = 0.9 ".
+    value : object
+        The value found (an element of a list where only that element is wrong).
+    allowed, hint : str
+        What may stand there; the nearest way out.
+
+    Attributes
+    ----------
+    where : tuple of int or str
+        Element of the list, or key of the table, that is wrong; filled in on the way out.
+    others : tuple of Refusal
+        What else is wrong in the same list or table.
+    """
+
+    def __init__(self, code: str, complaint: str, value: object, allowed: str, hint: str = "") -> None:
+        super().__init__(complaint)
+        self.code, self.complaint, self.value = code, complaint, value
+        self.allowed, self.hint = allowed, hint
+        self.where: tuple[int | str, ...] = ()
+        self.others: tuple[Refusal, ...] = ()
+
+    def within(self, step: int | str) -> None:
+        """Note that this refusal happened in one element of a list or one key of a table."""
+        for refusal in (self, *self.others):
+            refusal.where = (step, *refusal.where)
+
+
+class Kind(Protocol):
+    """What every kind of value can do."""
+
+    def read(self, value: object, unit: Unit) -> Any:
+        """Return the converted value, or raise `Refusal`."""
+
+    def allowed(self, unit: Unit) -> str:
+        """Return what may stand there, in words."""
+
+    def schema(self) -> JsonSchema:
+        """Give the JSON Schema of the written value."""
+
+
+def shown(value: object) -> str:
+    """Return a value as it would stand in the file, shortened to 60 characters."""
+    if isinstance(value, bool):
+        text = "true" if value else "false"
+    elif isinstance(value, str):
+        text = '"' + value[:200].replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+    elif isinstance(value, list):
+        text = "[" + ", ".join(shown(item) for item in value[:9]) + (", ..." if len(value) > 9 else "") + "]"
+    elif isinstance(value, dict):
+        items = list(value.items())[:5]
+        text = "{" + ", ".join(f"{key} = {shown(item)}" for key, item in items) + "}"
+    elif isinstance(value, int):
+        text = str(value) if abs(value) < 10**40 else "a number of more than 40 digits"
+    else:
+        text = "null" if value is None else str(value)
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def kind_of(value: object) -> str:
+    """Return the kind of a TOML value in words a person uses."""
+    names: tuple[tuple[type, str], ...] = (
+        (bool, "a truth value"), (int, "a whole number"), (float, "a number"), (str, "a text"),
+        (list, "a list"), (dict, "a table"), (type(None), "nothing"),
+    )  # fmt: skip
+    return next((name for type_, name in names if isinstance(value, type_)), "a date or time")
+
+
+def not_this(value: object, wanted: str) -> str:
+    """Return the complaint about a value of the wrong kind: "is a text, not a number"."""
+    return f"is {kind_of(value)}, not {wanted}"
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A whole number from `least` to 2⁶³ − 1 (what an index can hold; limits on size come later)."""
+
+    what: str
+    least: int = 1
+    most: int = LARGEST_COUNT
+
+    def read(self, value: object, unit: Unit) -> int:
+        """Return the number."""
+        if isinstance(value, bool) or not isinstance(value, int):
+            whole = isinstance(value, float) and value.is_integer() and abs(value) < LARGEST_COUNT
+            hint = f"write {int(value)} without a decimal point" if whole and isinstance(value, float) else ""
+            raise Refusal("CL104", not_this(value, "a whole number"), value, self.what, hint)
+        if not self.least <= value <= self.most:
+            raise Refusal("CL106", "is out of range", value, self.what)
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the words of the message."""
+        return self.what
+
+    def schema(self) -> JsonSchema:
+        """Give the JSON Schema of an integer with a minimum."""
+        return {"description": self.what, "type": "integer", "minimum": self.least, "maximum": self.most}
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """One of a few words."""
+
+    words: tuple[str, ...]
+
+    def read(self, value: object, unit: Unit) -> str:
+        """Return the word."""
+        if not isinstance(value, str):
+            raise Refusal("CL104", not_this(value, "a text"), value, self.allowed(unit))
+        if value not in self.words:
+            raise Refusal(
+                "CL107", "is not a word known here", value, self.allowed(unit), self._nearest(value)
+            )
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the words, in quotes."""
+        return " | ".join(f'"{word}"' for word in self.words)
+
+    def schema(self) -> JsonSchema:
+        """Give the JSON Schema of an enumeration."""
+        return {"enum": list(self.words)}
+
+    def _nearest(self, value: str) -> str:
+        close = get_close_matches(value.lower(), self.words, n=1, cutoff=0.5)
+        return f'did you mean "{close[0]}"?' if close else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """true or false."""
+
+    def read(self, value: object, unit: Unit) -> bool:
+        """Return the flag; 0, 1 and "yes" are refused."""
+        if not isinstance(value, bool):
+            raise Refusal("CL104", not_this(value, "true or false"), value, self.allowed(unit))
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the two words."""
+        return "true | false"
+
+    def schema(self) -> JsonSchema:
+        """Give the JSON Schema of a boolean."""
+        return {"type": "boolean"}
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A text of limited length; `plain` allows only what is safe in a file name, `pattern` is a full match."""
+
+    what: str
+    longest: int
+    plain: bool = False
+    pattern: str = ""
+
+    def read(self, value: object, unit: Unit) -> str:
+        """Return the text."""
+        if not isinstance(value, str):
+            raise Refusal("CL104", not_this(value, "a text"), value, self.what)
+        if not 1 <= len(value) <= self.longest:
+            raise Refusal("CL106", "is empty" if not value else "is too long", value, self.what)
+        if not value.isprintable():
+            raise Refusal("CL106", "holds a control character", value, self.what)
+        if self.pattern and not re.fullmatch(self.pattern, value, re.ASCII):
+            raise Refusal("CL106", "does not have the form needed", value, self.what)
+        wrong = [c for c in value if not (c.isalnum() or c in " -_.,+()=")] if self.plain else []
+        if wrong or (self.plain and not value[0].isalnum()):
+            raise Refusal("CL106", f"must not hold '{wrong[0]}'" if wrong else "must start with a letter or digit",
+                          value, self.what)  # fmt: skip
+        return value
+
+    def allowed(self, unit: Unit) -> str:
+        """Return the words of the message."""
+        return self.what
+
+    def schema(self) -> JsonSchema:
+        """Give the JSON Schema of a string with its length."""
+        return {"description": self.what, "type": "string", "minLength": 1, "maxLength": self.longest}

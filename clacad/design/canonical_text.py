@@ -1,0 +1,99 @@
+"""One fixed text for each design: every key in fixed order, defaults written out, shortest numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+from clacad.base import units
+from clacad.config.compound_kinds import Several
+from clacad.config.quantities import Quantity
+from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.model import NO_TOLERANCES, Allowed, Design, Frame, Outline
+
+
+def to_dict(design: Design) -> dict[str, Any]:
+    """Return the design as nested dictionaries with the keys of a file; what is None is left out."""
+    made: dict[str, Any] = {"format": FORMAT, "name": design.name, "unit": design.unit}
+    if design.notes:
+        made["notes"] = list(design.notes)
+    parts = {"law": design.law_spec, "pair": design.pair, "lattice": design.lattice, "body": design.body,
+             "check": design.check, "tolerances": design.tolerances}  # fmt: skip
+    for section, spec in parts.items():
+        if spec == NO_TOLERANCES:
+            continue  # a design that states none has the text it had before there were tolerances
+        values: dict[str, Any] = {}
+        for name, key in SECTIONS[section].items():
+            if name == "curved" and design.pair.form != "plano":
+                continue
+            value = getattr(spec, "euler_degrees" if name == "euler" else name)
+            if value is not None and value != ():
+                values[name] = _written(value, key, design)
+        if section == "lattice" and design.lattice.kind != "rectangular":
+            values["pitch"] = values["pitch"][0]
+        made[section] = values
+    return made
+
+
+def _written(value: Any, key: Key, design: Design) -> Any:
+    kind = key.kind
+    if isinstance(value, Outline):
+        return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
+    if isinstance(value, Frame):
+        return {"width": value.width} | ({} if value.height is None else {"height": value.height})
+    if isinstance(value, tuple) and value and isinstance(value[0], Allowed):
+        return [{"code": item.code, "reason": item.reason} for item in value]
+    if isinstance(kind, Quantity) and isinstance(value, float):
+        return _quantity(value, kind, design)
+    if isinstance(kind, Several) and isinstance(kind.kind, Quantity) and isinstance(value, tuple):
+        return [_quantity(v, kind.kind, design) for v in value]
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _quantity(value: float, kind: Quantity, design: Design) -> float | str:
+    if kind.family == "wavelength":
+        return units.nanometres(value)
+    if kind.family == "angle" and not kind.degrees:
+        return f"{value!r} rad"
+    if kind.family == "length" and not kind.bare:
+        return _with_unit(value, design.unit)
+    return value
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """Write a length of `value` units of the design with a unit word, so that it reads back exactly."""
+    if unit in units.LENGTHS:
+        return f"{value!r} {unit}"
+    parts = units.split(unit)
+    assert parts is not None, unit  # the unit was read when the design was made
+    return f"{_decimal(Fraction(repr(value)) * parts[0])} {parts[1]}"
+
+
+def _decimal(number: Fraction) -> str:
+    """Return a terminating decimal fraction digit for digit."""
+    tens, whole = 0, number
+    while whole.denominator != 1:
+        whole, tens = whole * 10, tens + 1
+    return f"{whole.numerator}e-{tens}" if tens else str(whole.numerator)
+
+
+def to_toml(data: Mapping[str, Any]) -> str:
+    """Write nested dictionaries (one level of tables) as TOML."""
+    lines = [f"{key} = {_value(value)}" for key, value in data.items() if not isinstance(value, Mapping)]
+    for section, values in data.items():
+        if isinstance(values, Mapping):
+            lines += ["", f"[{section}]", *(f"{key} = {_value(value)}" for key, value in values.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + "}"
+    return repr(value)

@@ -1,0 +1,178 @@
+"""A block of rays under the effects' passes, and what each face did to its rays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.engine.block_order import around
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.window import Body, Window
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rung = Literal["law", "thin", "surfaces", "mesh"]
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """One face and the rays of a block that went through it.
+
+    Attributes
+    ----------
+    before, after : (m, 3) unit directions
+    n1, n2 : float
+    through : (m,) bool or None
+        Rays that crossed it; None: all of them.
+    """
+
+    before: Floats
+    after: Floats
+    n1: float
+    n2: float
+    through: Mask | None
+
+
+@dataclass(eq=False)
+class Block:
+    """A block of traced rays under the passes: columns are changed in place.
+
+    Attributes
+    ----------
+    window : Window
+    rays : Rays
+        As launched.
+    result : TraceResult
+        Its direction, position, optical_path and flux may be written; fate, cell, order and surface are
+        geometry and stay.
+    rung : str
+    wavelength : float or None, metres
+        Of all rays of the block; None: the design wavelength.
+    compiled : bool
+        The tracer's compiled kernels are at work, so compiled passes may be.
+    """
+
+    window: Window
+    rays: Rays
+    result: TraceResult
+    rung: Rung
+    wavelength: float | None
+    compiled: bool = False
+    state: dict[str, Any] = field(default_factory=dict)
+    """What passes of one effect keep from face to face."""
+
+    def index(self, body: Body) -> float:
+        """Refractive index of a body for this block."""
+        return body.index_at(self.wavelength)
+
+    def emerging(self) -> Mask:
+        """Rays that go on behind the sheet."""
+        return np.asarray(self.result.fate <= Fate.LAND)
+
+    @property
+    def indices(self) -> Floats:
+        """Refractive index before the first face and behind each, (faces + 1,)."""
+        return np.array(around([self.index(body) for body in self.window.bodies]))
+
+    @property
+    def air_wavelength(self) -> float:
+        """Wavelength in metres, the window's where the block has none.
+
+        Raises
+        ------
+        ValueError
+            Neither has one.
+        """
+        wavelength = self.wavelength if self.wavelength is not None else self.window.wavelength
+        if wavelength is None:
+            raise ValueError("this effect needs a wavelength, and neither the rays nor the design have one")
+        return wavelength
+
+
+def crossings(block: Block) -> Iterator[Crossing]:
+    """Every face the block's rays went through, in the order of the light.
+
+    On rungs surfaces and mesh these are the faces. Law and thin have none: there each lens stands as a plane
+    plate across the lens axis, met as the ray arrives at lens 1 and as it leaves lens 2, which is exact for
+    light through the lens centres.
+    """
+    if block.rung in ("law", "thin"):
+        yield from plate_crossings(block)
+        return
+    result, bodies = block.result, block.window.bodies
+    assert result.hits is not None
+    assert result.directions is not None
+    everywhere = bool((result.fate <= Fate.GHOST).all())
+    before, point = unit_rows(block.rays.direction), block.rays.position
+    for face, after in enumerate(result.directions):
+        index = block.index(bodies[face // 2])
+        n1, n2 = (1.0, index) if face % 2 == 0 else (index, 1.0)
+        through = None if everywhere else crossed(result, face, point)
+        yield Crossing(before, after, n1, n2, through)
+        before, point = after, result.hits[face]
+
+
+def crossed(result: TraceResult, face: int, point: Floats) -> Mask:
+    """Which rays went through a face: they met it, at another place than the one before, and did not end there."""
+    assert result.hits is not None
+    ended = (result.fate >= Fate.TIR) & (result.surface == face)
+    met = (result.surface >= face) & (result.fate < Fate.MISSED)
+    moved = np.any(result.hits[face] != point, axis=1)
+    return np.asarray(met & moved & ~ended)
+
+
+def plate_crossings(block: Block) -> Iterator[Crossing]:
+    """Crossings of the plates that stand for the lenses on rungs law and thin."""
+    result = block.result
+    through = None if bool((result.fate <= Fate.GHOST).all()) else block.emerging()
+    start, end = unit_rows(block.rays.direction), result.direction
+    axis = block.window.thin.rotation[:, 2]
+    first, last = block.window.bodies[0], block.window.bodies[-1]
+    if first is last:
+        inside, index = inside_of(first, block, start, axis), block.index(first)
+        outside = inside_of(first, block, end, axis)
+        yield Crossing(start, inside, 1.0, index, through)
+        yield Crossing(inside, outside, index, index, through)
+        yield Crossing(outside, end, index, 1.0, through)
+        return
+    for body, ray in ((first, start), (last, end)):
+        inside, index = inside_of(body, block, ray, axis), block.index(body)
+        if body is last:
+            yield Crossing(start, end, 1.0, 1.0, through)  # the lenses' turn costs nothing
+        yield Crossing(ray, inside, 1.0, index, through)
+        yield Crossing(inside, ray, index, 1.0, through)
+
+
+def inside_of(body: Body, block: Block, ray: Floats, axis: Floats) -> Floats:
+    """Directions inside the plate that stands for a body's lens."""
+    from clacad.optics.surface.fresnel_coefficients import inside_plate
+
+    return inside_plate(ray, axis, block.index(body))
+
+
+def unit_rows(direction: Floats) -> Floats:
+    """Unit directions (m, 3) of rows of any length."""
+    from clacad.optics.sequence import unit
+
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return unit(direction)[0]
+
+
+def lens_slopes(block: Block) -> tuple[Floats, Floats]:
+    """Exit slopes (m, 2) in the lens frame, and the lens-frame directions (m, 3) themselves."""
+    turned = block.result.direction @ block.window.thin.rotation
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return turned[:, :2] / turned[:, 2:], turned
+
+
+def bend(block: Block, slopes: Floats, rows: Mask) -> None:
+    """Set the exit direction of some rays from their lens-frame slopes; those turned back keep theirs."""
+    out = np.column_stack([slopes[rows], np.ones(int(rows.sum()))]) @ block.window.thin.rotation.T
+    out /= np.sqrt((out * out).sum(axis=1))[:, None]
+    chosen = np.flatnonzero(rows)
+    forwards = out[:, 2] > 0.0
+    block.result.direction[chosen[forwards]] = out[forwards]

@@ -1,0 +1,135 @@
+"""What the planner looks at: the rays a scene sends to the sheet, and the bound an effect draws from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.engine.parameters import Setting
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.window import Window
+
+Floats = NDArray[np.float64]
+
+PROBE = 4096
+"""Rays of the probe trace."""
+
+DOUBT = 3.0
+"""Standard errors added to a share counted on the probe: one bound in a thousand is then too small."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """What is left out when an effect is off.
+
+    Attributes
+    ----------
+    angle : float, radians
+        Largest change of direction; 0 where the effect turns nothing.
+    radiance : float
+        Largest relative change of radiance, averaged over the rays; 0 where it takes and adds none.
+    why : str
+        One sentence with numbers.
+    cost : float
+        Predicted time of the trace with the effect, over the bare trace.
+    known : bool
+        False: a number needed for the bound is not known, and the effect stays off unless forced.
+    """
+
+    angle: float
+    radiance: float
+    why: str
+    cost: float
+    known: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """A window and the light that a picture or a check sends through it.
+
+    Attributes
+    ----------
+    window : Window
+    setting : Setting
+        Parameters of the effects as the scene has them.
+    rays : Rays
+        Probe rays as the camera sends them, at most `PROBE` used.
+    angle, radiance : float
+        Smallest change that matters: radians, relative radiance.
+    contrast : float
+        Brightest over mean radiance of the scene behind the sheet.
+    front : float
+        Mean radiance of the world on the camera's side over that behind the sheet.
+    near, far : float, lengths
+        Range of distances from the camera of what is seen (depth of field).
+    sheet_distance : float, length
+        From the camera to the sheet; inf for parallel light.
+    pixel : float, radians
+        Angle of a pixel; 0 without a camera.
+    """
+
+    window: Window
+    setting: Setting
+    rays: Rays
+    angle: float
+    radiance: float
+    contrast: float = 1.0
+    front: float = 1.0
+    near: float = np.inf
+    far: float = np.inf
+    sheet_distance: float = np.inf
+    pixel: float = 0.0
+    notes: tuple[str, ...] = ()
+    memory: dict[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def probe(self) -> TraceResult:
+        """The probe rays through the exact surfaces, hits kept."""
+        from clacad.tracing.trace import trace
+
+        return trace(self.window, self.rays, "surfaces", record=True)
+
+    @cached_property
+    def met(self) -> NDArray[np.intp]:
+        """Probe rays that meet the sheet."""
+        return np.flatnonzero(self.probe.fate < Fate.MISSED)
+
+    def share(self, *fates: Fate) -> float:
+        """Share of the rays on the sheet that end in one of the fates, as counted."""
+        if len(self.met) == 0:
+            return 0.0
+        return float(np.isin(self.probe.fate[self.met], fates).mean())
+
+    def most(self, share: float) -> float:
+        """Upper bound of a share counted on the probe (Wilson's interval, `DOUBT` standard errors)."""
+        n, z = max(len(self.met), 1), DOUBT
+        middle = share + z * z / (2 * n)
+        spread = z * np.sqrt(share * (1.0 - share) / n + z * z / (4 * n * n))
+        return float(min(1.0, (middle + spread) / (1.0 + z * z / n)))
+
+    @cached_property
+    def directions(self) -> Floats:
+        """Unit directions (m, 3) of the probe rays that meet the sheet."""
+        ray = self.rays.direction[self.met]
+        return np.asarray(ray / np.linalg.norm(ray, axis=1)[:, None])
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """Slopes (m, 2) of those rays in the lens frame."""
+        turned = self.directions @ self.window.thin.rotation
+        return np.asarray(turned[:, :2] / turned[:, 2:])
+
+    @property
+    def faces(self) -> int:
+        """Optical faces that light crosses."""
+        return 2 * len(self.window.bodies)
+
+    @property
+    def wavelengths(self) -> tuple[float, ...]:
+        """Lines of the light, metres; the design wavelength where the scene says nothing."""
+        if self.setting.wavelengths:
+            return self.setting.wavelengths
+        return () if self.window.wavelength is None else (self.window.wavelength,)

@@ -1,0 +1,190 @@
+"""The passes over faces, compiled: one loop over the rays of a block, all faces of a ray at once.
+
+Twins of the numpy passes in `fresnel`, `absorption` and `polarisation` (bare faces); the same closed forms in
+D·D' and nothing else. Loaded only where the tracer's compiled kernels are.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.compiled import exact
+
+Floats = NDArray[np.float64]
+Fates = NDArray[np.uint8]
+Cells = NDArray[np.int32]
+
+GHOST, TIR, MISSED = 1, 4, 7  # of clacad.optics.rays.Fate: compiled code reads plain numbers
+
+
+@exact
+def crosses(fate: int, last: int, k: int, hits: Floats, start: Floats, row: int) -> bool:
+    """Whether a ray went through face k: it met it at another place than the one before, and did not end there."""
+    if fate <= GHOST:
+        return True
+    if last < k or fate >= MISSED or (fate >= TIR and last == k):
+        return False
+    for c in range(3):
+        before = start[row, c] if k == 0 else hits[k - 1, row, c]
+        if hits[k, row, c] != before:
+            return True
+    return False
+
+
+@exact
+def let_through(x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float) -> float:
+    """Share of unpolarised light that passes a bare face which turns (x, y, z) into (u, v, w)."""
+    step = (n2 - n1) * (n2 + n1)
+    if step == 0.0:
+        return 1.0
+    square = (n2 - n1) * (n2 - n1)
+    turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
+    cos, s = 1.0 - turn, square + 2.0 * n1 * n2 * turn
+    p = (square - (n1 * n1 + n2 * n2) * turn) / cos
+    return 1.0 - 0.5 * (s * s + p * p) / (step * step)
+
+
+@exact
+def fresnel_share(
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, row: int
+) -> float:
+    """Share of unpolarised light that the bare faces which one ray crossed let through; see `fresnel_pass`."""
+    x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
+    length = 1.0 / sqrt(x * x + y * y + z * z)
+    x, y, z = x * length, y * length, z * length
+    share = 1.0
+    for k in range(len(index) - 1):
+        u, v, w = turns[k, row, 0], turns[k, row, 1], turns[k, row, 2]
+        if fate[row] <= GHOST or crosses(fate[row], last[row], k, hits, start, row):
+            share *= let_through(x, y, z, u, v, w, index[k], index[k + 1])
+        x, y, z = u, v, w
+    return share
+
+
+@exact
+def fresnel_pass(
+    start: Floats,
+    ray: Floats,
+    hits: Floats,
+    turns: Floats,
+    fate: Fates,
+    last: Cells,
+    index: Floats,
+    flux: Floats,
+) -> None:
+    """Multiply each ray's flux by what bare faces let through of unpolarised light.
+
+    Parameters
+    ----------
+    start, ray : (n, 3)
+        As launched, any length.
+    hits, turns : (f, n, 3)
+    index : (f + 1,)
+        Refractive index before the first face and behind each.
+    """
+    for row in range(len(flux)):
+        flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
+
+
+@exact
+def absorbed(hits: Floats, rates: Floats, row: int) -> float:
+    """Share of one ray that bodies of these attenuations (b,) let through between its hits (2 b, n, 3)."""
+    depth = 0.0
+    for b in range(len(rates)):
+        square = 0.0
+        for c in range(3):
+            step = hits[2 * b + 1, row, c] - hits[2 * b, row, c]
+            square += step * step
+        depth += rates[b] * sqrt(square)
+    return exp(-depth)
+
+
+@exact
+def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
+    """Multiply each ray's flux by exp(−Σ rate · length) over the bodies (b,) that its hits (2 b, n, 3) bound."""
+    for row in range(len(flux)):
+        flux[row] *= absorbed(hits, rates, row)
+
+
+@exact
+def losses_pass(
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, rates: Floats,
+    reflects: bool, flux: Floats,
+) -> None:  # fmt: skip
+    """Give a flux to the rays that have none (NaN), from their hits: those that the straight trace did not hold for."""
+    for row in range(len(flux)):
+        if flux[row] == flux[row]:
+            continue
+        flux[row] = absorbed(hits, rates, row)
+        if reflects:
+            flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
+
+
+Vector = tuple[float, float, float]
+
+
+@exact
+def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
+    """Unit vector across the ray (x, y, z) in the direction (wx, wy, 0)."""
+    along = wx * x + wy * y
+    a, b, c = wx - along * x, wy - along * y, -along * z
+    scale = 1.0 / sqrt(a * a + b * b + c * c)
+    return a * scale, b * scale, c * scale
+
+
+@exact
+def carried(
+    a: float, b: float, c: float, x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float
+) -> Vector:  # fmt: skip
+    """Carry the field (a, b, c) over a face that turns the ray D = (x, y, z) into D' = (u, v, w).
+
+    Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part across
+    the plane of incidence times τ_s, the rest turned and times τ_p. τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
+    """
+    turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
+    cos, less, step = 1.0 - turn, n2 - n1, (n2 - n1) * (n2 + n1)
+    tau = 1.0
+    if step != 0.0:
+        tau = 2.0 * sqrt(n1 * n2 * (less - n2 * turn) * (less + n1 * turn)) / (abs(step) * cos)
+    own, back = tau * cos, tau * (a * u + b * v + c * w)
+    return own * a - back * x, own * b - back * y, own * c - back * z
+
+
+@exact
+def polarisation_pass(
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats,
+    analyser: Floats, polariser: Floats, flux: Floats,
+) -> None:  # fmt: skip
+    """Multiply each ray's flux by what polariser, faces and analyser pass; see `clacad.effects.polarisation`.
+
+    Parameters
+    ----------
+    analyser, polariser : (2,)
+        Directions (cos, sin) of the sheet's x and y; NaN where there is none.
+    """
+    single = analyser[0] == analyser[0]
+    filtered = polariser[0] == polariser[0]
+    for row in range(len(flux)):
+        x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
+        scale = 1.0 / sqrt(x * x + y * y + z * z)
+        ox, oy, oz = x * scale, y * scale, z * scale
+        total = 0.0
+        for field in range(1 if single else 2):
+            x, y, z = ox, oy, oz
+            a, b, c = across(analyser[0], analyser[1], x, y, z) if single else across(1.0, 0.0, x, y, z)
+            if field == 1:
+                a, b, c = y * c - z * b, z * a - x * c, x * b - y * a
+            for k in range(len(turns)):
+                u, v, w = turns[k, row, 0], turns[k, row, 1], turns[k, row, 2]
+                if fate[row] <= GHOST or crosses(fate[row], last[row], k, hits, start, row):
+                    a, b, c = carried(a, b, c, x, y, z, u, v, w, index[k], index[k + 1])
+                x, y, z = u, v, w
+            if filtered:
+                p, q, r = across(polariser[0], polariser[1], x, y, z)
+                total += (a * p + b * q + c * r) * (a * p + b * q + c * r)
+            else:
+                total += a * a + b * b + c * c
+        flux[row] *= 0.5 * total

@@ -1,0 +1,141 @@
+"""Light through the homogeneous sheet: the law's direction, with the share that lenslets would let through.
+
+Where a picture point covers many lenslets, a ray stands for the light of all of them: a share V goes where the law
+says, and shares V_m into ghost orders m, whose slopes differ from the law's by a constant. Both are closed forms of
+the thin pair (`clacad.sheet.vignetting`).
+"""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.engine.camera_light import Light, joined
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.lattice import polygon_area
+from clacad.sheet.vignetting import ThinCells, ghost_step, thin_cells
+from clacad.sheet.window import Window
+
+Floats = NDArray[np.float64]
+
+FAINT = 1e-6
+"""Shares below this are not listed."""
+
+
+def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> Light:
+    """Light of the rays that cross the sheet on rung law."""
+    rows = np.flatnonzero(result.fate == Fate.ALIVE)
+    cells = thin_cells(window)
+    slopes = cells.slopes(rays.direction[rows])
+    parts = [_order(window, cells, result, rows, slopes, (0, 0))]
+    if ghosts and window.baffle is None:
+        parts += [_order(window, cells, result, rows, slopes, order) for order in orders(cells, slopes)]
+    return joined(*parts)
+
+
+def _order(
+    window: Window, cells: ThinCells, result: TraceResult, rows: NDArray[np.intp], slopes: Floats,
+    order: tuple[int, int],
+) -> Light:  # fmt: skip
+    flux = result.flux[rows] * shares(cells, slopes, order)
+    kept = np.flatnonzero(flux > FAINT)  # most rays reach but a few of the orders that some ray reaches
+    rows, flux = rows[kept], flux[kept]
+    direction = result.direction[rows]
+    if order != (0, 0):
+        rotation = window.thin.rotation
+        turned = direction @ rotation
+        with np.errstate(divide="ignore", invalid="ignore"):
+            out = np.column_stack(
+                [turned[:, :2] / turned[:, 2:] + ghost_step(cells, order), np.ones(len(rows))]
+            )
+        direction = (out / np.sqrt((out * out).sum(axis=1))[:, None]) @ rotation.T
+        ahead = direction[:, 2] > 0.0
+        rows, flux, direction = rows[ahead], flux[ahead], direction[ahead]
+    return Light(rows, result.position[rows], direction, flux)
+
+
+def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
+    """Ghost orders that light of these slopes can reach."""
+    if not len(slopes):
+        return []
+    reach = cells.separation * slopes
+    low = reach.min(axis=0) + cells.image.min(axis=0) + cells.zone.min(axis=0) - cells.centre
+    high = reach.max(axis=0) + cells.image.max(axis=0) + cells.zone.max(axis=0) - cells.centre
+    steps = np.array([cells.neighbour((1, 0)), cells.neighbour((0, 1))]) - cells.centre
+    corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    indices = corners @ np.linalg.inv(steps)
+    bounds = [(int(np.floor(indices[:, k].min())), ceil(indices[:, k].max())) for k in (0, 1)]
+    listed = [
+        (i, j) for i in range(bounds[0][0], bounds[0][1] + 1) for j in range(bounds[1][0], bounds[1][1] + 1)
+    ]
+    return [order for order in listed if order != (0, 0)]
+
+
+def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int]) -> Floats:
+    """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order."""
+    shift = cells.separation * slopes - cells.neighbour(order)
+    return np.asarray(cells.part / polygon_area(cells.image) * overlap(cells.image, cells.zone, shift))
+
+
+def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:
+    """Area (n,) that two convex polygons share when the first is moved by each shift (n, 2).
+
+    Parameters
+    ----------
+    moved, fixed : (k, 2), (m, 2)
+        Corners, counter-clockwise.
+
+    Notes
+    -----
+    The border of what they share is made of the parts of each one's sides inside the other, and its area is half
+    the sum of x dy − y dx along them: no corner is ever constructed. Sides that coincide are counted once.
+    Of two rectangles along the axes it is the product of what they share on each axis.
+    """
+    low, high = fixed.min(axis=0) - moved.max(axis=0), fixed.max(axis=0) - moved.min(axis=0)
+    meet = np.flatnonzero(((shift > low) & (shift < high)).all(axis=1))
+    near, area = shift[meet], np.zeros(len(shift))
+    if _upright(moved) and _upright(fixed):
+        right = np.minimum(moved.max(axis=0) + near, fixed.max(axis=0))
+        area[meet] = (right - np.maximum(moved.min(axis=0) + near, fixed.min(axis=0))).prod(axis=1)
+    else:
+        first = _along_sides(moved, fixed, near, closed=True)
+        area[meet] = first + _along_sides(fixed, moved, -near, closed=False, origin=near)
+    return area
+
+
+def _upright(polygon: Floats) -> bool:
+    """Whether a convex polygon (m, 2) is a rectangle along the axes."""
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    off = np.minimum(polygon - low, high - polygon)
+    return len(polygon) == 4 and bool((np.abs(off) <= 1e-14 * (high - low)).all())
+
+
+def _along_sides(
+    polygon: Floats, other: Floats, shift: Floats, closed: bool, origin: Floats | None = None
+) -> Floats:
+    """½ ∮ (x dy − y dx), (n,), along the sides of a polygon moved by `shift` as far as they lie in the other one.
+
+    `origin` moves the point about which area is swept: both polygons must use the same.
+    """
+    area = np.zeros(len(shift))
+    normals = np.roll(other, -1, axis=0) - other
+    inward = np.column_stack([-normals[:, 1], normals[:, 0]])
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        low, high = np.zeros(len(shift)), np.ones(len(shift))
+        for corner, normal in zip(other, inward, strict=True):
+            here = (start - corner + shift) @ normal
+            speed = float((end - start) @ normal)
+            if abs(speed) <= 1e-12 * float(np.hypot(*(end - start)) * np.hypot(*normal)):
+                outside = here < 0.0 if closed else here <= 0.0
+                high = np.where(outside, low, high)
+            elif speed > 0.0:
+                low = np.maximum(low, -here / speed)
+            else:
+                high = np.minimum(high, -here / speed)
+        place = start + shift if origin is None else start + shift + origin
+        along = end - start
+        swept = place[:, 0] * along[1] - place[:, 1] * along[0]
+        area += 0.5 * swept * np.maximum(high - low, 0.0)
+    return area

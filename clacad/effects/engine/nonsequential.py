@@ -1,0 +1,450 @@
+"""Light followed through the sheet face by face, whatever it meets: walls, total reflection, split paths.
+
+Rays travel in packets that share a state: upwards or downwards, at which body, inside its material or outside.
+`clacad.tracing.reference.column` says what each meets first; downward packets live in the mirrored window, where they
+travel upwards too. At a face a packet is refracted, reflected, split or ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.engine.mirrored_window import mirrored
+from clacad.optics.rays import Rays
+from clacad.optics.surface.fresnel_coefficients import deviation, reflected
+from clacad.sheet.window import Window
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, sheet_position
+from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference.column import (
+    ABOVE,
+    ASIDE,
+    BACK,
+    BACK_LAND,
+    FRONT,
+    FRONT_LAND,
+    WALL,
+    Event,
+    first_change,
+)
+from clacad.tracing.reference.launch import Beam, box_span, launch, on_to, sheet_xy, to_array
+from clacad.tracing.wall_normals import NUDGE, wall_normals
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
+State = tuple[bool, int, bool]
+
+MARGIN = 64
+"""Most faces of a path beyond those of the sheet: a guard, far above what carries light."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What happens at interfaces.
+
+    Attributes
+    ----------
+    walls : bool
+        Go through walls and faces met from their wrong side; else the light ends there.
+    total : bool
+        Go on after total internal reflection at a face; else the light ends there.
+    losses : bool
+        Fresnel: what passes is 1 − R, and R is reflected.
+    order : int
+        Most partial reflections of a path; 0: nothing is split.
+    faces : int
+        Most faces after the first wall or total reflection.
+    attenuation : one a body, 1/length
+    indices : one a body
+    coating, ratio : see `clacad.optics.surface.fresnel_coefficients.reflected`
+    """
+
+    walls: bool = False
+    total: bool = False
+    losses: bool = False
+    order: int = 0
+    faces: int = 8
+    attenuation: tuple[float, ...] = ()
+    indices: tuple[float, ...] = ()
+    coating: str = "none"
+    ratio: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Packet:
+    """m rays of one state.
+
+    beam : Beam
+        Its rows are row numbers of the launched rays.
+    flux : (m,)
+    path : (m,) lengths
+        Optical path from the start.
+    position : (m, 3) sheet frame, last point met
+    gate : (m, 2) lengths, gate_cell : (m, 2) ints
+        Where the ray last left a body, seen from the cell it was in; for the baffle.
+    gated : (m,) bool
+        It has crossed the gap between the arrays since.
+    bounces : (m,) ints
+        Partial reflections so far.
+    faces : (m,) ints
+        Faces met.
+    astray : (m,) ints
+        Faces met since the first wall or total reflection; 0 before.
+    """
+
+    beam: Beam
+    flux: Floats
+    path: Floats
+    position: Floats
+    gate: Floats
+    gate_cell: Ints
+    gated: Mask
+    bounces: Ints
+    faces: Ints
+    astray: Ints
+
+    def take(self, chosen: Rows | Mask) -> Packet:
+        """The chosen rays."""
+        return Packet(self.beam.take(chosen), *(getattr(self, f.name)[chosen] for f in fields(self)[1:]))
+
+    def __len__(self) -> int:
+        return len(self.flux)
+
+
+Cause = Literal["forward", "front", "wall", "total", "opaque", "aside", "cut", "absorbed"]
+CAUSES: tuple[Cause, ...] = ("forward", "front", "wall", "total", "opaque", "aside", "cut", "absorbed")
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Where the light went.
+
+    Attributes
+    ----------
+    parent : (m,) ints
+        Which launched ray each piece of light comes from.
+    position, direction : (m, 3), sheet frame
+    flux, optical_path : (m,)
+    front : (m,) bool
+        It left on the side it came from.
+    bounces : (m,) ints
+        Partial reflections on its way.
+    share : dict of (n,) arrays
+        For every launched ray, the share of its light by what became of it; they sum to 1. "forward" and
+        "front" left the sheet, "wall", "total" and "opaque" ended there, "aside" left sideways, "absorbed" was,
+        "cut" is what lay beyond the most reflections or faces asked for.
+    """
+
+    parent: Rows
+    position: Floats
+    direction: Floats
+    flux: Floats
+    optical_path: Floats
+    front: Mask
+    bounces: Ints
+    share: dict[str, Floats]
+
+
+def follow(window: Window, rays: Rays, rows: Rows, rules: Rules) -> Followed:
+    """Follow the light of some rays until it has left the sheet or ended.
+
+    Parameters
+    ----------
+    rows : (k,) ints
+        Rays that meet the sheet.
+    rules : Rules
+        Its `indices` are one refractive index a body.
+    """
+    walk = _Walk(window, rays, rules)
+    with np.errstate(all="ignore"):
+        walk.launch(rows)
+        walk.run()
+    return walk.result()
+
+
+class _Walk:
+    """Packets under way and light that has left. One use, inside `follow`."""
+
+    def __init__(self, window: Window, rays: Rays, rules: Rules) -> None:
+        self.rules = rules
+        self.rays = rays
+        self.up, self.down = lay_out(window), lay_out(mirrored(window))
+        self.waiting: dict[State, list[Packet]] = {}
+        self.out: list[tuple[Packet, bool]] = []
+        self.share = {cause: np.zeros(len(rays)) for cause in CAUSES}
+        self.limit = 2 * len(window.bodies) + MARGIN
+
+    # -- start and end
+
+    def launch(self, rows: Rows) -> None:
+        body = self.up.bodies[0]
+        beam, carried = launch(self.up, body, self.rays.position, self.rays.direction, rows)
+        beam = to_array(self.up, beam, body.arrays[0])
+        m = len(beam)
+        zero, none = np.zeros(m, dtype=np.int64), np.zeros((m, 2), dtype=np.int64)
+        packet = Packet(
+            beam, np.ones(m), carried, self.rays.position[beam.rows], np.zeros((m, 2)), none,
+            np.zeros(m, dtype=bool), zero, zero, zero,
+        )  # fmt: skip
+        beside = np.setdiff1d(rows, beam.rows)
+        self.share["aside"][beside] += 1.0
+        self.put((True, 0, False), packet)
+
+    def put(self, state: State, packet: Packet) -> None:
+        if not len(packet):
+            return
+        layout = self.layout(state[0])
+        array = layout.bodies[state[1]].arrays[0]
+        if packet.beam.array != array:
+            packet = replace(packet, beam=to_array(layout, packet.beam, array))
+        self.waiting.setdefault(state, []).append(packet)
+
+    def end(self, cause: Cause, packet: Packet, flux: Floats | None = None) -> None:
+        np.add.at(self.share[cause], packet.beam.rows, packet.flux if flux is None else flux)
+
+    def run(self) -> None:
+        while self.waiting:
+            state = min(self.waiting)
+            packet = _joined(self.waiting.pop(state))
+            worn = (packet.faces > self.limit) | (packet.astray > self.rules.faces)
+            if worn.any():
+                self.end("cut", packet.take(worn))
+                packet = packet.take(~worn)
+            if len(packet):
+                self.step(state, packet)
+
+    def result(self) -> Followed:
+        packets = [packet for packet, _ in self.out]
+        empty = np.zeros((0, 3))
+
+        def column(values: Sequence[Floats], nothing: Floats) -> Floats:
+            return np.concatenate(values) if values else nothing
+
+        return Followed(
+            parent=np.concatenate([p.beam.rows for p in packets]) if packets else np.zeros(0, dtype=np.intp),
+            position=column([p.position for p in packets], empty),
+            direction=column([p.beam.direction * (1.0, 1.0, 1.0 if u else -1.0) for p, u in self.out], empty),
+            flux=column([p.flux for p in packets], np.zeros(0)),
+            optical_path=column([p.path for p in packets], np.zeros(0)),
+            front=np.concatenate([np.full(len(p), not u) for p, u in self.out] or [np.zeros(0, dtype=bool)]),
+            bounces=np.concatenate([p.bounces for p in packets] or [np.zeros(0, dtype=np.int64)]),
+            share={str(cause): value for cause, value in self.share.items()},
+        )
+
+    # -- one step
+
+    def layout(self, up: bool) -> Layout:
+        return self.up if up else self.down
+
+    def step(self, state: State, packet: Packet) -> None:
+        up, number, inside = state
+        layout = self.layout(up)
+        body = layout.bodies[number]
+        event = first_change(layout, body, packet.beam, inside)
+        if not inside and layout.window.baffle is not None:
+            packet, event = self.stopped(layout, body, packet, event)
+        if inside:
+            packet = self.absorbed(up, number, packet, event.distance)
+        aside = event.kind == ASIDE
+        self.end("aside", packet.take(aside))
+        risen = event.kind == ABOVE
+        if risen.any():
+            # a ray that rose past a body keeps its last point; the gap is paid for in `leave`
+            self.leave(up, number, packet.take(risen))
+        met = np.flatnonzero(~(aside | risen))
+        if len(met):
+            self.meet(state, packet.take(met), event.take(met))
+
+    def absorbed(self, up: bool, number: int, packet: Packet, length: Floats) -> Packet:
+        if not self.rules.attenuation:
+            return packet
+        rate = self.rules.attenuation[number if up else len(self.up.bodies) - 1 - number]
+        flux = packet.flux * np.exp(-rate * length)
+        self.end("absorbed", packet, packet.flux - flux)
+        return replace(packet, flux=flux)
+
+    def stopped(self, layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> tuple[Packet, Event]:
+        """End what the honeycomb between the arrays stops."""
+        array = body.arrays[0]
+        met = event.starts[array] + event.distance[:, None] * packet.beam.direction[:, :2]
+        share = honeycomb.reach(layout, packet.gate, met, event.cells[array] - packet.gate_cell)
+        blocked = packet.gated & np.isfinite(share)
+        self.end("opaque", packet.take(blocked))
+        on = ~blocked
+        return packet.take(on), event.take(on)
+
+    def leave(self, up: bool, number: int, packet: Packet) -> None:
+        """From the space over a body to the next body, or out of the sheet."""
+        layout = self.layout(up)
+        if number + 1 == len(layout.bodies):
+            self.end("forward" if up else "front", packet)
+            self.out.append((packet, up))
+            return
+        body = layout.bodies[number + 1]
+        beam, gap = on_to(layout, packet.beam, layout.bodies[number], body)
+        enter, leave = box_span(layout, body, sheet_xy(layout, beam), beam.direction)
+        span = (body.high - body.low) / beam.direction[:, 2]
+        reaches = (enter <= leave) & (leave >= 0.0) & (enter <= span) & np.isfinite(gap)
+        stray: Cause = "aside" if layout.window.baffle is None else "opaque"
+        self.end(stray, packet.take(~reaches))
+        late = np.where(enter > 0.0, enter, 0.0)
+        step = late[:, None] * beam.direction
+        gate, gate_cell = packet.beam.local, packet.beam.cell
+        beam = replace(beam, local=beam.local + step[:, :2], z=beam.z + step[:, 2])
+        beam = to_array(layout, beam, body.arrays[0])
+        moved = replace(
+            packet, beam=beam, path=packet.path + gap + late, gate=gate, gate_cell=gate_cell,
+            gated=np.ones(len(packet), dtype=bool),
+        )  # fmt: skip
+        self.put((up, number + 1, False), moved.take(reaches))
+
+    # -- interfaces
+
+    def meet(self, state: State, packet: Packet, event: Event) -> None:
+        """End what may not go on here; carry the rest to the interface and divide it."""
+        up, number, inside = state
+        layout = self.layout(up)
+        land = np.isin(event.kind, (FRONT_LAND, BACK_LAND))
+        if layout.window.land.opaque and land.any():
+            self.end("opaque", packet.take(land))
+            packet, event = packet.take(~land), event.take(~land)
+        right = (BACK, BACK_LAND) if inside else (FRONT, FRONT_LAND)
+        astray = ~np.isin(event.kind, right)
+        if not self.rules.walls and astray.any():
+            self.end("wall", packet.take(astray))
+            packet, event, astray = packet.take(~astray), event.take(~astray), astray[~astray]
+        if not len(packet):
+            return
+        normal = self.normals(layout, layout.bodies[number], packet, event)
+        packet = self.arrive(state, packet, event)
+        was = packet.astray
+        packet = replace(packet, faces=packet.faces + 1, astray=np.where((was > 0) | astray, was + 1, 0))
+        bad = ~np.isfinite(normal[:, 2])
+        if bad.any():  # beyond the equator of a lens, where no face is
+            self.end("wall", packet.take(bad))
+            packet, normal, astray, event = packet.take(~bad), normal[~bad], astray[~bad], event.take(~bad)
+        nudge = np.where((event.kind == WALL)[:, None], NUDGE * layout.halves.max() * normal[:, :2], 0.0)
+        self.divide(state, packet, normal, astray, nudge)
+
+    def normals(self, layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> Floats:
+        """Unit normals (m, 3) of what rays meet, on the side the rays go to."""
+        ray = packet.beam.direction
+        step = event.distance[:, None] * ray
+        points = {array: start + step[:, :2] for array, start in event.starts.items()}
+        z = packet.beam.z + step[:, 2]
+        normal = np.zeros((len(packet), 3))
+        normal[:, 2] = 1.0
+        for kind, face in ((FRONT, body.front), (BACK, body.back)):
+            on = event.kind == kind
+            if face.array is not None and on.any():
+                normal[on] = lens_normals(face, points[face.array][on], z[on])
+        at_wall = event.kind == WALL
+        if at_wall.any():
+            xy = sheet_xy(layout, packet.beam) + step[:, :2]
+            chosen = {array: point[at_wall] for array, point in points.items()}
+            normal[at_wall, :2] = wall_normals(layout, body, ray[at_wall], chosen, xy[at_wall])
+            normal[at_wall, 2] = 0.0
+        backwards = (ray * normal).sum(axis=1) < 0.0
+        return np.where(backwards[:, None], -normal, normal)
+
+    def arrive(self, state: State, packet: Packet, event: Event) -> Packet:
+        """Rays at what they met, in the cells of the body's first array."""
+        up, number, inside = state
+        layout = self.layout(up)
+        body = layout.bodies[number]
+        array, beam = body.arrays[0], packet.beam
+        local = event.starts[array] + event.distance[:, None] * beam.direction[:, :2]
+        z = beam.z + event.distance * beam.direction[:, 2]
+        for kind, face in ((FRONT_LAND, body.front), (BACK_LAND, body.back)):
+            z = np.where(event.kind == kind, face.land, z)
+        at = Beam(beam.rows, array, event.cells[array], local, z, beam.direction)
+        position = sheet_position(layout, array, at.cell, local, z + body.level)
+        position[:, 2] *= 1.0 if up else -1.0
+        path = packet.path + (self.index(up, number) if inside else 1.0) * event.distance
+        gated = np.zeros(len(packet), dtype=bool)
+        return replace(packet, beam=at, path=path, position=position, gated=gated)
+
+    def index(self, up: bool, number: int) -> float:
+        """Refractive index of a body counted in the order in which the packet meets it."""
+        return self.rules.indices[number if up else len(self.up.bodies) - 1 - number]
+
+    def divide(self, state: State, packet: Packet, normal: Floats, astray: Mask, nudge: Floats) -> None:
+        """Send on what passes the interface and what is reflected."""
+        up, number, inside = state
+        n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))
+        ray, mu = packet.beam.direction, n1 / n2
+        cos = np.maximum((ray * normal).sum(axis=1), 0.0)
+        square = 1.0 - mu * mu * (1.0 - cos) * (1.0 + cos)
+        total = square < 0.0
+        q = np.sqrt(np.maximum(square, 0.0))
+        through = mu * ray + (q - mu * cos)[:, None] * normal
+        back = ray - 2.0 * cos[:, None] * normal
+        lost = np.zeros(len(packet))
+        if self.rules.losses:
+            s, p = reflected(deviation(ray, through), n1, n2, self.rules.coating, self.rules.ratio)
+            lost = np.where(total, 0.0, 0.5 * (s + p))
+        passing = ~total
+        sent = packet.take(passing)
+        sent = replace(sent, flux=sent.flux * (1.0 - lost[passing]))
+        self.send((up, number, not inside), sent, through[passing], nudge[passing])
+        goes = total & (astray | self.rules.total)
+        self.end("total", packet.take(total & ~goes))
+        turned = packet.take(goes)
+        turned = replace(turned, astray=np.maximum(turned.astray, 1))
+        self.send(state, turned, back[goes], -nudge[goes])
+        if self.rules.losses:
+            child = packet.take(passing)
+            child = replace(child, flux=child.flux * lost[passing], bounces=child.bounces + 1)
+            kept = child.bounces <= self.rules.order
+            self.end("cut", child.take(~kept))
+            self.send(state, child.take(kept), back[passing][kept], -nudge[passing][kept])
+
+    def send(self, state: State, packet: Packet, direction: Floats, nudge: Floats) -> None:
+        """Put rays under way with new directions, in the window that they see upright."""
+        if not len(packet):
+            return
+        up, number, inside = state
+        packet = replace(
+            packet, beam=replace(packet.beam, direction=direction, local=packet.beam.local + nudge)
+        )
+        climbs = direction[:, 2] > 0.0
+        self.put(state, packet.take(climbs))
+        falls = packet.take(~climbs)
+        other = len(self.up.bodies) - 1 - number
+        here, there = self.layout(up).bodies[number].level, self.layout(not up).bodies[other].level
+        turned = replace(
+            falls.beam,
+            z=-(falls.beam.z + here) - there,
+            direction=falls.beam.direction * (1.0, 1.0, -1.0),
+        )
+        self.put((not up, other, inside), replace(falls, beam=turned))
+
+
+def lens_normals(face: FacePlan, local: Floats, z: Floats) -> Floats:
+    """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator."""
+    point = np.column_stack([local, z]) - face.vertex
+    if face.rotation is None:
+        return face.surface.normal(point[:, 0], point[:, 1])
+    turned = point @ face.rotation
+    return np.asarray(face.surface.normal(turned[:, 0], turned[:, 1]) @ face.rotation.T)
+
+
+def _joined(packets: list[Packet]) -> Packet:
+    """Packets of one state in one; their beams name the same array."""
+    if len(packets) == 1:
+        return packets[0]
+    array = packets[0].beam.array
+    beams = [packet.beam for packet in packets]
+    beam = Beam(
+        np.concatenate([b.rows for b in beams]), array, np.concatenate([b.cell for b in beams]),
+        np.concatenate([b.local for b in beams]), np.concatenate([b.z for b in beams]),
+        np.concatenate([b.direction for b in beams]),
+    )  # fmt: skip
+    rest = (np.concatenate([getattr(p, f.name) for p in packets]) for f in fields(packets[0])[1:])
+    return Packet(beam, *rest)

@@ -1,0 +1,50 @@
+"""Follow rays that ended, for the effects that let them go on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.effects.engine.block import Block
+from clacad.effects.engine.nonsequential import Rules, follow
+from clacad.effects.engine.parameters import Setting
+from clacad.optics.rays import Fate
+from clacad.sheet.window import Window
+
+
+def rules_for(window: Window, setting: Setting, wavelength: float | None, order: int = 0) -> Rules:
+    """Rules of the interfaces with the effects that are on."""
+    on = set(setting.active)
+    losses = bool(on & {"fresnel", "reflections", "polarisation"})
+    attenuation: tuple[float, ...] = ()
+    if "absorption" in on:
+        from clacad.effects.absorption import attenuations
+
+        attenuation = attenuations(window, setting, wavelength)
+    ratio = 1.0
+    if window.wavelength is not None and wavelength is not None:
+        ratio = window.wavelength / wavelength
+    return Rules(
+        walls="walls" in on,
+        total="tir_paths" in on,
+        losses=losses,
+        order=order,
+        faces=setting.faces,
+        attenuation=attenuation,
+        indices=tuple(body.index_at(wavelength) for body in window.bodies),
+        coating=setting.coating,
+        ratio=ratio,
+    )
+
+
+def carry_on(block: Block, setting: Setting, fate: Fate) -> None:
+    """Follow the block's rays of one fate to where they leave; those that do not leave get flux 0."""
+    result = block.result
+    rows = np.flatnonzero(result.fate == fate)
+    if not len(rows) or block.rung in ("law", "thin"):
+        return
+    out = follow(block.window, block.rays, rows, rules_for(block.window, setting, block.wavelength))
+    result.flux[rows] = 0.0
+    result.flux[out.parent] = out.flux
+    result.position[out.parent] = out.position
+    result.direction[out.parent] = out.direction
+    result.optical_path[out.parent] = out.optical_path

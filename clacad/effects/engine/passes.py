@@ -1,0 +1,288 @@
+"""Effects as passes over a block of rays, and the driver that runs them.
+
+A trace without effects never comes here. With effects, rays are traced a block at a time with their hits kept,
+every pass goes over the block once, and the block's rows are written to the result; the channels a pass needs
+(the hits) exist for one block at a time and only if some pass asks for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+
+from clacad.effects.engine.block import Block, Crossing, Rung, crossings
+from clacad.effects.engine.block_order import Chosen, Gathered
+from clacad.effects.engine.parameters import Setting
+from clacad.optics.rays import Rays, TraceResult
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.effects.engine.bounds import Bound, Situation
+
+NAMES = (
+    "ghosts", "walls", "fresnel", "absorption", "dispersion", "reflections", "tir_paths", "diffraction",
+    "scatter", "polarisation", "depth_of_field", "facets",
+)  # fmt: skip
+"""Every effect, in the order in which plans list them."""
+
+FOLLOWED = ("walls", "tir_paths")
+"""Effects that trace ended rays anew, with every loss: they run last and have the last word on those rows."""
+
+BLOCK = 8192
+"""Rays at a time: the hits of four faces take 1.5 MB."""
+
+LIGHT_BLOCK = 65536
+"""The same where hits are kept of few rays only."""
+
+
+class Stage(Enum):
+    """When a pass runs."""
+
+    LAUNCH = 0  # on the rays, before the trace
+    HIT = 1  # once for every face the rays crossed
+    EXIT = 2  # once after the trace
+
+
+Losses = tuple[bool, tuple[float, ...]]
+"""Light lost on the way: whether bare faces reflect, and the attenuation of each body (1/length; empty: none)."""
+
+Pass = Callable[[Block, Crossing | None], None]
+Launch = Callable[[Window, Rays], Rays]
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """An effect ready to run.
+
+    Attributes
+    ----------
+    name : str
+    stage : Stage
+    needs : tuple of str
+        Channels: "hits" (points and directions at every face).
+    apply : callable
+        `apply(block, crossing)` at HIT, `apply(block, None)` at EXIT: changes the block's columns in place.
+    finish : callable or None
+        `finish(block)` after the last face, for effects at HIT that gather over the faces.
+    compiled : callable or None
+        `compiled(block)`: the same as `apply` over all faces at once, by compiled code.
+    launch : callable or None
+        `launch(window, rays)` → rays, at LAUNCH.
+    rung : str or None
+        The rung the effect stands for (facets: mesh).
+    options : mapping
+        Keyword arguments of `trace` on that rung.
+    losses : callable or None
+        `losses(wavelength)`: the same as the pass where the compiled tracer can count it on the way.
+    colours : bool
+        Whether the pass depends on the wavelength, so that a block may hold only one.
+    """
+
+    name: str
+    stage: Stage
+    needs: tuple[str, ...] = ()
+    apply: Pass | None = None
+    finish: Callable[[Block], None] | None = None
+    compiled: Callable[[Block], None] | None = None
+    launch: Launch | None = None
+    rung: Rung | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    colours: bool = True
+    losses: Callable[[float | None], Losses] | None = None
+
+
+class EffectModule(Protocol):
+    """What a module of this package with an effect's name offers."""
+
+    def effect(self, window: Window, setting: Setting) -> Effect:
+        """Make the effect's pass."""
+
+    def bound(self, situation: Situation) -> Bound:
+        """Bound what is left out when the effect is off."""
+
+
+def resolve(names: Sequence[str | Effect], window: Window, setting: Setting | None = None) -> list[Effect]:
+    """Effects of given names, in the order in which they must run; modules not named are not imported.
+
+    Raises
+    ------
+    ValueError
+        An unknown name.
+    """
+    named = tuple(name if isinstance(name, str) else name.name for name in names)
+    setting = replace(setting or Setting(), active=named)
+    found: dict[str, Effect] = {}
+    for name in names:
+        if isinstance(name, str):
+            found[name] = module_of(name).effect(window, setting)
+        else:
+            found[name.name] = name
+    if "polarisation" in found or "reflections" in found:
+        found.pop("fresnel", None)  # they hold it
+    if "polarisation" in found:
+        found.pop("reflections", None)  # its losses on the straight path
+    return sorted(found.values(), key=lambda e: (e.stage.value, e.name in FOLLOWED, NAMES.index(e.name)))
+
+
+def module_of(name: str) -> EffectModule:
+    """Import the module of an effect.
+
+    Raises
+    ------
+    ValueError
+        An unknown name.
+    """
+    if name not in NAMES:
+        raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
+    return cast("EffectModule", import_module(f"clacad.effects.{name}"))
+
+
+def trace_with(
+    window: Window,
+    rays: Rays,
+    rung: Rung,
+    effects: Sequence[str | Effect],
+    record: bool = False,
+    setting: Setting | None = None,
+    **options: Any,
+) -> TraceResult:
+    """Trace rays with effects; see `clacad.tracing.trace.trace`.
+
+    Parameters
+    ----------
+    effects : names or `Effect`
+    setting : Setting
+        Parameters of effects given by name.
+    options
+        Passed on to `trace`.
+
+    Returns
+    -------
+    TraceResult
+        One row a ray, as without effects; fate, cell, order and surface are the same.
+    """
+    from clacad.tracing.trace import trace
+
+    passes = resolve(effects, window, setting)
+    for effect in passes:
+        if effect.rung is not None and rung != "mesh":
+            rung, options = effect.rung, {**options, **effect.options}
+        if effect.launch is not None:
+            rays = effect.launch(window, rays)
+    passes = [effect for effect in passes if effect.apply is not None]
+    if not passes:
+        return trace(window, rays, rung, record=record, **options)
+    keep = record or any("hits" in effect.needs for effect in passes)
+    by_colour = not passes or any(effect.colours for effect in passes)
+    threads, options["path"] = _workers(window, rays, rung, options)
+    fast = options["path"] == "numba" and rung == "surfaces"
+    lossy = [effect for effect in passes if effect.losses is not None]
+    others = [effect for effect in passes if effect.losses is None]
+    if not fast or record or any("hits" in effect.needs for effect in others):
+        lossy, others = [], passes
+    places = list(blocks(rays, by_colour, LIGHT_BLOCK if lossy else BLOCK))
+    gathered = Gathered(len(rays), window, record if fast else None)
+
+    def one(place: tuple[Chosen, float | None]) -> None:
+        rows, wavelength = place
+        part = take_rays(rays, rows)
+        if lossy and isinstance(rows, slice):
+            result = gathered.traced_with_losses(rows, part, wavelength, lossy)
+            run(others, Block(window, part, result, rung, wavelength, compiled=True))
+            return
+        if fast and isinstance(rows, slice):
+            result = gathered.traced_in_place(rows, part, wavelength, keep)
+            run(passes, Block(window, part, result, rung, wavelength, compiled=True))
+            return
+        result = trace(window, part, rung, record=keep, threads=1, **options)
+        if not result.flux.flags.writeable:
+            result = replace(result, flux=result.flux.copy())
+        run(passes, Block(window, part, result, rung, wavelength, options["path"] == "numba"))
+        gathered.enter(rows, result, record)
+
+    one(places[0])  # its columns say what the others' look like
+    if threads == 1 or len(places) <= 2:
+        for place in places[1:]:
+            one(place)
+    else:
+        from concurrent.futures import ThreadPoolExecutor
+
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(one, places[1:]))
+    return gathered.closed()
+
+
+def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) -> tuple[int, str]:
+    """Threads for the blocks and the tracer's path, as `trace` would choose them for all rays together."""
+    from clacad.tracing.trace import worth_compiled
+
+    threads, path = options.pop("threads", None), options.pop("path", None)
+    if rung in ("law", "thin"):
+        return 1, "numpy"
+    if path is None:
+        path = "numba" if worth_compiled(len(rays), 2 * len(window.bodies)) else "numpy"
+    if path == "numpy":
+        return 1, path
+    from clacad.tracing.compiled.surfaces import thread_count
+
+    return thread_count(threads), path
+
+
+def run(passes: Sequence[Effect], block: Block) -> None:
+    """Run the passes over one block."""
+    at_hits = [e for e in passes if e.stage is Stage.HIT]
+    fast = [e.compiled for e in at_hits if block.compiled and e.compiled is not None]
+    slow = [
+        e.apply for e in at_hits if e.apply is not None and not (block.compiled and e.compiled is not None)
+    ]
+    for whole in fast:
+        whole(block)
+    if slow:
+        for crossing in crossings(block):
+            for apply in slow:
+                apply(block, crossing)
+    for effect in passes:
+        if effect.finish is not None:
+            effect.finish(block)
+        if effect.stage is Stage.EXIT and effect.apply is not None:
+            effect.apply(block, None)
+
+
+def blocks(rays: Rays, by_colour: bool, size: int = BLOCK) -> Iterator[tuple[Chosen, float | None]]:
+    """Rows of rays a block at a time, each of one wavelength where that matters."""
+    if rays.wavelength is None or not by_colour or len(rays) == 0:
+        for first in range(0, max(len(rays), 1), size):
+            yield slice(first, min(first + size, len(rays))), None
+        return
+    if one_colour(rays):
+        first_wave = float(rays.wavelength[0])
+        for first in range(0, len(rays), size):
+            yield slice(first, min(first + size, len(rays))), _real(first_wave)
+        return
+    waves, which = np.unique(rays.wavelength, return_inverse=True)
+    for k, wave in enumerate(waves):
+        rows = np.flatnonzero(which == k)
+        for first in range(0, len(rows), size):
+            yield rows[first : first + size], _real(float(wave))
+
+
+def one_colour(rays: Rays) -> bool:
+    """Whether rays have a wavelength, and all the same."""
+    waves = rays.wavelength
+    return waves is not None and len(waves) > 0 and bool((waves == waves[0]).all())
+
+
+def _real(wave: float) -> float | None:
+    """A wavelength that exists, or None: rays without one are INVALID anyway."""
+    return wave if np.isfinite(wave) and wave > 0.0 else None
+
+
+def take_rays(rays: Rays, rows: Chosen) -> Rays:
+    """Chosen rays."""
+    waves = None if rays.wavelength is None else rays.wavelength[rows]
+    return Rays(rays.position[rows], rays.direction[rows], waves)

@@ -1,0 +1,307 @@
+"""Which effects a scene calls for, why, and what the others would change.
+
+Each effect's own file says when it matters (`bound`); here the bounds are compared with what the scene tolerates,
+the user's wishes are heard, and the cheapest faithful rung is chosen. The bounds are first order, or counted on
+a probe of the scene's own rays; `exact=True` measures each by a trace with and without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import degrees
+from typing import TYPE_CHECKING, Any, Literal
+
+from clacad.effects.engine.block import Rung
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.effects.engine.cheapest_rung import choose_rung
+from clacad.effects.engine.parameters import Setting
+from clacad.effects.engine.passes import FOLLOWED, NAMES, module_of
+from clacad.optics.rays import Rays, TraceResult
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.effects.engine.camera_light import Light
+    from clacad.scene import Scene
+
+State = Literal["on", "off", "forced", "without", "unknown"]
+Mode = Literal["auto", "list", "none"]
+
+EXACT_MARGIN = 1.25
+"""Factor on a measured change: 4096 rays know it to about that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One effect in a plan.
+
+    Attributes
+    ----------
+    effect : str
+    state : "on", "off", "forced", "without" or "unknown"
+        Unknown: off, and what that leaves out is not bounded.
+    why : str
+    angle : float, radians
+    radiance : float, relative
+        Bounds of what is left out without the effect.
+    cost : float
+        Predicted time of a trace with this effect over the bare trace.
+    measured : bool
+        The bounds were measured rather than estimated.
+    known : bool
+        False: what is left out without the effect is not bounded, for want of a number.
+    """
+
+    effect: str
+    state: State
+    why: str
+    angle: float
+    radiance: float
+    cost: float
+    measured: bool = False
+    known: bool = True
+
+    @property
+    def on(self) -> bool:
+        """Whether it is simulated."""
+        return self.state in ("on", "forced")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The effects of a scene.
+
+    Attributes
+    ----------
+    rows : tuple of Row, one an effect
+    rung : "law", "thin", "surfaces" or "mesh"
+    rung_why : str
+    angle, radiance : float
+        Smallest change that matters.
+    setting : Setting
+    """
+
+    rows: tuple[Row, ...]
+    rung: Rung
+    rung_why: str
+    angle: float
+    radiance: float
+    setting: Setting
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that are simulated."""
+        return tuple(row.effect for row in self.rows if row.on)
+
+    @property
+    def wavelengths(self) -> tuple[float, ...]:
+        """Lines to be traced apart, metres; empty: one line."""
+        return self.setting.wavelengths if "dispersion" in self.names else ()
+
+    @property
+    def cost(self) -> float:
+        """Predicted time over the bare trace of the same rung."""
+        lines = max((row.cost for row in self.rows if row.on and row.effect == "dispersion"), default=1.0)
+        others = (row for row in self.rows if row.on and row.effect not in ("dispersion", "facets"))
+        return lines * (1.0 + sum(row.cost - 1.0 for row in others))
+
+    def row(self, effect: str) -> Row:
+        """The row of an effect.
+
+        Raises
+        ------
+        KeyError
+            There is no such effect.
+        """
+        for row in self.rows:
+            if row.effect == effect:
+                return row
+        raise KeyError(effect)
+
+    def traced(self) -> tuple[str, ...]:
+        """Effects that run on camera rays: the camera itself sees to its opening and to the lines."""
+        return tuple(name for name in self.names if name not in ("depth_of_field", "dispersion", "facets"))
+
+    def light(self, window: Window, rays: Rays, **options: Any) -> tuple[Light, TraceResult]:
+        """Trace rays as planned and give the light they see; see `clacad.effects.lit`."""
+        from clacad.effects.engine.camera_light import lit
+
+        return lit(window, rays, self.rung, self.traced(), self.setting, **options)
+
+    def left_out(self) -> tuple[float, float]:
+        """Largest angle, and the sum of radiances, of all that is left out."""
+        off = [row for row in self.rows if not row.on and row.effect != "facets"]
+        return max((row.angle for row in off), default=0.0), sum(row.radiance for row in off)
+
+    def summary(self) -> str:
+        """One line for reports and pictures."""
+        angle, radiance = self.left_out()
+        simulated = ", ".join(self.names) or "none"
+        unknown = [row.effect for row in self.rows if not (row.known or row.on)]
+        note = f"; not bounded: {', '.join(unknown)}" if unknown else ""
+        return (
+            f"rung {self.rung}; simulated: {simulated}; left out: at most {radiance:.2%} of the light and "
+            f"{1e3 * angle:.3g} mrad{note}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for reports, metadata and --json."""
+        return {
+            "rung": self.rung,
+            "rung_why": self.rung_why,
+            "angle": self.angle,
+            "radiance": self.radiance,
+            "cost": self.cost,
+            "summary": self.summary(),
+            "effects": [
+                {
+                    "effect": row.effect, "state": row.state, "why": row.why, "angle": row.angle,
+                    "radiance": row.radiance, "cost": row.cost, "measured": row.measured, "known": row.known,
+                }
+                for row in self.rows
+            ],
+        }  # fmt: skip
+
+
+def plan_effects(
+    target: Scene | Design | Window | Situation,
+    tolerance: float | tuple[float, float] | None = None,
+    *,
+    exact: bool = False,
+    mode: Mode | None = None,
+    chosen: Sequence[str] = (),
+    force: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> Plan:
+    """Choose the effects that a scene calls for.
+
+    Parameters
+    ----------
+    target : Scene, Design, Window or Situation
+    tolerance : float or (float, float), optional
+        Smallest angle, and relative radiance, that matter; default the scene's, or the design's `law_rms` and 1 %.
+    exact : bool
+        Measure each bound by a trace with and without the effect.
+    mode : "auto", "list" or "none", optional
+        Default: the scene's, else "auto".
+    chosen, force, without : names
+        Mode list: exactly these; mode auto: plus these, minus these. Added to the scene's.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ValueError
+        An unknown effect or mode, or a wavelength outside a material's data.
+    """
+    situation, wishes, asked = _look_at(target)
+    wishes = wishes.with_(mode, chosen, force, without)
+    if tolerance is not None:
+        angle, radiance = tolerance if isinstance(tolerance, tuple) else (tolerance, situation.radiance)
+        situation = replace(situation, angle=angle, radiance=radiance)
+    bounds = {name: module_of(name).bound(situation) for name in NAMES}
+    rung, why = choose_rung(situation, asked)
+    if exact:
+        for name in NAMES:
+            if name != "facets" or rung == "mesh":  # else a mesh would be made to judge what is not simulated
+                bounds[name] = _measured(situation, name, bounds[name])
+    if rung == "mesh":
+        bounds = {name: _smooth(name, bound) for name, bound in bounds.items()}
+    rows = tuple(
+        _row(name, bound, _state(name, bound, situation, wishes, rung), exact)
+        for name, bound in bounds.items()
+    )
+    return Plan(rows, rung, why, situation.angle, situation.radiance, situation.setting)
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What the user says about effects, whatever their bounds."""
+
+    mode: Mode = "auto"
+    chosen: tuple[str, ...] = ()
+    force: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+
+    def with_(
+        self, mode: Mode | None, chosen: Sequence[str], force: Sequence[str], without: Sequence[str]
+    ) -> Wishes:
+        """These wishes and more."""
+        merged = Wishes(
+            mode or self.mode,
+            (*self.chosen, *chosen),
+            (*self.force, *force),
+            (*self.without, *without),
+        )
+        if merged.mode not in ("auto", "list", "none"):
+            raise ValueError(f'mode is {merged.mode!r}, not "auto", "list" or "none"')
+        for name in (*merged.chosen, *merged.force, *merged.without):
+            if name not in NAMES:
+                raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
+        return merged
+
+
+def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wishes, str]:
+    """Situation, wishes and asked rung of whatever is planned for."""
+    from clacad.effects.engine import probe_rays
+
+    if isinstance(target, Situation):
+        return target, Wishes(), "auto"
+    if isinstance(target, Window):
+        return probe_rays.of_window(target), Wishes(), "surfaces"
+    from clacad.design import Design
+
+    if isinstance(target, Design):
+        return probe_rays.of_design(target), Wishes(), "surfaces"
+    effects = target.effects
+    wishes = Wishes(effects.mode, tuple(effects.list), tuple(effects.force), tuple(effects.without))
+    return probe_rays.of_scene(target), wishes, target.sheet.rung
+
+
+def _state(name: str, bound: Bound, situation: Situation, wishes: Wishes, rung: Rung) -> State:
+    if name == "facets":  # the rung decides
+        return "on" if rung == "mesh" else "off"
+    if name == "depth_of_field" and situation.setting.aperture > 0.0 and name not in wishes.without:
+        return "on"
+    if wishes.mode == "none":
+        return "without" if _matters(bound, situation) else "off"
+    if wishes.mode == "list":
+        if name in wishes.chosen:
+            return "forced"
+        return "without" if _matters(bound, situation) else "off"
+    if name in wishes.without:
+        return "without"
+    if name in wishes.force:
+        return "forced"
+    if not bound.known:
+        return "unknown"
+    return "on" if _matters(bound, situation) else "off"
+
+
+def _matters(bound: Bound, situation: Situation) -> bool:
+    return bound.angle > situation.angle or bound.radiance > situation.radiance
+
+
+def _row(name: str, bound: Bound, state: State, measured: bool) -> Row:
+    measured = measured and bound.known
+    return Row(name, state, bound.why, bound.angle, bound.radiance, bound.cost, measured, bound.known)
+
+
+def _smooth(name: str, bound: Bound) -> Bound:
+    """What effects that trace paths of their own leave out on rung mesh."""
+    if name not in (*FOLLOWED, "reflections"):
+        return bound
+    return replace(bound, why=f"{bound.why}; these paths follow the exact surfaces, not the facets")
+
+
+def _measured(situation: Situation, name: str, bound: Bound) -> Bound:
+    from clacad.effects.engine.measured_change import measure
+
+    if not bound.known or (bound.angle == 0.0 and bound.radiance == 0.0):
+        return bound
+    angle, radiance = measure(situation, name)
+    why = f"{bound.why}; measured {degrees(angle):.2g}° and {radiance:.2g}"
+    return replace(bound, angle=EXACT_MARGIN * angle, radiance=EXACT_MARGIN * radiance, why=why)

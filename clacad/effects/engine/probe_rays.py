@@ -1,0 +1,209 @@
+"""What the planner needs of a design, a window or a scene: probe rays, and what stands where how brightly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import hypot, inf, pi, radians, tan
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.sobol import sobol
+from clacad.effects.dispersion import LINES
+from clacad.effects.engine.bounds import PROBE, Situation
+from clacad.effects.engine.parameters import Setting
+from clacad.optics.rays import Rays
+from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.scene import Camera, Scene, SceneObject
+
+Floats = NDArray[np.float64]
+
+FINEST = 0.15e-3
+"""Smallest angle that angle = "auto" asks for, radians: half a minute of arc."""
+
+RADIANCE = 0.01
+"""Smallest relative radiance that matters where nothing else is said."""
+
+FIELD = pi / 180.0
+"""Half angle of the bundle sent through a bare window, radians."""
+
+
+def of_window(
+    window: Window,
+    setting: Setting | None = None,
+    angle: float = 1e-3,
+    radiance: float = RADIANCE,
+    field: float = FIELD,
+) -> Situation:
+    """A cone of parallel bundles about the middle of the field, over the cells in the middle of the sheet.
+
+    Parameters
+    ----------
+    angle, radiance : float
+        Smallest change that matters.
+    field : float, radians
+        Half angle of the cone.
+    """
+    return Situation(window, setting or Setting(), cone(window, field), angle, radiance)
+
+
+def cone(window: Window, field: float, count: int = PROBE) -> Rays:
+    """Rays of a cone about the middle of the field, starting below the sheet."""
+    u = sobol(count, 4)
+    centres = window.lattice.centres(middle_cells(window))
+    cell = np.minimum((u[:, 0] * len(centres)).astype(np.intp), len(centres) - 1)
+    # one parallelogram of the lattice a cell: even whatever the cell's outline
+    part = np.column_stack([u[:, 0] * len(centres) % 1.0, u[:, 1]]) - 0.5
+    within = part @ np.array([window.lattice.a1, window.lattice.a2])
+    point = centres[cell] + within
+    radius, turn = tan(field) * np.sqrt(u[:, 2]), 2.0 * pi * u[:, 3]
+    middle = np.array(aperture_slope(window))
+    slope = middle + radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    depth = 0.25 * min(window.lattice.pitch)
+    start = np.column_stack([point - depth * slope, np.full(count, window.z_range[0] - depth)])
+    return Rays(start, np.column_stack([slope, np.ones(count)]))
+
+
+def middle_cells(window: Window) -> NDArray[np.int64]:
+    """Cells (m, 2) in the middle of the sheet, at most about 49."""
+    cells = window.lattice.with_count(
+        (min(7, window.lattice.count[0]), min(7, window.lattice.count[1]))
+    ).cells()
+    every = window.lattice.centres(window.lattice.cells()) if window.lattice.cell_count <= 4096 else None
+    if every is None:
+        return np.asarray(cells + (np.array(window.lattice.count) - np.array([7, 7])) // 2)
+    near = np.argsort(np.hypot(*every.T), kind="stable")[: len(cells)]
+    return np.asarray(window.lattice.cells()[near])
+
+
+def of_design(design: Design, angle: float | None = None, radiance: float = RADIANCE) -> Situation:
+    """The bundle by which the design is judged; angles that matter: its `law_rms`."""
+    from clacad.prescription.prescribe import prescribe
+
+    window = prescribe(design)
+    tolerance = design.check.law_rms if angle is None else angle
+    return of_window(window, design_setting(design), tolerance, radiance, design.check.field)
+
+
+def design_setting(design: Design) -> Setting:
+    """Parameters of the effects that a design states."""
+    return Setting(roughness=design.body.roughness * design.unit_m, slope_rms=design.body.slope_rms)
+
+
+def of_scene(scene: Scene, window: Window | None = None) -> Situation:
+    """The camera's own rays on the sheet."""
+    from clacad.prescription.prescribe import prescribe
+
+    design = scene.design()
+    window = prescribe(design) if window is None else window
+    scale = scene.unit_m / window.unit
+    camera, effects = scene.camera, scene.effects
+    position, target = np.array(camera.position), np.array(camera.target)
+    distance = float(np.linalg.norm(target - position))
+    pixel = picture_width(camera, distance) / camera.pixels[0] / distance
+    lines = LINES[scene.light.spectrum] if isinstance(scene.light.spectrum, str) else (scene.light.spectrum,)
+    polariser, analyser = (
+        None if degrees is None else radians(degrees)
+        for degrees in (scene.light.polariser, scene.light.analyser)
+    )
+    setting = replace(
+        design_setting(design),
+        coating=effects.coating,
+        order=effects.order,
+        wavelengths=lines,
+        polariser=polariser,
+        analyser=analyser,
+        aperture=camera.aperture * scale,
+        focus=(distance if camera.focus is None else camera.focus) * scale,
+        axis=tuple((target - position) / distance),
+        quads=scene.sheet.quads,
+    )
+    contrast, front = brightness(scene)
+    near, far = depths(scene)
+    return Situation(
+        window=window,
+        setting=setting,
+        rays=camera_rays(scene, window),
+        angle=max(FINEST, 0.5 * pixel) if effects.angle is None else effects.angle,
+        radiance=effects.radiance,
+        contrast=contrast,
+        front=front,
+        near=near * scale,
+        far=far * scale,
+        sheet_distance=abs(position[2]) * scale,
+        pixel=pixel,
+    )
+
+
+def picture_width(camera: Camera, distance: float) -> float:
+    """Width of the picture at the target, scene lengths."""
+    if camera.frame is not None:
+        return camera.frame
+    assert camera.fov is not None  # the scene's rules ask for one of the two
+    return 2.0 * distance * tan(0.5 * camera.fov)
+
+
+def camera_rays(scene: Scene, window: Window, count: int = PROBE) -> Rays:
+    """Rays of the camera that cross the sheet's plane inside its box, window units; at most `count`."""
+    camera = scene.camera
+    position, target = np.array(camera.position), np.array(camera.target)
+    ahead = target - position
+    distance = float(np.linalg.norm(ahead))
+    right = np.cross(ahead / distance, np.array(camera.up))
+    right /= np.linalg.norm(right)
+    down = np.cross(ahead / distance, right)
+    width = picture_width(camera, distance)
+    height = width * camera.pixels[1] / camera.pixels[0]
+    u = sobol(8 * count, 2) - 0.5
+    direction = ahead + width * u[:, :1] * right + height * u[:, 1:] * down
+    start = position * (scene.unit_m / window.unit)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = start[:2] - (start[2] / direction[:, 2:]) * direction[:, :2]
+    x0, x1, y0, y1 = window.lattice.extent()
+    inside = (at[:, 0] > x0) & (at[:, 0] < x1) & (at[:, 1] > y0) & (at[:, 1] < y1) & (direction[:, 2] > 0.0)
+    chosen = direction[inside][:count]
+    return Rays(np.broadcast_to(start, chosen.shape).copy(), chosen)
+
+
+def brightness(scene: Scene) -> tuple[float, float]:
+    """Contrast of the scene (brightest over mean), and the camera's side's mean over the mean behind."""
+    light = scene.light
+    shade = light.ambient + 0.5 * light.key
+    floors = [thing for thing in scene.objects if thing.kind == "checker"]
+    behind = [luminance(c) * shade for thing in scene.objects for c in colours(thing)]
+    sky = [luminance(c) for c in scene.background.sky]
+    ground = [luminance(scene.background.ground)]
+    around = sky + ([luminance(c) * shade for thing in floors for c in thing.colours] if floors else ground)
+    every = behind + around
+    mean = float(np.mean(every))
+    if mean <= 0.0:
+        return 1.0, 0.0
+    brightest = max(every) * (light.ambient + light.key) / shade if shade > 0.0 else max(every)
+    return max(1.0, brightest / mean), float(np.mean(around)) / mean
+
+
+def colours(thing: SceneObject) -> list[tuple[float, float, float]]:
+    """Colours of an object and its parts."""
+    if thing.parts:
+        return [colour for part in thing.parts for colour in colours(part)]
+    if thing.kind == "checker" or thing.pattern == "stripes":
+        return list(thing.colours)
+    return [thing.colour]
+
+
+def luminance(colour: tuple[float, float, float]) -> float:
+    """Luminance of linear sRGB (ITU-R BT.709)."""
+    return 0.2126 * colour[0] + 0.7152 * colour[1] + 0.0722 * colour[2]
+
+
+def depths(scene: Scene) -> tuple[float, float]:
+    """Nearest and farthest distance of what is seen, from the camera; infinite with sky."""
+    position = np.array(scene.camera.position)
+    places = [np.array(thing.at) - position for thing in scene.objects if thing.kind != "checker"]
+    near = min((hypot(*place) for place in places), default=inf)
+    return float(near), inf

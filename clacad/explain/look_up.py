@@ -1,0 +1,107 @@
+"""`explain`: what a code, a check or a word means, why it matters, what is computed, what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from difflib import get_close_matches
+
+from clacad.base.units import LENGTHS, Unit
+from clacad.config.mistakes import CODES as DESIGN
+from clacad.design.keys import ROOT, SECTIONS, homes
+from clacad.explain.check_explanations import CHECKS
+from clacad.explain.design_mistakes import MISTAKES
+from clacad.explain.entry import Entry
+from clacad.explain.glossary import SYNONYMS, WORDS
+from clacad.topology.cannot_build import CODES as BODIES
+from clacad.verification.checks import CODES as JUDGED
+from clacad.verification.checks import FORMER
+
+__all__ = ["Entry", "Unexplained", "entries", "explain"]
+
+
+class Unexplained(KeyError):
+    """Nothing of that name is known; the message names what is nearest."""
+
+    exit_status = 2
+
+    def __str__(self) -> str:
+        """The sentence, without the quotes of a KeyError."""
+        return str(self.args[0])
+
+
+def entries() -> dict[str, Entry]:
+    """Every explanation: codes first, in order, then words."""
+    found = {}
+    for code, title in sorted({**DESIGN, **BODIES}.items()):
+        means, why, formula, do = MISTAKES[code]
+        found[code] = Entry(code, "", title, means, why, formula, do)
+    for name, code in sorted(JUDGED.items(), key=lambda pair: pair[1]):
+        means, why, formula, do = CHECKS[name]
+        found[code] = Entry(code, name, f"check {name}", means, why, formula, do)
+    for word, (means, key) in WORDS.items():
+        found[word] = Entry("", word, word, means, "", "", _see(key))
+    return found
+
+
+def _see(key: str) -> str:
+    """Where to set what a word means."""
+    if not key:
+        return ""
+    return f"see clacad {key}" if " " in key else f"see {key} of the design file"
+
+
+def explain(asked: str) -> Entry:
+    """Look up a code ("CL337", "cl337", "337"), a check ("wall"), a word ("moire") or a key ("pair.web").
+
+    The former name of a check gives the check, and says what it is called now.
+
+    Raises
+    ------
+    Unexplained
+    """
+    known = entries()
+    word = asked.strip()
+    code = f"CL{word}" if word.isdigit() else word.upper()
+    if code in known:
+        return known[code]
+    by_name = {entry.name: entry for entry in known.values() if entry.name}
+    folded = word.lower().replace("é", "e").replace("-", "_")
+    former = {old: name for name, old in FORMER.items()}
+    if folded in former:
+        now = by_name[former[folded]]
+        return replace(now, title=f"{now.title} ({folded} is now called {now.name})")
+    folded = SYNONYMS.get(folded, folded)
+    for name in () if "." in folded else (folded, folded.replace("_", " "), folded.replace("_", "-")):
+        if name in by_name:
+            return by_name[name]
+    key = _key(folded)
+    if key is not None:
+        return key
+    raise Unexplained(f"nothing is called {asked!r}; {_nearest(word, known, list(by_name))}")
+
+
+def _key(name: str) -> Entry | None:
+    """A key of the design file, by its dotted name or its last part."""
+    places = homes(name.rsplit(".", 1)[-1])
+    place = name if name in places else (places[0] if places and "." not in name else None)
+    if place is None:
+        return None
+    section, _, last = place.rpartition(".")
+    if not section and last not in ROOT:
+        return Entry(
+            "", last, f"section [{last}] of the design file", f"keys: {', '.join(SECTIONS[last])}", "", "", ""
+        )
+    key = (SECTIONS[section] if section else ROOT)[last]
+    allowed = key.kind.allowed(Unit("the design's unit", LENGTHS["m"]))
+    return Entry("", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}")
+
+
+def _nearest(word: str, known: dict[str, Entry], names: list[str]) -> str:
+    """What was probably meant."""
+    digits = "".join(sign for sign in word if sign.isdigit())
+    if digits and (word[:2].upper() == "CL" or word.isdigit()):
+        codes = [code for code in known if known[code].code]
+        near = sorted(codes, key=lambda code: (abs(int(code[2:]) - int(digits)), code))[:3]
+        return f"the nearest codes are {', '.join(sorted(near))}"
+    close = get_close_matches(word.lower(), names, n=3, cutoff=0.4)
+    return f"did you mean {' or '.join(close)}?" if close else "`clacad explain` lists all codes and words"

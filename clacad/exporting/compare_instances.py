@@ -1,0 +1,385 @@
+"""Parts that stand many times: measured once, and every place compared with the lattice; nothing is expanded.
+
+A sheet of 40,000 cells of 130,000 facets is 5e9 facets to a reader that writes every cell out, and 130,000 facets and
+40,000 places to one that does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import fsum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.mesh.closed_stream import Measure, measure
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Floats, Ints, Part, kinds
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.sheet.window import Body, Face, Window
+
+WALL = 0.05
+"""A facet whose |n_z| is less is a wall."""
+
+COVERED = 0.02
+"""Share of a cell's area that a part's facets must lie over to stand for that cell; lenses without land may be small."""
+
+SPILT = 1e-6
+"""Share of a cell's area below which facets over it are slivers on its border."""
+
+MOST_KINDS = 16
+"""Different turns and scales of one part that are measured one by one; a sheet needs one."""
+
+Cell = tuple[int, int]
+Side = tuple[int, int]
+"""Body, and 0 for its front or 1 for its back."""
+
+
+# -- measuring -----------------------------------------------------------------------------------
+
+
+def measure_mesh(mesh: FileMesh, factor: float) -> Measure:
+    """Measure a file in design units; a part that stands many times once for each way it is turned.
+
+    Parameters
+    ----------
+    mesh : FileMesh
+    factor : float
+        Design units per file unit.
+    """
+    single = [part for part in mesh.parts if not part.repeated]
+    return joined([
+        measure((chunk * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)),
+        measure_repeated(mesh, factor),
+    ])  # fmt: skip
+
+
+def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
+    """Measure the parts that stand many times; closed where each of them is closed by itself.
+
+    Parts that share one list of places are one object, as a GLB mesh of several primitives is.
+    """
+    found = []
+    for parts in objects(mesh):
+        imbalance = [0, 0]
+        for part in parts:
+            for one in _measures(part, factor):
+                imbalance = [(a + b) % (1 << 64) for a, b in zip(imbalance, one.imbalance, strict=True)]
+                found.append(_with(one, (0, 0)))
+        found.append(Measure(0, (imbalance[0], imbalance[1]), 0.0, 0.0, (np.inf,) * 3, (-np.inf,) * 3))
+    # an object that is open is not closed by another that is open the other way about
+    whole = joined([_with(one, (0, 0)) for one in found])
+    return _with(whole, next((one.imbalance for one in found if one.imbalance != (0, 0)), (0, 0)))
+
+
+def objects(mesh: FileMesh) -> list[list[Part]]:
+    """The parts that stand many times, those with the very same places together."""
+    found: dict[int, list[Part]] = {}
+    for part in mesh.parts:
+        if part.repeated:
+            found.setdefault(id(part.placements), []).append(part)
+    return list(found.values())
+
+
+def joined(measures: Sequence[Measure]) -> Measure:
+    """Measures of several meshes taken as one."""
+    if not measures:
+        return measure(())
+    low = np.min([one.low for one in measures], axis=0)
+    high = np.max([one.high for one in measures], axis=0)
+    sums = [sum(one.imbalance[k] for one in measures) % (1 << 64) for k in (0, 1)]
+    return Measure(
+        sum(one.facets for one in measures), (sums[0], sums[1]), fsum(one.volume for one in measures),
+        fsum(one.area for one in measures), _triple(low), _triple(high),
+    )  # fmt: skip
+
+
+def _measures(part: Part, factor: float) -> Iterator[Measure]:
+    """Measure a part for each way it is turned, times the places where it stands so."""
+    for number, (linear, rows) in enumerate(kinds(part)):
+        if number == MOST_KINDS:  # turned in every way there is: its places fail by themselves
+            break
+        turn = linear * factor
+        one = measure(
+            (part.corners(k, k + CHUNK) @ turn for k in range(0, part.facet_count, CHUNK)), origin=np.zeros(3)
+        )
+        move = part.placements[rows, 3] * factor
+        yield Measure(
+            one.facets * len(rows), one.imbalance, one.volume * len(rows), one.area * len(rows),
+            _triple(one.low + move.min(axis=0)), _triple(one.high + move.max(axis=0)),
+        )  # fmt: skip
+
+
+def _with(one: Measure, imbalance: tuple[int, int]) -> Measure:
+    return Measure(one.facets, imbalance, one.volume, one.area, one.low, one.high)
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+# -- places --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where the places of one object stand on the lattice.
+
+    Parameters
+    ----------
+    parts : tuple of Part
+        Meshes that share the places.
+    cells : mapping
+        Cells (k, 2) that the object covers where it stands first, by body and side.
+    step : (m, 2) ints
+        Index steps from there to each place; whole ones, the nearest.
+    off : (m,) lengths, design units
+        Largest distance of a corner of its box from where it would be on the lattice, turned as most are.
+    spills : bool
+        Whether facets reach into cells that it does not cover.
+    """
+
+    parts: tuple[Part, ...]
+    cells: dict[Side, Ints]
+    step: Ints
+    off: Floats
+    spills: bool
+
+    @property
+    def one_cell(self) -> bool:
+        """Whether the object has facets over one cell, the same on all sides, and over no other."""
+        return not self.spills and len(np.unique(np.concatenate(list(self.cells.values())), axis=0)) == 1
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Every place of a file against the lattice.
+
+    Parameters
+    ----------
+    places : tuple of Places
+    count : int
+        Places that were compared.
+    worst : float, design units
+    worst_cell : (i, j) or None
+        Cell of the place that is farthest off.
+    limit : float, design units
+        Rounding of the places' coordinates to float32.
+    missing, doubled, outside : lists of (i, j)
+        Cells that no place stands over, that more than one does, and places beside the sheet; the first few.
+    faults : (int, int, int)
+        How many of each.
+    """
+
+    places: tuple[Places, ...]
+    count: int
+    worst: float
+    worst_cell: Cell | None
+    limit: float
+    missing: list[Cell]
+    doubled: list[Cell]
+    outside: list[Cell]
+    faults: tuple[int, int, int]
+
+    @property
+    def sound(self) -> bool:
+        """Whether every place stands on a cell of the lattice, and each cell has one."""
+        return self.worst <= self.limit and not any(self.faults)
+
+    @property
+    def words(self) -> str:
+        """What was found, in words with numbers."""
+        found = []
+        for cells, number, what in zip(
+            (self.missing, self.doubled, self.outside), self.faults,
+            ("cells have no instance", "cells have more than one", "instances stand beside the sheet"), strict=True,
+        ):  # fmt: skip
+            if number:
+                found.append(f"{number} {what}, such as {cells[0]}" if number > 1 else _one(what, cells[0]))
+        if self.worst > self.limit:
+            found.append(f"the instance over cell {self.worst_cell} stands {self.worst:.4g} off the lattice")
+        return "; ".join(found) or (
+            f"each of {self.count} instances stands on a cell of its array, each cell has one; "
+            f"farthest off the lattice {self.worst:.4g}"
+        )
+
+
+def _one(what: str, cell: Cell) -> str:
+    return {
+        "cells have no instance": f"cell {cell} has no instance",
+        "cells have more than one": f"cell {cell} has more than one instance",
+        "instances stand beside the sheet": f"an instance stands beside the sheet, where cell {cell} would be",
+    }[what]
+
+
+def standing(mesh: FileMesh, window: Window, factor: float) -> Standing | None:
+    """Compare every place of the parts that stand for cells with the lattice; None where there are none.
+
+    Parameters
+    ----------
+    mesh : FileMesh
+    window : Window
+    factor : float
+        Design units per file unit.
+    """
+    found = [p for parts in objects(mesh) if (p := _stand(parts, window, factor)) is not None]
+    if not found:
+        return None
+    off = [float(p.off.max()) for p in found]
+    worst = int(np.argmax(off))
+    return Standing(
+        tuple(found), sum(len(p.off) for p in found), off[worst], cell_of(found[worst]), placing_room(window),
+        *_covering(found, mesh, window, factor),
+    )  # fmt: skip
+
+
+def placing_room(window: Window) -> float:
+    """Distance (length) a place may be off by rounding to float32 alone."""
+    reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
+    return 2.0**-23 * reach
+
+
+def cell_of(places: Places) -> Cell:
+    """Cell under the place that is farthest off."""
+    i, j = next(iter(places.cells.values()))[0] + places.step[int(np.argmax(places.off))]
+    return int(i), int(j)
+
+
+def _stand(parts: list[Part], window: Window, factor: float) -> Places | None:
+    placements = parts[0].placements
+    turns = kinds(parts[0])
+    usual, rows = turns[0]
+    cells, spills = _covered(parts, window, placements[rows[0]], factor)
+    if not cells:
+        return None
+    boxes = [part.own_box() for part in parts]
+    low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
+    middle = 0.5 * (low + high)
+    centre = (np.einsum("x,mxy->my", middle, placements[:, :3]) + placements[:, 3]) * factor
+    basis = np.array([window.lattice.a1, window.lattice.a2])
+    step, off = _steps(centre, basis, int(rows[0]))
+    distance = np.linalg.norm(off, axis=1)
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    for linear, turned in turns[1:]:
+        bent = (corners - middle) @ (linear - usual) * factor
+        distance[turned] = np.linalg.norm(off[turned, None] + bent, axis=2).max(axis=1)
+    return Places(tuple(parts), cells, step, distance, spills)
+
+
+def _steps(centre: Floats, basis: Floats, first: int) -> tuple[Ints, Floats]:
+    """Whole index steps (m, 2) of centres (m, 3) from number `first`, and what is left (m, 3) against most of them."""
+    u = np.linalg.solve(basis.T, (centre[:, :2] - centre[first, :2]).T).T
+    # where most stand between two whole steps: the mean of the phases, which one stray place hardly moves
+    phase = np.angle(np.exp(2j * np.pi * u).mean(axis=0)) / (2.0 * np.pi)
+    step = np.rint(u - phase)
+    step -= step[first]
+    left = centre.copy()
+    left[:, :2] -= step @ basis
+    return step.astype(np.int64), left - np.median(left, axis=0)
+
+
+def _covered(
+    parts: Sequence[Part], window: Window, place: Floats, factor: float
+) -> tuple[dict[Side, Ints], bool]:
+    """Cells (k, 2) that facets at one place (4, 3) lie over, by body and side, lens faces only; whether they spill."""
+    area: dict[tuple[Side, Cell], float] = {}
+    for part in parts:
+        for corners, _ in part.pairs_at(place):
+            for side, index, flat in _lying(corners * factor, window):
+                cells, which = np.unique(index, axis=0, return_inverse=True)
+                for cell, size in zip(cells.tolist(), np.bincount(which.ravel(), weights=flat), strict=True):
+                    key = (side, (cell[0], cell[1]))
+                    area[key] = area.get(key, 0.0) + float(size)
+    whole = window.lattice.cell_area
+    most: dict[Side, float] = {}
+    for (side, _), size in area.items():
+        most[side] = max(size, most.get(side, 0.0))
+    found: dict[Side, list[Cell]] = {}
+    spills = False
+    for (side, cell), size in area.items():
+        if size >= max(COVERED * whole, 0.5 * most[side]):
+            found.setdefault(side, []).append(cell)
+        else:
+            spills |= size > SPILT * whole
+    return {side: np.array(sorted(cells), dtype=np.int64) for side, cells in found.items()}, spills
+
+
+def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats]]:
+    """Cells (k, 2) and areas (k,) seen along z of the facets (n, 3, 3) of each lens face."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    optical = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
+    middle = corners.mean(axis=1)
+    body = np.searchsorted(levels(window), middle[:, 2])
+    for number, piece in enumerate(window.bodies):
+        for side, face in enumerate((piece.front, piece.back)):
+            rows = np.flatnonzero(optical & (body == number) & ((normal[:, 2] > 0.0) == bool(side)))
+            if face.array is not None and len(rows):
+                shift = window.shifts[face.array]
+                index, _, _ = window.lattice.locate(middle[rows, 0] - shift[0], middle[rows, 1] - shift[1])
+                yield (number, side), index, 0.5 * np.abs(normal[rows, 2])
+
+
+def _covering(
+    found: Sequence[Places], mesh: FileMesh, window: Window, factor: float
+) -> tuple[list[Cell], list[Cell], list[Cell], tuple[int, int, int]]:
+    """Cells without a place, cells with several, and places beside the sheet: the first few, and how many."""
+    lattice = window.lattice
+    whole = {number for number in range(len(window.bodies)) if not _stands_once(mesh, window, number, factor)}
+    missing, doubled, outside = [_NONE], [_NONE], [_NONE]
+    for side in {side for places in found for side in places.cells}:
+        index = np.concatenate([
+            (places.step[:, None] + places.cells[side][None]).reshape(-1, 2) for places in found if side in places.cells
+        ])  # fmt: skip
+        inside = lattice.contains(index)
+        outside.append(_numbers(index[~inside]))
+        cells, times = np.unique(_numbers(index[inside]), return_counts=True)
+        doubled.append(cells[times > 1])
+        if side[0] in whole and len(cells) < lattice.cell_count:
+            missing.append(np.setdiff1d(_numbers(lattice.cells()), cells))
+    faults = [np.unique(np.concatenate(numbers)) for numbers in (missing, doubled, outside)]
+    few = [[(int(i), int(j)) for i, j in _indices(numbers[:64])] for numbers in faults]
+    return few[0], few[1], few[2], (len(faults[0]), len(faults[1]), len(faults[2]))
+
+
+def _stands_once(mesh: FileMesh, window: Window, body: int, factor: float) -> bool:
+    """Whether a part that stands once reaches into a body: then it may be the cell that is missed."""
+    low, high = body_range(window, window.bodies[body])
+    for part in mesh.parts:
+        if not part.repeated and part.facet_count:
+            ends = FileMesh(mesh.format, (part,)).box()
+            if ends[0][2] * factor < high and ends[1][2] * factor > low:
+                return True
+    return False
+
+
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+def _numbers(index: Ints) -> Ints:
+    """One number for each pair of indices (k, 2)."""
+    return np.asarray((index[:, 1] << 32) + (index[:, 0] + (1 << 31)))
+
+
+def _indices(numbers: Ints) -> Ints:
+    return np.column_stack([(numbers & 0xFFFFFFFF) - (1 << 31), numbers >> 32])
+
+
+# -- bodies of a window --------------------------------------------------------------------------
+
+
+def owner(body: Body, face: Face) -> int:
+    """Array whose grid a face is looked at in: its own, or its body's other face's for a plane."""
+    if face.array is not None:
+        return face.array
+    other = body.back if face is body.front else body.front
+    assert other.array is not None
+    return other.array
+
+
+def levels(window: Window) -> NDArray[np.float64]:
+    """Heights (bodies − 1,) midway between the bodies of a window."""
+    ranges = [body_range(window, body) for body in window.bodies]
+    return np.array([0.5 * (a[1] + b[0]) for a, b in zip(ranges, ranges[1:], strict=False)])

@@ -1,0 +1,54 @@
+"""What each format costs in processor seconds, as formulas of its size.
+
+The constants are those of one reference machine, an x86-64 server core; `clacad.base.machine_rates` knows what another machine
+makes of them. Forms: a file of text or triangles costs a constant a piece, welding sorts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import log2
+
+BASE = 0.02
+"""Opening, hashing and reading back a file of next to nothing."""
+
+
+def prepare(quads: Sequence[int]) -> float:
+    """Everything before the first file and after the last: prescribing, forecasting, meshing a cell at every grid and
+    tracing it, publishing.
+    """
+    return 0.11 + 1.9e-4 * sum(grid * grid for grid in quads) + (1.6 if quads else 0.0)
+
+
+def stl(facets: int) -> float:
+    """Triangles streamed out and back."""
+    return BASE + 4.4e-6 * facets
+
+
+def welded(name: str, held: int, places: int) -> float:
+    """Shared vertices, exact normals and, where cells repeat, their places."""
+    if name == "ply":
+        return BASE + 4.2e-7 * held * log2(max(2, held))
+    each, place = {"glb": (4.0e-6, 1.3e-5), "3mf": (5.5e-6, 7.0e-6)}[name]
+    if places == 0:  # the whole sheet is welded: sorting decides
+        return BASE + 6.0e-7 * held * log2(max(2, held))
+    return BASE + 0.01 + each * held + place * places
+
+
+def step(size: int, mode: str) -> float:
+    """STEP: text, and the kernel reading it in a process of its own."""
+    return 0.68 + 1.12e-6 * size if mode == "fused" else 0.85 + 2.8e-6 * size
+
+
+def kernel(size: int) -> float:
+    """Solids made by the kernel: frame, coupon, BREP."""
+    return 1.5 + 2.0e-6 * size
+
+
+PER_DRAWN = {"tiff": 4.4e-7, "png": 2.2e-7, "xyz": 1.3e-6, "table": 4e-8, "mask": 8.5e-8}
+"""Seconds a pixel or point; of tables and masks, a hundredth of a lenslet."""
+
+
+def map(name: str, drawn: int, faces: int) -> float:
+    """Height maps, points, tables, masks; one cell of a face as a grid of sag costs the same however many there are."""
+    return BASE + (0.015 * faces if name in ("sag", "pov") else PER_DRAWN.get(name, 4e-7) * drawn)

@@ -1,0 +1,285 @@
+"""What an export will cost, told before any work.
+
+Facets and the bytes of STL and TIFF are exact, other bytes are good to 20 %, seconds and memory are ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.machine_rates import Rates
+from clacad.exporting import costs as cost
+from clacad.exporting.limits import (
+    MOST_BYTES,
+    MOST_FACETS,
+    QUADS,
+    WELDED_FORMATS,
+    refuse_cells,
+    refuse_over_limits,
+)
+from clacad.storage.errors import LimitRefused
+
+if TYPE_CHECKING:
+    from clacad.exporting.roles import Prospect
+    from clacad.exporting.tessellations import Meshes
+    from clacad.formats.step.step_files import Mode
+    from clacad.sheet.window import Window
+
+FIXTURES = ("baffle", "frame", "coupon", "brep", "marked")
+MARKED = ("marked-stl", "marked-3mf")
+LETTER_POINTS = 30
+"""Points of the outline of a letter, about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The price of one format.
+
+    Parameters
+    ----------
+    format : str
+    bytes : int
+    exact : bool
+        Whether `bytes` is exact; otherwise within 20 %.
+    facets : int or None
+        Of the sheet: with every instance counted.
+    quads : int or None
+    modelled : float
+        Processor seconds on the machine whose constants the models hold.
+    memory : (low, high) bytes
+    seconds : (low, high)
+        Processor seconds on this machine.
+    stored : int or None
+        Facets the file holds; fewer than `facets` where it repeats a cell.
+    places : int
+        Bytes of where the repeated cells stand.
+    prospect : Prospect or None
+        The file's role and the light through it.
+    """
+
+    format: str
+    bytes: int
+    exact: bool
+    facets: int | None
+    quads: int | None
+    modelled: float
+    memory: tuple[int, int]
+    seconds: tuple[float, float] = (0.0, 0.0)
+    stored: int | None = None
+    places: int = 0
+    prospect: Prospect | None = None
+
+    @property
+    def task(self) -> str:
+        """Name under which the seconds of this format are noted."""
+        return f"export {self.format}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        plain: dict[str, Any] = {
+            "format": self.format, "bytes": self.bytes, "exact": self.exact, "facets": self.facets,
+            "quads": self.quads, "seconds": list(self.seconds), "memory": list(self.memory),
+        }  # fmt: skip
+        if self.facets is not None:
+            plain["stored"] = self.facets if self.stored is None else self.stored
+        if self.prospect is not None:
+            plain |= self.prospect.entry()
+            plain |= {"law_rms_limit": self.prospect.limit} if self.quads is not None else {}
+        return plain
+
+
+def forecast(
+    meshes: Meshes,
+    formats: Sequence[str],
+    quads: int | Mapping[str, int],
+    step: Mode = "auto",
+    pcurves: bool = True,
+    grey_levels: int = 64,
+) -> list[Forecast]:
+    """Forecast each format.
+
+    Parameters
+    ----------
+    meshes : Meshes
+    formats : sequence of str
+    quads : int or mapping
+        Facet grid a cell side for the mesh formats, of all or of each.
+    step : "auto", "fused" or "instanced"
+    pcurves : bool
+        Whether STEP files hold parameter curves.
+    grey_levels : int
+        Levels of GDSII.
+    """
+    grids = dict.fromkeys(formats, quads) if isinstance(quads, int) else quads
+    return timed([
+        _forecast_one(meshes, name, grids.get(name, QUADS[-1]), step, pcurves, grey_levels) for name in formats
+    ])  # fmt: skip
+
+
+def timed(rows: Sequence[Forecast]) -> list[Forecast]:
+    """Rows with the seconds they will take on this machine, by what it took before."""
+    rates = Rates.here()
+    spans = [rates.span(row.task, row.modelled) for row in rows]
+    return [replace(row, seconds=(span.low, span.high)) for row, span in zip(rows, spans, strict=True)]
+
+
+def _forecast_one(
+    meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True, grey_levels: int = 64
+) -> Forecast:
+    window = meshes.window
+    if name in MARKED:
+        return _forecast_marked(meshes, name, quads)
+    if name in ("stl", "stl-parts"):
+        files = 1 if name == "stl" else len(window.bodies)
+        return _forecast_stl(name, meshes.facets(quads), files, quads, exact=True)
+    if name in WELDED_FORMATS:
+        return _forecast_welded(meshes, name, quads)
+    if name == "step":
+        return _forecast_step(window, step, pcurves)
+    if name in FIXTURES:
+        return _forecast_fixture(window, name)
+    return _forecast_map(window, name, grey_levels)
+
+
+def _forecast_fixture(window: Window, name: str) -> Forecast:
+    """Price of baffle, frame, coupon and BREP: the first exactly, the modelled ones by size classes."""
+    cells = window.lattice.cell_count
+    if name == "baffle":
+        sides = len(window.lattice.steps)
+        row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None,
+                       cost.stl(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
+        return row
+    size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
+    return Forecast(name, size, False, None, None, cost.kernel(size), (500_000_000, 2_500_000_000))
+
+
+def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
+    """Price of a mesh format with letters: its own, four facets a point of their outlines, and the kernel's start."""
+    from clacad.solid.marks import mark_text
+
+    window = meshes.window
+    texts = [mark_text(f"{window.name} {body.name}").replace(" ", "") for body in window.bodies]
+    letters = 4 * LETTER_POINTS * sum(1 + len(text) for text in texts)
+    if name == "marked-stl":
+        plain = _forecast_stl(name, meshes.facets(quads), len(window.bodies), quads, exact=False)
+    else:
+        plain = replace(_forecast_welded(meshes, "3mf", quads), format=name)
+    facets = plain.facets or 1
+    share = (facets + letters) / facets
+    seconds = plain.modelled * share + cost.kernel(0)
+    return replace(
+        plain, bytes=int(plain.bytes * share), facets=facets + letters, modelled=seconds, stored=None
+    )
+
+
+def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
+    size = 84 * files + 50 * facets
+    return Forecast(name, size, exact, facets, quads, cost.stl(facets), (80_000_000, 400_000_000))
+
+
+def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
+    from clacad.exporting.file_sizes import glb_place_bytes, threemf_bytes, threemf_place_bytes
+    from clacad.exporting.tessellations import instanceable
+    from clacad.formats.mesh.ply import ply_bytes
+
+    window = meshes.window
+    held = meshes.welded(quads, name)
+    instanced = name != "ply" and instanceable(window)
+    places = window.lattice.cell_count * len(window.bodies) if instanced else 0
+    facets = held * window.lattice.cell_count if instanced else held
+    # Half a vertex a facet, and more where walls and rims give corners normals of their own.
+    vertices = held * (0.5 + 1.9 / max(quads, 2))
+    nodes = 0
+    if name == "ply":
+        size = ply_bytes(int(vertices), held, header=300)
+    elif name == "glb":
+        nodes = int(glb_place_bytes(window) * places) if places else 0
+        size = int(24 * vertices + 12 * held + nodes + 2500)
+    else:
+        nodes = threemf_place_bytes(window) if places else 0
+        size = threemf_bytes(meshes, quads) + nodes
+    memory = int(700 * held + 400 * places)
+    seconds = cost.welded(name, held, places)
+    return Forecast(
+        name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000),
+        stored=held, places=nodes,
+    )  # fmt: skip
+
+
+def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast:
+    from clacad.exporting.file_sizes import step_bytes
+    from clacad.formats.step.step_files import chosen_mode
+
+    mode = chosen_mode(window, step)
+    columns = window.lattice.cell_count * len(window.bodies)
+    if mode == "fused":
+        memory = (400_000_000, 900_000_000 + 250_000 * columns)
+    else:
+        memory = (300_000_000, 700_000_000 + 20_000 * columns)
+    size = step_bytes(window, mode, pcurves)
+    return Forecast("step", size, False, None, None, cost.step(size, mode), memory)
+
+
+def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
+    from clacad.exporting import file_sizes
+    from clacad.formats.maps.sag import samples_per_cell, structured_faces
+
+    faces, cells = len(structured_faces(window)), window.lattice.cell_count
+    per_cell = samples_per_cell(window, None) if name != "xyz" else min(16, samples_per_cell(window, None))
+    pixels = per_cell * per_cell * cells * faces
+    if name == "png":
+        size = file_sizes.png_bytes(window, per_cell)
+    elif name == "table":
+        size = file_sizes.table_bytes(window)
+    elif name == "mask":
+        size = file_sizes.mask_bytes(window)
+    elif name == "gds":
+        from clacad.formats.maps.gds import gds_bytes
+
+        size = gds_bytes(window, levels, file_sizes.mm(window))
+    elif name == "pov":
+        size = file_sizes.pov_bytes(window)
+    elif name == "xyz":
+        size = file_sizes.xyz_bytes(window, per_cell)
+    else:  # six bytes a pixel of two TIFFs, one cell of 65 x 65 lines of 70
+        size = {"tiff": 6 * pixels, "sag": faces * 70 * 65 * 65}[name]
+    drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
+        name, 100 * cells * faces
+    )
+    return Forecast(name, size, False, None, None, cost.map(name, drawn, faces), (100_000_000, 400_000_000))
+
+
+def outlook(window: Window) -> list[dict[str, Any]]:
+    """Forecast the common formats for `check`: roughly what an export with default settings would cost.
+
+    Meant to be quick: only meshes of 4 and 8 quads are counted, finer ones follow from them. Each row is
+    `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
+    """
+    from clacad.exporting.tessellations import Meshes
+
+    try:
+        n1, n2 = window.lattice.count
+        refuse_cells(int(n1), int(n2))
+    except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
+        return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
+    meshes = Meshes(window)
+    square = (meshes.facets(8) - 2 * meshes.facets(4)) / 32
+    linear = meshes.facets(4) / 4 - 4 * square
+    facets = {quads: int(linear * quads + square * quads * quads) for quads in QUADS}
+    quads = next(
+        (q for q in QUADS if 84 + 50 * facets[q] <= MOST_BYTES and facets[q] <= MOST_FACETS), QUADS[-1]
+    )
+    plain = _forecast_stl("stl", facets[quads], 1, quads, exact=quads <= 8)
+    rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8, "auto")]
+    return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in timed(rows)]
+
+
+def _refusal(meshes: Meshes, row: Forecast) -> str | None:
+    try:
+        refuse_over_limits(meshes, [row], Path())
+    except LimitRefused as refusal:
+        return str(refusal)
+    return None

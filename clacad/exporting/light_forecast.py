@@ -1,0 +1,399 @@
+"""Forecast of the light through a file's facets: what makes a mesh a master or a preview, known before it is written.
+
+The rays of the checks go through one telescopelet of the very tessellation that will be written. The error of facets
+falls as their size (k/m at m quads a cell side, in quadrature with the exact surfaces' own), so a few coarse grids
+tell where to look, and the grid that is looked for is traced itself. This is the only place in `export` that traces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import hypot, inf, isfinite, nan, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.exporting.tessellations import Meshes, instanceable
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.mesh import Mesh
+    from clacad.optics.rays import Rays, TraceResult
+    from clacad.sheet.bundle import Bundle
+    from clacad.tracing.triangles.telescopelet_facets import FacetBody
+
+Floats = NDArray[np.float64]
+
+POWERS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
+"""Facet grids a cell side that "auto" chooses from."""
+
+RAYS = 16384
+POINT_RAYS = 1024
+"""Rays over the field, and of each of its nine points."""
+
+FEWEST = 64
+"""Rays that must get through for a forecast."""
+
+SAFE = 0.95
+"""Part of a limit that is aimed at: other cells and more rays find a few per cent more."""
+
+PROBE, FINE = 16, 64
+"""Grids from which the errors of others follow."""
+
+NEAR = 1.25
+"""A grid whose formula gives up to so many times what is aimed at is traced before it is passed over."""
+
+SLIDE = 1e-3
+"""Trial shift of array 2 over the distance between the lenses."""
+
+CLOSE = 0.04
+"""The formula's own error, relative: closer to the limit only a trace tells."""
+
+
+@dataclass(frozen=True, slots=True)
+class LightLimits:
+    """What light through a file may do, plain numbers.
+
+    Parameters
+    ----------
+    rms, bias : float, radians
+        Direction error to the law over the field, and of the mean direction at a point of it.
+    stretch : float
+        Relative error of the ratio of slopes before and behind the sheet.
+    offset : float, slope
+        Error of the slope that leaves along the axis of the lenses.
+    defocus : float
+        Shift of array 2 along the sheet's normal that would make up for the facets, over the distance of the lenses.
+    """
+
+    rms: float
+    bias: float = inf
+    stretch: float = inf
+    offset: float = inf
+    defocus: float = inf
+
+    @staticmethod
+    def of(design: Design) -> LightLimits:
+        """Those of a design."""
+        return LightLimits(*design.check.of_light)
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """Forecast of the light through facets; NaN where too few rays get through.
+
+    Parameters
+    ----------
+    quads : int
+        Facet grid a cell side; 0: the exact surfaces.
+    rms, bias : float, radians
+    stretch, offset, defocus : float
+        See `LightLimits`; difference to the exact surfaces over the same rays.
+    """
+
+    quads: int
+    rms: float
+    bias: float
+    stretch: float
+    offset: float
+    defocus: float
+
+    def within(self, limits: LightLimits, part: float = 1.0) -> bool:
+        """Whether every number is known and within `part` of its limit."""
+        return not self.beyond(limits, part)
+
+    def beyond(self, limits: LightLimits, part: float = 1.0) -> tuple[str, ...]:
+        """Limits that are not kept, by their keys in a design file."""
+        pairs = (
+            ("law_rms", self.rms, limits.rms), ("law_bias", self.bias, limits.bias), ("eta", self.stretch, limits.stretch),
+            ("delta", self.offset, limits.offset), ("confocality", self.defocus, limits.defocus),
+        )  # fmt: skip
+        return tuple(key for key, value, limit in pairs if not value <= part * limit)
+
+
+class Grader:
+    """Grades of the tessellations of one window, each traced once.
+
+    Parameters
+    ----------
+    meshes : Meshes
+        Where the tessellations come from; what is meshed here is there to be written.
+    limits : LightLimits
+    field : float, radians
+        Half angle of the cone of test rays.
+    centre : "axis" or "normal"
+        Its middle.
+    """
+
+    def __init__(self, meshes: Meshes, limits: LightLimits, field: float, centre: str = "axis") -> None:
+        self.meshes, self.limits = meshes, limits
+        self._light = _Light(meshes.window, field, centre)
+        self._grades: dict[int, Grade] = {}
+
+    @staticmethod
+    def of(meshes: Meshes, design: Design) -> Grader:
+        """With the limits and the field of a design's checks."""
+        return Grader(meshes, LightLimits.of(design), design.check.field, design.check.field_centre)
+
+    def grade(self, quads: int) -> Grade:
+        """Trace the tessellation of so many quads a cell side."""
+        if quads not in self._grades:
+            self._grades[quads] = self._light.grade(quads, self._bodies(quads))
+        return self._grades[quads]
+
+    def _bodies(self, quads: int) -> tuple[FacetBody, ...]:
+        window, made = self.meshes.window, self.meshes.at(quads)
+        if instanceable(window):
+            return telescopelet(window, made.cell, made.saddle_bevel)
+        return telescopelet(window, made.single, made.saddle_bevel, apart=False)
+
+    def law_rms(self, quads: int) -> float:
+        """Rms direction error (radians) that follows from the coarse grids, without a trace of this one."""
+        if quads in self._grades:
+            return self._grades[quads].rms
+        slope, rounding = self._constants
+        return hypot(self._light.exact, slope / quads, rounding * quads)
+
+    @cached_property
+    def _constants(self) -> tuple[float, float]:
+        """Error of facets times their number a side, and of heights in steps over it (radians)."""
+        coarse, fine = (self._excess(quads) for quads in (PROBE, FINE))
+        if FINE * fine <= PROBE * coarse:
+            return FINE * fine, 0.0
+        # (a/16)² + (16 b)² and (a/64)² + (64 b)²: heights in steps turn fine facets the more
+        ratio = (FINE / PROBE) ** 2
+        square = max(0.0, ratio * fine**2 - coarse**2) / (ratio - 1.0 / ratio)
+        rounding = sqrt(square) / FINE if square > 0.0 else 0.0
+        return PROBE * sqrt(max(0.0, coarse**2 - (PROBE * rounding) ** 2)), rounding
+
+    def _excess(self, quads: int) -> float:
+        rms = self.grade(quads).rms
+        return sqrt(max(0.0, rms**2 - self._light.exact**2)) if isfinite(rms) else nan
+
+    def least(self, most: int = POWERS[-1]) -> int | None:
+        """Smallest power of two, 4 … `most`, whose own traced grade is within SAFE of the limits; None: there is none."""
+        for quads in POWERS:
+            if quads > most:
+                break
+            if self._worth_tracing(quads) and self.grade(quads).within(self.limits, SAFE):
+                return quads
+        return None
+
+    def foreseen(self) -> int | None:
+        """As `least`, without meshing anything finer than needed to say it: grids above 64 are traced only where
+        the formula cannot tell.
+        """
+        aim = SAFE * self.limits.rms
+        for quads in POWERS:
+            if not self._worth_tracing(quads):
+                continue
+            far = quads > FINE and quads not in self._grades and abs(self.law_rms(quads) / aim - 1.0) > CLOSE
+            if (
+                self.law_rms(quads) <= aim
+                if far or quads > 2 * FINE
+                else self.grade(quads).within(self.limits, SAFE)
+            ):
+                return quads
+        return None
+
+    def _worth_tracing(self, quads: int) -> bool:
+        """Whether a grid may be within the limits at all; never with surfaces that are not."""
+        if not (self._light.exact <= self.limits.rms and self._light.exact_bias <= self.limits.bias):
+            return False
+        return self.law_rms(quads) <= NEAR * SAFE * self.limits.rms
+
+    @property
+    def exact(self) -> float:
+        """Rms direction error of the exact surfaces (radians)."""
+        return self._light.exact
+
+
+class _Light:
+    """Rays of the checks over one cell, and what the law and the exact surfaces do to them."""
+
+    def __init__(self, window: Window, field: float, centre: str) -> None:
+        self.window, self._field, self._centre = window.with_cells((1, 1)), field, centre
+
+    @cached_property
+    def rays(self) -> Rays:
+        from clacad.sheet.bundle import bundle
+
+        return bundle(self.window, RAYS, self._field, self._centre).rays
+
+    @cached_property
+    def _points(self) -> list[Bundle]:
+        from clacad.sheet.bundle import bundle, field_points
+
+        directions = field_points(self.window, self._field, self._centre)
+        return [bundle(self.window, POINT_RAYS, 0.0, middle=direction) for direction in directions]
+
+    @cached_property
+    def _asked(self) -> Floats:
+        return self.window.law.refract(self.rays.direction)
+
+    @cached_property
+    def _truth(self) -> TraceResult:
+        from clacad.tracing.trace import trace
+
+        return trace(self.window, self.rays, path="numpy")  # compiled kernels would take longer to load
+
+    @cached_property
+    def exact(self) -> float:
+        """Rms direction error (radians) of the exact surfaces."""
+        return self._rms(self._truth)
+
+    @cached_property
+    def exact_bias(self) -> float:
+        """Worst angle (radians) of the mean direction to the law at a point of the field, exact surfaces."""
+        from clacad.tracing.trace import trace
+
+        return self._bias(lambda rays: trace(self.window, rays, path="numpy"))
+
+    def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
+        """Send the rays through facets."""
+        from clacad.tracing.triangles.telescopelet_facets import trace_facets
+
+        seen = trace_facets(bodies, self.rays)
+        stretch, offset = self._fitted(seen)
+        bias = self._bias(lambda rays: trace_facets(bodies, rays))
+        return Grade(quads, self._rms(seen), bias, stretch, offset, self._defocus(seen))
+
+    def _rms(self, seen: TraceResult) -> float:
+        from clacad.optics.law import angle_between
+        from clacad.optics.rays import Fate
+
+        good = (seen.fate == Fate.ALIVE) & np.isfinite(self._asked).all(axis=1)
+        if good.sum() < FEWEST:
+            return nan
+        return float(np.sqrt(np.mean(angle_between(seen.direction[good], self._asked[good]) ** 2)))
+
+    def _bias(self, send: Callable[[Rays], TraceResult]) -> float:
+        """Worst angle of the mean direction to the law over the points of the field that are not dark."""
+        from clacad.optics.law import angle_between
+        from clacad.optics.rays import Fate
+
+        found = []
+        for lit in self._points:
+            seen = send(lit.rays)
+            good = seen.fate == Fate.ALIVE
+            expected = self.window.law.refract(lit.rays.direction[:1])[0]
+            if good.sum() >= FEWEST and np.isfinite(expected).all():
+                found.append(float(angle_between(seen.direction[good].mean(axis=0), expected)))
+        return max(found, default=nan)
+
+    @cached_property
+    def _slid(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Slopes behind the exact surfaces (n, 2), along the axes of the lenses, their change with the shift of array 2
+        over the distance between the lenses, and whether both are known (n,).
+        """
+        from clacad.optics.rays import Fate, Rays
+        from clacad.sheet.telescopelet import interfaces
+        from clacad.tracing.trace import trace_sequence
+
+        window = self.window
+        distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+        centre = window.lattice.centres(np.zeros((1, 2), dtype=np.int64))[0]
+        rays = Rays(self.rays.position - [*centre, 0.0], self.rays.direction)
+        through = [
+            trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
+            for slide in (-SLIDE, 0.0, SLIDE)
+        ]
+        low, exact, high = (one.direction @ window.thin.rotation[:, :2] for one in through)
+        good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
+        return exact, (high - low) / (2.0 * SLIDE), good
+
+    def _defocus(self, seen: TraceResult) -> float:
+        """Least-squares shift of array 2, worse axis: one step of Gauss and Newton from the exact surfaces."""
+        from clacad.optics.rays import Fate
+
+        exact, change, good = self._slid
+        both = good & (seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE)
+        if both.sum() < FEWEST:
+            return nan
+        less = seen.direction[both] @ self.window.thin.rotation[:, :2] - exact[both]
+        weight = (change[both] ** 2).sum(axis=0)
+        powered = weight > 1e-12 * float(weight.max())
+        found = (less * change[both]).sum(axis=0) / np.where(powered, weight, 1.0)
+        return float(np.abs(found[powered]).max(initial=0.0))
+
+    def _fitted(self, seen: TraceResult) -> tuple[float, float]:
+        """Relative error of the ratio of slopes, and error of the slope that leaves along the axis, worse axis."""
+        from clacad.optics.law import Law
+        from clacad.optics.rays import Fate
+
+        both = (seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE)
+        if both.sum() < FEWEST:
+            return nan, nan
+        into = self.rays.direction[both]
+        try:
+            laws = [
+                Law.fit(into, found.direction[both], axes=self.window.law).law
+                for found in (seen, self._truth)
+            ]
+        except ValueError:  # light that leaves without depending on how it came
+            return nan, nan
+        (here, here_at), (there, there_at) = (_slopes(law, law.rotation) for law in laws)
+        return float(np.abs(there / here - 1.0).max()), float(np.abs(here_at - there_at).max())
+
+
+def _slopes(law: object, turn: Floats) -> tuple[Floats, Floats]:
+    """Change of slope behind over that before the sheet (2,), and the slopes (2,) that leave along the axis."""
+    from clacad.optics.law import Law
+
+    assert isinstance(law, Law)
+    small = 2.0**-10
+    sent = np.array([[0.0, 0.0, 1.0], [small, 0.0, 1.0], [0.0, small, 1.0]]) @ turn.T
+    out = law.matrix() @ sent.T
+    local = turn.T @ out
+    slopes = (local[:2] / local[2]).T
+    change = (slopes[[1, 2], [0, 1]] - slopes[0]) / small
+    return change, -slopes[0] / change
+
+
+# -- facets of one telescopelet ------------------------------------------------------------------
+
+
+def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = True) -> tuple[FacetBody, ...]:
+    """Facets of one telescopelet of a mesh of one cell, ready to be traced.
+
+    Parameters
+    ----------
+    window : Window
+        Of any number of cells.
+    mesh : Mesh
+        Of a single cell.
+    bevel : float, length
+        Width of the bevels at saddles, which are no optical faces.
+    apart : bool
+        Whether each body was meshed about the centre of its own array's cell; otherwise the mesh stands in the sheet.
+    """
+    from clacad.tracing.triangles.telescopelet_facets import FacetBody, facet_face, on_land
+
+    bodies = []
+    for body, part in zip(window.bodies, mesh.bodies, strict=True):
+        array = next(face.array for face in (body.front, body.back) if face.array is not None)
+        place = np.array([*(window.shifts[array] if apart else (0.0, 0.0)), 0.0])
+        corners, back = _optical(mesh.window, part.rows(), bevel)
+        faces = [
+            facet_face(mine + place, place + [0.0, 0.0, body.front.vertex[2]], on_land(window, face, mine))
+            for face, mine in ((body.front, corners[~back]), (body.back, corners[back]))
+        ]
+        bodies.append(FacetBody(faces[0], faces[1], body.index))
+    return tuple(bodies)
+
+
+def _optical(window: Window, rows: Iterator[Floats], bevel: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Facets (t, 3, 3) that are neither walls nor bevels, and whether each belongs to the back (t,)."""
+    from clacad.mesh.saddle_bevel import in_corners
+    from clacad.tracing.triangles.telescopelet_facets import WALL
+
+    corners = np.concatenate([np.asarray(block, dtype=np.float64) for block in rows])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    keep = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
+    if bevel > 0.0:
+        keep &= ~in_corners(window, corners.mean(axis=1), bevel)
+    return corners[keep], normal[keep, 2] > 0.0

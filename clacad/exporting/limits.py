@@ -1,0 +1,256 @@
+"""What is refused before any work, because it cannot end well: cells, facets, bytes, memory, disk.
+
+Cells and facets are counted in integers, so a design of 10^18 lenslets is refused as fast as one of 10^8. Every
+refusal says the number, the limit and two ways to get under it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
+from math import isqrt
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clacad.storage.errors import LimitRefused
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.exporting.forecast import Forecast
+    from clacad.exporting.request import Quads
+    from clacad.exporting.tessellations import Meshes
+    from clacad.sheet.window import Window
+
+MOST_FACETS = 50_000_000
+MOST_BYTES = 2_000_000_000
+MOST_CELLS = 10_000_000
+"""Lenslets of one array; every format that lists cells one by one ends within minutes below this."""
+MEMORY_SHARE = 0.8
+QUADS = (64, 32, 16, 8, 4)
+"""Facet grids a cell side that "auto" chooses from, finest first."""
+
+STL_FORMATS = ("stl", "stl-parts", "marked-stl")
+WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
+REPEATING = ("3mf", "glb")
+"""Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
+MOST_WELDED = 8_000_000
+"""Facets up to which a mesh is welded into shared vertices in memory."""
+
+
+def refuse_uncountable(design: Design) -> None:
+    """Refuse a design of more lenslets than anything here goes through one by one; integer arithmetic only.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    n1, n2 = (int(n) for n in design.lattice.count)
+    refuse_cells(n1, n2)
+
+
+def refuse_early(design: Design, formats: Sequence[str], quads: Mapping[str, Quads]) -> None:
+    """Refuse a design whose mere count of lenslets is beyond every limit; integer arithmetic only.
+
+    Parameters
+    ----------
+    design : Design
+    formats : sequence of str
+    quads : mapping
+        Format → facet grid asked for; the coarsest counts where nothing was, or "auto".
+
+    Raises
+    ------
+    LimitRefused
+    """
+    refuse_uncountable(design)
+    n1, n2 = design.lattice.count
+    cells = n1 * n2
+    if design.lattice.outline is not None:
+        return
+    faces = 4 if design.pair.form == "biconvex" else 2
+    for name in formats:
+        if name in STL_FORMATS:
+            asked = quads.get(name, "auto")
+            grid = QUADS[-1] if asked == "auto" else asked
+            _refuse_facets(name, grid * grid * cells * faces, grid, (n1, n2))
+
+
+def refuse_cells(n1: int, n2: int) -> None:
+    """Refuse more lenslets than anything here goes through one by one.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    if n1 * n2 > MOST_CELLS:
+        side = isqrt(MOST_CELLS)
+        raise LimitRefused(
+            f"{count_text(n1 * n2)} lenslets ({n1} x {n2}) are more than the {count_text(MOST_CELLS)} that are written; "
+            f"use lattice.count up to [{side}, {side}], or export a part with cells=({min(n1, 100)}, {min(n2, 100)})"
+        )
+
+
+def _refuse_facets(
+    format: str, facets: int, quads: int, count: tuple[int, int], at_least: bool = True
+) -> None:
+    size = 84 + 50 * facets
+    if facets <= MOST_FACETS and size <= MOST_BYTES:
+        return
+    most = min(MOST_FACETS, MOST_BYTES // 50)
+    coarser = isqrt(max(0, quads * quads * most // facets))
+    part = max(1, isqrt(count[0] * count[1] * most // facets))
+    ways = [f"cells=({part}, {part})"]
+    if coarser >= 2:
+        ways.insert(0, f"quads={coarser}")
+    else:
+        ways.append("format 3mf or step, which repeat one cell")
+    raise LimitRefused(
+        f"{format}: {'at least ' if at_least else ''}{count_text(facets)} facets, {size_text(size)} at {quads} quads a cell "
+        f"side, are more than {count_text(MOST_FACETS)} facets or {size_text(MOST_BYTES)}; use {' or '.join(ways)} "
+        "(or force it)"
+    )
+
+
+def choose_quads(meshes: Meshes, formats: Sequence[str], force: bool = False) -> int:
+    """Finest facet grid whose files stay within the limits: what slope_error="auto" means.
+
+    Raises
+    ------
+    LimitRefused
+        Not even the coarsest fits.
+    """
+    window = meshes.window
+    for quads in QUADS[:-1]:
+        if facets_at_least(window, quads) * 50 > MOST_BYTES:
+            continue
+        facets = meshes.facets(quads)
+        if facets <= MOST_FACETS and 84 + 50 * facets <= MOST_BYTES and _weldable(meshes, formats, quads):
+            return quads
+    if not force:
+        facets = meshes.facets(QUADS[-1])
+        _refuse_facets("stl", facets, QUADS[-1], window.lattice.count, at_least=False)
+    return QUADS[-1]
+
+
+def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> int:
+    """Least number of quads a cell side whose rms slope error is at most the one asked for (radians).
+
+    Raises
+    ------
+    LimitRefused
+        The files would pass the limits; the message says what they allow.
+    """
+    from clacad.exporting.tessellations import one_cell
+    from clacad.mesh import forecast_quads
+
+    try:
+        quads = forecast_quads(one_cell(window), slope_error)
+    except ValueError as error:
+        short = re.sub(r"\d{16,}", lambda long: f"{Decimal(long[0]):.3g}", str(error))
+        raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {short}") from error
+    if not force and facets_at_least(window, quads) * 50 > MOST_BYTES:
+        _refuse_facets("stl", facets_at_least(window, quads), quads, window.lattice.count)
+    return quads
+
+
+def _weldable(meshes: Meshes, formats: Sequence[str], quads: int) -> bool:
+    return all(meshes.welded(quads, f) <= MOST_WELDED for f in formats if f in WELDED_FORMATS)
+
+
+def facets_at_least(window: Window, quads: int) -> int:
+    """Bound from below on the facets, before any mesh is made: half the grid, should a lens not fill its cell."""
+    structured = sum(face.array is not None for face in window.faces)
+    return quads * quads * structured * window.lattice.cell_count
+
+
+def refuse_over_limits(meshes: Meshes, rows: Sequence[Forecast], folder: Path) -> None:
+    """Hold a forecast against the limits: facets, bytes a file, free memory, free disk.
+
+    Raises
+    ------
+    LimitRefused
+        With the number, the limit, and two ways to get under it.
+    """
+    window = meshes.window
+    memory, disk = free_memory(), free_disk(folder)
+    for row in rows:
+        if row.facets is not None and row.quads is not None and row.format in STL_FORMATS:
+            _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
+        held = meshes.welded(row.quads or 4, row.format) if row.format in WELDED_FORMATS else 0
+        if held > MOST_WELDED:
+            raise LimitRefused(
+                f"{row.format}: {count_text(held)} facets with shared vertices are more than "
+                f"{count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or force it)"
+            )
+        if row.bytes > MOST_BYTES:
+            raise LimitRefused(
+                f"{row.format}: about {size_text(row.bytes)} are more than {size_text(MOST_BYTES)} a file; "
+                f"{_smaller(row, window)} (or force it)"
+            )
+        if row.memory[0] > MEMORY_SHARE * memory:
+            raise LimitRefused(
+                f"{row.format}: at least {size_text(row.memory[0])} of memory, more than 80 % of the {size_text(memory)} that "
+                f"are free; {_smaller(row, window)} (or force it)"
+            )
+    total = sum(row.bytes for row in rows)
+    if total > 0.95 * disk:
+        raise LimitRefused(
+            f"about {size_text(total)} are to be written and {size_text(disk)} are free in {folder}; "
+            "use another folder, or fewer cells"
+        )
+
+
+def _smaller(row: Forecast, window: Window) -> str:
+    if row.format == "step":
+        return "use --step instanced, or --cells 50x50"
+    if row.quads is not None:
+        return f"use fewer quads than {row.quads}, or fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}"
+    return f"use fewer cells than {window.lattice.count[0]} x {window.lattice.count[1]}, or format table"
+
+
+def free_memory() -> int:
+    """Bytes of memory that could be had now; a container's limit counts."""
+    available = 1 << 62
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                available = int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+            available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    try:
+        limit = int(Path("/sys/fs/cgroup/memory.max").read_text())
+        used = int(Path("/sys/fs/cgroup/memory.current").read_text())
+        available = min(available, max(0, limit - used))
+    except (OSError, ValueError):
+        pass
+    return available
+
+
+def free_disk(folder: Path) -> int:
+    """Bytes free where `folder` is or will be."""
+    place = folder.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    try:
+        return shutil.disk_usage(place).free
+    except OSError:
+        return 1 << 62
+
+
+def count_text(n: int) -> str:
+    """Number for a person: 12,345 or 1.2e18."""
+    return f"{n:,}" if n < 10**10 else f"{Decimal(n):.3g}"  # an int may be too large for a float
+
+
+def size_text(n: int | float | Decimal) -> str:
+    """Bytes for a person: 1.5 GB."""
+    n = Decimal(n)
+    for unit in ("bytes", "kB", "MB", "GB", "TB", "PB"):
+        if n < 1000 or unit == "PB":
+            return f"{n:.0f} {unit}" if unit == "bytes" else f"{n:.3g} {unit}"
+        n /= 1000
+    raise AssertionError("unreachable: the loop ends with PB")

@@ -1,0 +1,197 @@
+"""The manifest: what was written, from which design, and what each file was found to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.optics.surface import Quadric
+from clacad.sheet.window import Surface, Window
+from clacad.storage.atomic import canonical_json, owns, read_manifest
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """One file of an export; what does not apply to a format is left out of the manifest.
+
+    Parameters
+    ----------
+    name, sha256, bytes, format
+    unit : str
+        Unit of the file's numbers.
+    bodies : tuple of str
+    facts : mapping
+        Keys of the manifest that the format has: mode, solids, faces, triangles, quads, slope_error_rms,
+        sag_error_max, float, volume, volume_exact (file's unit cubed), saddles, wedges, merged_steps,
+        fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true ones).
+    checks : tuple of str
+        What was compared with the design, and agreed, when the file was read back.
+    role : mapping
+        What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little light gets
+        through), forecast_beyond (keys of the limits not kept), role_overstated (declared a
+        master all the same) and, of previews, master_quads and master_bytes (None: no grid makes a master).
+    """
+
+    name: str
+    sha256: str
+    bytes: int
+    format: str
+    unit: str
+    bodies: tuple[str, ...]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    checks: tuple[str, ...] = ()
+    role: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Entry of the manifest's `files`."""
+        plain = {
+            "name": self.name, "sha256": self.sha256, "bytes": self.bytes, "format": self.format, "unit": self.unit,
+            "bodies": list(self.bodies), "pose": "sheet frame", "checks": list(self.checks),
+        }  # fmt: skip
+        return (
+            plain | {key: value for key, value in self.facts.items() if value is not None} | dict(self.role)
+        )
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What `export` returns: the folder and the manifest in it.
+
+    Parameters
+    ----------
+    folder : Path
+    document : mapping
+        The content of manifest.json.
+    run : mapping
+        Seconds and memory of this run; also in run.json.
+    """
+
+    folder: Path
+    document: Mapping[str, Any]
+    run: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def files(self) -> tuple[Mapping[str, Any], ...]:
+        """Entries of the files, each a mapping with name, sha256, bytes, format and what was found."""
+        return tuple(self.document["files"])
+
+    def path(self, format: str) -> Path:
+        """Path of the first file of a format ("stl-binary", "step", …).
+
+        Raises
+        ------
+        KeyError
+            There is none.
+        """
+        for entry in self.files:
+            if entry["format"] == format:
+                return self.folder / str(entry["name"])
+        raise KeyError(format)
+
+    def to_json(self) -> str:
+        """Text of manifest.json."""
+        return canonical_json(self.document)
+
+
+def document(design: Design, window: Window, records: Sequence[FileRecord], options: Mapping[str, Any],
+             versions: Mapping[str, str], counts: Mapping[str, Any]) -> dict[str, Any]:  # fmt: skip
+    """Build the content of manifest.json.
+
+    Parameters
+    ----------
+    design : Design
+    window : Window
+        As written; its count may be smaller than the design's.
+    records : sequence of FileRecord
+    options : mapping
+        What was asked of this export.
+    versions : mapping
+        Programs the bytes depend on.
+    counts : mapping
+        "pieces" and "holes" of each body.
+    """
+    return {
+        "format": FORMAT,
+        "design": {"name": design.name, "sha256": design.sha256, "toml": design.toml},
+        "window": _window(design, window) | dict(counts),
+        "files": sorted((record.to_dict() for record in records), key=lambda entry: str(entry["name"])),
+        "versions": dict(versions),
+        "options": dict(options),
+    }
+
+
+def _window(design: Design, window: Window) -> dict[str, Any]:
+    scale = window.unit / 1e-3
+    recipe = {k: _plain(v) for k, v in window.recipe.items() if v is not None}
+    for key in ("R", "f", "d", "T", "s"):
+        if key in recipe:
+            recipe[key] = _scaled(recipe[key], scale)
+    if "R" in recipe:
+        recipe["kappa"] = [s.kappa / scale for s in _lenses(window) if isinstance(s, Quadric)]
+    return {
+        "form": window.form,
+        "recipe": recipe,
+        "count": list(design.lattice.count),
+        "cells_written": list(window.lattice.count),
+        "cells": window.lattice.cell_count,
+        "lattice": window.lattice.kind,
+        "pitch": [p * scale for p in window.lattice.pitch],
+        "euler_axes": design.law_spec.euler_axes,
+        "handedness": "right",
+        "length_unit": "mm",
+        "z_range": [z * scale for z in window.z_range],
+    }
+
+
+def _lenses(window: Window) -> list[Surface]:
+    return [face.surface for face in window.faces if face.array is not None]
+
+
+def _plain(value: Any) -> Any:
+    """Turn tuples, numpy numbers and infinities into what JSON holds."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (bool, str, int)) or value is None:
+        return value
+    number = float(value)
+    return number if abs(number) < float("inf") else "infinite"
+
+
+def _scaled(value: Any, scale: float) -> Any:
+    if isinstance(value, list):
+        return [_scaled(v, scale) for v in value]
+    return value * scale if isinstance(value, (int, float)) else value
+
+
+def carried_over(folder: Path, new: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Entries of an earlier export of the same design into the same folder that the new one did not rewrite.
+
+    They are listed again when design, window and versions are the same and the files are untouched; so
+    `--format step` and then `--format stl` end as one set.
+    """
+    old = read_manifest(folder)
+    if old is None:
+        return []
+    same = all(old.get(key) == new[key] for key in ("window", "versions")) and (
+        isinstance(old.get("design"), dict) and old["design"].get("sha256") == new["design"]["sha256"]
+    )
+    if not same:
+        return []
+    written = {entry["name"] for entry in new["files"]}
+    kept = []
+    for entry in old["files"]:
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if isinstance(name, str) and name not in written and "/" not in name and owns(old, folder / name):
+            kept.append(entry)
+    return kept

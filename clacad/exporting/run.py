@@ -1,0 +1,203 @@
+"""Carrying out an export: forecast, write, read back, publish."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.base import log
+from clacad.base.machine_rates import Rates, Span, seconds_of, total
+from clacad.exporting import costs as cost
+from clacad.exporting import limits
+from clacad.exporting.forecast import Forecast, forecast
+from clacad.exporting.format_table import FORMATS, Job, known_formats
+from clacad.exporting.light_forecast import Grader
+from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
+from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
+from clacad.exporting.request import Request
+from clacad.exporting.tessellations import Meshes
+from clacad.storage.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
+from clacad.storage.errors import ExportError, ExportIncomplete, NotPossible, WorkerDied
+from clacad.storage.worker import Progress, Worker, ended_by_signals
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet.window import Window
+
+PREPARE = "export prepare"
+
+KERNEL = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
+"""What the worker loads while the parent still prepares the work."""
+
+
+def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
+    """Do what `clacad.exporting.export_design.export` promises."""
+    report = progress if progress is not None else _silent
+    formats = known_formats(request.formats)
+    made = design if request.cells is None else design.with_cells(request.cells)
+    if not request.force:
+        limits.refuse_early(made, formats, request.quads)
+    began, used = time.monotonic(), time.process_time()
+    with ended_by_signals(), Worker(memory=_worker_memory(), preload=KERNEL) as worker:
+        if "step" in formats:
+            worker.start()  # the kernel loads while the design is prescribed and forecast
+        report("forecast", 0.0)
+        window = _prescribed(made)
+        meshes = Meshes(window, request.saddle_bevel)
+        rows = _forecast(made, meshes, formats, request, Path(out))
+        quads = {row.quads for row in rows if row.quads is not None}
+        with Stage(out, overwrite=request.overwrite) as stage:
+            stage.path(MANIFEST)  # a foreign manifest is refused before any work
+            job = Job(
+                window, safe_name(design.name), stage, meshes.at(limits.QUADS[-1]), worker, request, report
+            )
+            Rates.here().note(PREPARE, prepare_seconds(quads), time.process_time() - used)
+            records, failures, seconds = _produced(job, meshes, rows)
+            if not records:
+                raise next(iter(failures.values()))
+            content = _content(design, window, records, request)
+            content["files"] += carried_over(stage.folder, content)
+            content["files"].sort(key=lambda entry: str(entry["name"]))
+            facts = {
+                "seconds": seconds | {"all": time.monotonic() - began},
+                "forecast": [r.to_dict() for r in rows],
+            }
+            report("publish", 1.0)
+            stage.publish(content, facts)
+            folder = stage.folder
+    manifest = Manifest(folder, read_manifest(folder) or content, facts)
+    if failures:
+        raise ExportIncomplete(failures, manifest)
+    return manifest
+
+
+def forecast_rows(design: Design, request: Request, out: Path | None = None) -> list[Forecast]:
+    """What an export would cost, format by format; writes nothing.
+
+    Parameters
+    ----------
+    design : Design
+    request : Request
+    out : Path or None
+        The folder it would write to: what `export` would refuse is refused here too, unless forced. None: rows of any
+        size are told.
+
+    Raises
+    ------
+    DesignError, LimitRefused
+    """
+    made = design if request.cells is None else design.with_cells(request.cells)
+    formats = known_formats(request.formats)
+    if not request.force:
+        limits.refuse_early(made, formats, request.quads)
+    return _forecast(made, Meshes(_prescribed(made), request.saddle_bevel), formats, request, out)
+
+
+def _forecast(
+    design: Design, meshes: Meshes, formats: tuple[str, ...], request: Request, out: Path | None
+) -> list[Forecast]:
+    """Rows of all formats, held against the limits before the light through the meshes is forecast."""
+    grader = Grader.of(meshes, design)
+    quads = chosen_quads(grader, request, formats)
+    rows = forecast(meshes, formats, quads, request.step, request.pcurves, request.grey_levels)
+    if not request.force and out is not None:
+        limits.refuse_over_limits(meshes, rows, out)
+    return with_prospects(grader, rows, request.role)
+
+
+def prepare_seconds(quads: Iterable[int]) -> float:
+    """Modelled seconds of an export before its first file; `quads`: the facet grids that are meshed."""
+    return cost.prepare(sorted(quads))
+
+
+def in_all(rows: Sequence[Forecast]) -> Span:
+    """Seconds of a whole export on this machine, from the forecasts of its formats."""
+    rates = Rates.here()
+    quads = {row.quads for row in rows if row.quads is not None}
+    return total(
+        [
+            rates.span(PREPARE, prepare_seconds(quads)),
+            *(rates.span(r.task, r.modelled) for r in rows),
+        ]
+    )
+
+
+def _silent(_name: str, _done: float) -> None:
+    return
+
+
+def _worker_memory() -> int:
+    """Address space of the worker: what is free, but never less than the kernel itself maps."""
+    return max(4_000_000_000, int(limits.MEMORY_SHARE * limits.free_memory()))
+
+
+def _prescribed(design: Design) -> Window:
+    from clacad.prescription.prescribe import prescribe
+
+    return prescribe(design)
+
+
+def _produced(
+    job: Job, meshes: Meshes, rows: Sequence[Forecast]
+) -> tuple[list[FileRecord], dict[str, ExportError], dict[str, float]]:
+    """Make every format; one that fails leaves nothing behind and does not stop the others.
+
+    What each took is noted beside what its row of the forecast says, for the next forecast.
+    """
+    rates = Rates.here()
+    records: list[FileRecord] = []
+    failures: dict[str, ExportError] = {}
+    seconds: dict[str, float] = {}
+    for row in rows:
+        name = row.format
+        began, used = time.monotonic(), _used(job.worker)
+        before, done = set(job.stage.written()), len(records)
+        try:
+            with translated(job.stage.folder):
+                one = job if row.quads is None else replace(job, tessellation=meshes.at(row.quads))
+                records += [_with_role(record, row) for record in FORMATS[name](one)]
+        except (ExportError, MemoryError, ValueError) as error:
+            failures[name] = _failure(name, error)
+            log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))
+            for path in set(job.stage.written()) - before:
+                path.unlink(missing_ok=True)
+        else:
+            rates.note(row.task, row.modelled, _used(job.worker) - used)
+        seconds[name] = time.monotonic() - began
+        for made in records[done:]:
+            log.note("file", seconds=round(seconds[name], 4), **made.to_dict())
+    return records, failures, seconds
+
+
+def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
+    return record if row.prospect is None else replace(record, role=row.prospect.entry())
+
+
+def _used(worker: Worker) -> float:
+    """Processor seconds so far, the worker's among them; elapsed ones where the system does not tell."""
+    pid = worker.pid
+    return time.process_time() + (0.0 if pid is None else seconds_of(pid, time.monotonic()))
+
+
+def _failure(name: str, error: Exception) -> ExportError:
+    """What stopped one format, as an error with a sentence and a status; a mistake of our own goes on up."""
+    if isinstance(error, ExportError):
+        return error
+    if isinstance(error, MemoryError):
+        return WorkerDied(f"{name}: ran out of memory; use fewer quads or fewer cells")
+    if getattr(error, "exit_status", None) is None:
+        raise error
+    return NotPossible(str(error))
+
+
+def _content(design: Design, window: Window, records: list[FileRecord], request: Request) -> dict[str, Any]:
+    from clacad import __version__
+    from clacad.sheet.feasibility import feasibility
+
+    bodies = feasibility(window).bodies
+    counts = {"pieces": [body.pieces for body in bodies], "holes": [body.holes for body in bodies]}
+    versions: Mapping[str, str] = {"clacad": __version__}
+    return document(design, window, records, request.to_dict(), versions, counts)

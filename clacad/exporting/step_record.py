@@ -1,0 +1,197 @@
+"""STEP through the worker: write, read back with the kernel, hold against the design."""
+
+from __future__ import annotations
+
+import io
+from math import ceil, floor, log10
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.manifest import FileRecord
+from clacad.sheet.volume_and_extent import Integral, volume_sum, whole_extent
+from clacad.sheet.window import Window
+from clacad.storage.errors import FileDisagrees
+
+if TYPE_CHECKING:
+    from clacad.exporting.format_table import Job
+    from clacad.formats.step.step_files import Mode, Schema
+
+SHAPE_LIMIT = 1e-7
+"""Largest distance of a written lens face from the closed form, in pitches."""
+VOLUME_LIMIT = 1e-9
+"""Largest relative difference of volumes beyond what merged steps explain."""
+FITTED = 1e-7
+"""How closely a kernel fits the parameter curves that a file leaves out: its own least tolerance (mm)."""
+TOLERANCE = 3e-7
+"""Gaps that a kernel finds between exact edges and faces, by its own least tolerance of 1e-7 (mm)."""
+SECONDS = 3600.0
+
+
+def step_record(job: Job) -> FileRecord:
+    """Write the STEP file of a job, read it back and compare.
+
+    Raises
+    ------
+    WorkerDied
+        The kernel crashed, or ran out of memory or time.
+    FileDisagrees
+        The file holds something else than the design.
+    """
+    name = f"{job.stem}.step"
+    path = job.stage.path(name)
+    job.progress(f"write {name}", 0.0)
+    run = job.worker.run
+    written = run(
+        "clacad.exporting.step_record:write",
+        job.window,
+        str(path),
+        job.request.step,
+        job.request.step_schema.upper(),
+        job.request.pcurves,
+        timeout=SECONDS,
+        progress=job.progress,
+    )
+    job.progress(f"read back {name}", 0.5)
+    found = run(
+        "clacad.exporting.step_record:read", str(path), job.window, timeout=SECONDS, progress=job.progress
+    )
+    exact = volume_sum(job.integrals, job.bodies)
+    checks = compare_step(written, found, job.window, exact, name)
+    cube = job.scale**3
+    facts = {
+        "mode": written["mode"], "schema": written["schema"], "solids": written["solids"], "faces": written["faces"],
+        "saddles": written["saddles"], "wedges": written["wedges"], "merged_steps": written["merged_steps"],
+        "volume": found.get("volume"), "volume_exact": None if exact is None else exact.value * cube, "float": "f64",
+        "saddle_policy": "exact" if written["saddles"] else None,
+        "fit_error": _stated(written["fit_error"]), "rim_error": _stated(written["rim_error"]),
+    }  # fmt: skip
+    return job.record(path, "step", facts=facts, checks=checks)
+
+
+def _stated(error: float) -> float | None:
+    """An error of fitted geometry (mm) as the manifest states it: two digits, rounded up; None where all is exact."""
+    if error == 0.0:
+        return None
+    digit = 10.0 ** (floor(log10(error)) - 1)
+    return float(f"{ceil(error / digit) * digit:.2g}")
+
+
+def write(
+    window: Window, path: str, mode: Mode, schema: Schema = "AP242", pcurves: bool = True
+) -> dict[str, Any]:
+    """Write in the worker; the kernel is not needed, but its memory and time are."""
+    from clacad.formats.step.step_files import write_step
+
+    return write_step(window, path, mode, schema, pcurves)
+
+
+def read(path: str, window: Window) -> dict[str, Any]:
+    """Read in the worker, with the kernel where the file is of a size it can take."""
+    from clacad.formats.step.read_back import read_brep, read_step
+
+    return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window)
+
+
+class _Counter(io.StringIO):
+    """A stream that only counts what is written to it."""
+
+    def __init__(self) -> None:
+        self.length = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        self.length += len(text)
+        return len(text)
+
+
+def text_length(window: Window, mode: str, pcurves: bool = True) -> int:
+    """Bytes of the STEP file of a window, by drawing up its text and throwing it away."""
+    from clacad.formats.step import step_files
+    from clacad.formats.step.part21 import Part21
+    from clacad.solid.shells import MERGE
+
+    stream = _Counter()
+    part = Part21(
+        stream, "AP242", window.name, step_files.PROGRAM, window.lattice.pitch[0] * window.unit / 1e-3
+    )
+    writer = step_files._write_fused if mode == "fused" else step_files._write_instanced
+    writer(window, part, pcurves, MERGE)
+    part.close()
+    return stream.length
+
+
+def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str
+                 ) -> tuple[str, ...]:  # fmt: skip
+    """Compare what was read back with what was written and with the design; the checks that were made.
+
+    Raises
+    ------
+    FileDisagrees
+    """
+    scale = window.unit / 1e-3
+    pitch = min(window.lattice.pitch) * scale
+    if found["dangling"] or found["open_edges"]:
+        raise FileDisagrees(
+            f"{name}: {found['dangling']} references lead nowhere, {found['open_edges']} edges are open"
+        )
+    checks = ["closed"]
+    if found["kernel"]:
+        for key in ("solids", "faces"):
+            if found[f"kernel_{key}"] != written[key]:
+                raise FileDisagrees(
+                    f"{name}: the kernel finds {found[f'kernel_{key}']} {key}, {written[key]} were written"
+                )
+        if not found["valid"]:
+            raise FileDisagrees(f"{name}: the kernel finds a solid that is not valid")
+        gap = TOLERANCE + 1.2 * written["largest_shift"] + 4.0 * (written["fit_error"] + written["rim_error"])
+        if not found["tolerance"] <= gap:
+            raise FileDisagrees(
+                f"{name}: the kernel had to bridge gaps of {found['tolerance']:.3g} mm between edges and faces; "
+                f"{gap:.2g} is what was written"
+            )
+    room = SHAPE_LIMIT * pitch + written["fit_error"] + written["largest_shift"]
+    measured = [found.get(key) for key in ("patch_error", "lens_error")]
+    for error in measured:
+        if error is not None and not error <= room:
+            raise FileDisagrees(
+                f"{name}: a lens face lies {error:.3g} mm off the exact surface; {room:.2g} is allowed"
+            )
+    if any(error is not None for error in measured):
+        checks.append("shape")
+    stand = found.get("placement")
+    if stand is not None:
+        if not stand["lattice_error"] <= room or stand["missing"] or stand["doubled"]:
+            raise FileDisagrees(
+                f"{name}: an instance stands {stand['lattice_error']:.3g} mm off the lattice, {stand['missing']} lenses are "
+                f"missing, {stand['doubled']} stand there twice"
+            )
+        checks.append("placement")
+    if exact is not None and found["kernel"]:
+        _compare_volume(written, found, window, exact, scale, name)
+        checks.append("volume")
+    return tuple(checks)
+
+
+def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral, scale: float, name: str
+                    ) -> None:  # fmt: skip
+    x0, x1, y0, y1 = whole_extent(window)
+    area = (x1 - x0) * (y1 - y0) * scale**2 * 2 * len(window.bodies)
+    want = exact.value * scale**3
+    # The heights themselves are doubles: far from the origin they are coarse.
+    coarse = 2.0 * float(np.spacing(max(abs(z) for z in window.z_range) * scale)) * area
+    # A kernel that fits its own curves gains or loses so much along the borders of cells and of islands in them.
+    fitted = 0.0 if written["pcurves"] else 8.0 * FITTED / (min(window.lattice.pitch) * scale)
+    room = (
+        coarse
+        + (VOLUME_LIMIT + fitted) * want
+        + exact.error * scale**3
+        + (written["largest_shift"] + written["fit_error"] + written["rim_error"]) * area
+    )
+    if not abs(found["volume"] - want) <= room:
+        raise FileDisagrees(
+            f"{name}: the kernel finds a volume of {found['volume']:.12g} mm^3, the design has {want:.12g}; "
+            f"{room:.2g} of difference is allowed"
+        )

@@ -1,0 +1,233 @@
+"""From the sheet's mesh to what each format writes: streams of facets, or welded pieces with exact normals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.compare import WALL, Promise
+from clacad.exporting.limits import REPEATING
+from clacad.formats.mesh.file_mesh import Floats, Ints
+from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.sheet.window import Body, Face, Land, Window, lens_height_and_normal
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+
+
+MERGE_STEPS = 5.0
+"""Levels a vertex may lie off its surface: half a level by rounding, a merged cluster's half width at a border."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tessellation:
+    """A window, its mesh, and the mesh of one cell where one cell tells all.
+
+    Parameters
+    ----------
+    window : Window
+    quads : int
+        Facet grid a cell side.
+    saddle_bevel : float, length
+        Width of the bevels at saddles; 0: columns that touch keep vertices of their own.
+    """
+
+    window: Window
+    quads: int
+    saddle_bevel: float = 0.0
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """Mesh of the whole sheet (its facets come as a stream)."""
+        from clacad.mesh import tessellate
+
+        return tessellate(self.window, quads=self.quads, saddle_bevel=self.saddle_bevel)
+
+    @cached_property
+    def cell(self) -> Mesh:
+        """Mesh of one cell alone: what instanced formats repeat."""
+        from clacad.mesh import tessellate
+
+        return tessellate(one_cell(self.window), quads=self.quads, saddle_bevel=self.saddle_bevel)
+
+    @cached_property
+    def single(self) -> Mesh:
+        """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not repeated."""
+        from clacad.mesh import tessellate
+
+        return tessellate(self.window.with_cells((1, 1)), quads=self.quads, saddle_bevel=self.saddle_bevel)
+
+    def promise(self, instanced: bool, single: bool, bodies: Sequence[str] | None = None) -> Promise:
+        """What a file of this mesh, or of some of its bodies, must be found to be."""
+        mesh = self.cell if instanced else self.mesh
+        times = self.window.lattice.cell_count if instanced else 1
+        chosen = [
+            part
+            for body, part in zip(self.window.bodies, mesh.bodies, strict=True)
+            if bodies is None or body.name in bodies
+        ]
+        facets = sum(part.facet_count for part in chosen)
+        return Promise(
+            facets=facets * times,
+            sag_error=float(mesh.sag_error),
+            merge=MERGE_STEPS * max(part.step for part in mesh.bodies),
+            single=single,
+            bevel=self.saddle_bevel if any(part.bevel_volume for part in chosen) else 0.0,
+            added=times * sum(part.bevel_volume for part in chosen),
+        )
+
+    def pieces(self, instanced: bool, normals: bool) -> list[Piece]:
+        """Meshes of shared vertices, one a body.
+
+        With normals a vertex at a sharp edge is split, one for each normal; without, the vertices are the
+        mesher's own, every edge has its two facets, and columns that only touch keep vertices of their own.
+        """
+        mesh = self.cell if instanced else self.mesh
+        window = one_cell(self.window) if instanced else self.window
+        found = []
+        for body, part in zip(window.bodies, mesh.bodies, strict=True):
+            places = self._places(body) if instanced else None
+            if normals:
+                found.append(_piece(window, body, part.rows(), places))
+            else:
+                found.append(Piece(body.name, part.vertices, part.triangles, None, places, body.index))
+        return found
+
+    def _places(self, body: Body) -> Places:
+        return Places(self.window.lattice, self.window.shifts[_array(body)])
+
+
+class Meshes:
+    """The tessellations of one window that were asked for, each made once."""
+
+    def __init__(self, window: Window, saddle_bevel: float = 0.0) -> None:
+        self.window, self._bevel = window, saddle_bevel
+        self._made: dict[int, Tessellation] = {}
+
+    def at(self, quads: int) -> Tessellation:
+        """Tessellation with so many quads a cell side."""
+        return self._made.setdefault(quads, Tessellation(self.window, quads, self._bevel))
+
+    def facets(self, quads: int) -> int:
+        """Facets of the whole sheet, exactly, without expanding them."""
+        return self.at(quads).mesh.facet_count
+
+    def welded(self, quads: int, format: str) -> int:
+        """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
+        repeats = format in REPEATING and instanceable(self.window)
+        return self.at(quads).cell.facet_count if repeats else self.facets(quads)
+
+
+def _array(body: Body) -> int:
+    return next(face.array for face in (body.front, body.back) if face.array is not None)
+
+
+def instanceable(window: Window) -> bool:
+    """Whether the sheet is nothing but equal cells side by side.
+
+    Not with land between the cells and an outline, and not for a slab whose two arrays are displaced
+    against one another: there one cell of one face looks at pieces of several of the other.
+    """
+    one_array = all(len({f.array for f in (b.front, b.back)} - {None}) == 1 for b in window.bodies)
+    return window.outline is None and (one_array or window.shifts[0] == window.shifts[1])
+
+
+def one_cell(window: Window) -> Window:
+    """Reduce a window to a single cell at the origin of its own array's frame."""
+    return replace(
+        window.with_cells((1, 1)),
+        shifts=((0.0, 0.0), (0.0, 0.0)),
+        outline=None,
+        land=_without_border(window.land),
+    )
+
+
+def _without_border(land: Land) -> Land:
+    return replace(land, border=0.0)
+
+
+def _piece(window: Window, body: Body, rows: Iterator[Floats], places: Places | None) -> Piece:
+    corners = np.concatenate(list(rows)) + 0.0
+    return replace(
+        weld(body, corners, exact_normals(window, (body.front, body.back), corners)), places=places
+    )
+
+
+def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
+    """Weld facets (n, 3, 3) whose corners and normals agree bit by bit into a piece."""
+    both = np.concatenate([corners + 0.0, normals + 0.0], axis=2).reshape(-1, 6)
+    first, inverse = _same_rows(both.view(np.uint64))
+    shared = both[first]
+    return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], None, body.index)
+
+
+def _same_rows(words: np.ndarray[Any, np.dtype[np.uint64]]) -> tuple[Ints, Ints]:
+    """First row of each kind of row (k,), in the order they come, and the kind of every row (n,).
+
+    Vertices numbered as the facets meet them compress and cache better than sorted ones. Rows are told apart by a
+    hash; rows of one hash that differ make it fall back on sorting the rows themselves.
+    """
+    key = words[:, 0].copy()
+    for column in words.T[1:]:
+        key ^= key >> np.uint64(29)
+        key *= np.uint64(0xBF58476D1CE4E5B9)
+        key += column * np.uint64(0x9E3779B97F4A7C15)
+    key ^= key >> np.uint64(32)
+    _, first, kind = np.unique(key, return_index=True, return_inverse=True)
+    if (words[first[kind]] != words).any():
+        _, first, kind = np.unique(words, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[kind.reshape(-1)]
+
+
+def exact_normals(window: Window, faces: Sequence[Face], corners: Floats) -> Floats:
+    """Unit outward normals at the corners of facets: of the lens on a lens, of the facet on walls and land.
+
+    Parameters
+    ----------
+    window : Window
+    faces : (front, back)
+    corners : (n, 3, 3) array, design units, sheet frame
+
+    Returns
+    -------
+    (n, 3, 3) array
+    """
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(flat, axis=1)
+    flat = np.where(
+        length[:, None] > 0.0, flat / np.where(length > 0.0, length, 1.0)[:, None], np.array([0.0, 0.0, 1.0])
+    )
+    result = np.repeat(flat[:, None], 3, axis=1)
+    for face in faces:
+        if face.array is None:
+            continue
+        mine = np.flatnonzero((np.abs(flat[:, 2]) >= WALL) & (np.sign(flat[:, 2]) == -face.side))
+        if len(mine):
+            result[mine] = _lens_normals(window, face, corners[mine], result[mine])
+    return result
+
+
+def _lens_normals(window: Window, face: Face, corners: Floats, flat: Floats) -> Floats:
+    """Replace the normals of facets whose three corners lie on the lens of their cell."""
+    assert face.array is not None
+    shift = np.asarray(window.shifts[face.array])
+    middle = corners.mean(axis=1)
+    index, _, _ = window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
+    centre = window.lattice.centres(index) + shift
+    local = corners[..., :2] - centre[:, None]
+    z, normal = lens_height_and_normal(face, local[..., 0].ravel(), local[..., 1].ravel())
+    z, normal = z.reshape(-1, 3), normal.reshape(-1, 3, 3) * -face.side
+    land = np.full_like(z, np.inf) if face.land is None else np.abs(corners[..., 2] - face.land)
+    # A facet is the lens's unless all its corners lie nearer to the land; a rim corner lies on both.
+    with np.errstate(invalid="ignore"):
+        on_lens = np.isfinite(z) & (np.abs(corners[..., 2] - z) <= 1e-6 * min(window.lattice.pitch))
+    lens = on_lens.all(axis=1) & ~(land <= 1e-12 * min(window.lattice.pitch)).all(axis=1)
+    lens &= window.lattice.contains(index)
+    return np.where(lens[:, None, None], normal, flat)

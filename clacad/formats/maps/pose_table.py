@@ -1,0 +1,190 @@
+"""Surface equation and pose table: what a tool-path programmer needs to cut the faces without CAD."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.maps.sag import structured_faces
+from clacad.sheet.window import Face, Window, lens_height
+from clacad.storage.atomic import canonical_json
+from clacad.storage.errors import FileDisagrees, UnreadableFile
+
+Ints = NDArray[np.int64]
+
+EQUATION = {
+    "quadric": "cx x^2 + cy y^2 + kappa z^2 - 2 side z = 0, the half nearer the apex, in the lens frame (apex at the origin)",
+    "biconic": "z = side q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)), q = cx x^2 + cy y^2, in the lens frame",
+}
+COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "theta_deg", "psi_deg")
+
+
+def surface_table(window: Window, scale: float) -> dict[str, Any]:
+    """Everything about the faces in millimetres: equation, coefficients, pose in the cell, lattice.
+
+    Parameters
+    ----------
+    window : Window
+    scale : float
+        Millimetres per design unit.
+    """
+    lattice = window.lattice
+    return {
+        "format": 1,
+        "unit": "mm",
+        "name": window.name,
+        "form": window.form,
+        "frame": "sheet frame, right-handed; light travels towards +z; lens to sheet: P = R p + apex",
+        "equations": EQUATION,
+        "euler": "R = Rz(psi) Rx(theta) Rz(phi) about the fixed sheet axes",
+        "lattice": {
+            "kind": lattice.kind, "pitch_mm": [p * scale for p in lattice.pitch], "count": list(lattice.count),
+            "a1_mm": [v * scale for v in lattice.a1], "a2_mm": [v * scale for v in lattice.a2],
+            "first_centre_mm": [v * scale for v in lattice.first_centre], "seam_mm": window.land.seam * scale,
+        },
+        "bodies": [
+            {"name": body.name, "index": body.index, "material": getattr(body.material, "name", None)}
+            for body in window.bodies
+        ],
+        "faces": [
+            _face(window, body.name, face, label, scale)
+            for body in window.bodies
+            for face, label in ((body.front, f"{body.name}-front"), (body.back, f"{body.name}-back"))
+        ],
+    }  # fmt: skip
+
+
+def _face(window: Window, body: str, face: Face, label: str, scale: float) -> dict[str, Any]:
+    surface: Any = face.surface
+    plain: dict[str, Any] = {
+        "face": label, "body": body, "side": face.side, "curvature_x_per_mm": surface.curvature_x / scale,
+        "curvature_y_per_mm": surface.curvature_y / scale, "array": face.array,
+        "cells_shift_mm": None if face.array is None else [v * scale for v in window.shifts[face.array]],
+        "apex_in_cell_mm": [v * scale for v in face.vertex], "rotation": face.rotation.tolist(),
+        "land_z_mm": None if face.land is None else face.land * scale,
+    }  # fmt: skip
+    if hasattr(surface, "kappa"):
+        plain |= {"equation": "quadric", "kappa_per_mm": surface.kappa / scale}
+    else:
+        plain |= {"equation": "biconic", "conic_x": surface.conic_x, "conic_y": surface.conic_y}
+    for axis in ("x", "y"):
+        c = getattr(surface, f"curvature_{axis}") / scale
+        plain[f"apex_radius_{axis}_mm"] = 1.0 / c if c else None
+        if plain["equation"] == "quadric":
+            plain[f"conic_{axis}"] = plain["kappa_per_mm"] / c - 1.0 if c else None
+    return plain
+
+
+def write_table_json(window: Window, path: Path, scale: float) -> None:
+    """Write the surface table as JSON."""
+    path.write_text(canonical_json(surface_table(window, scale)), encoding="utf-8", newline="\n")
+
+
+def write_table_csv(window: Window, path: Path, scale: float) -> int:
+    """Write one line for each lenslet face of each cell: apex and Euler angles. Returns the number of lines."""
+    count = 0
+    with path.open("w", encoding="ascii", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for line in pose_lines(
+            window, scale, (window.lattice.row(j) for j in range(window.lattice.count[1]))
+        ):
+            writer.writerow(line)
+            count += 1
+    return count
+
+
+def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[list[str | int]]:
+    """Lines of the pose table for some rows of cells, face after face."""
+    rows = list(rows)
+    for _, face, label in structured_faces(window):
+        assert face.array is not None
+        angles = [repr(v) for v in euler_degrees(face)]
+        apex = np.asarray(face.vertex)
+        shift = np.asarray(window.shifts[face.array])
+        z = repr(float(apex[2] * scale))
+        for row in rows:
+            places = (window.lattice.centres(row) + shift + apex[:2]) * scale + 0.0
+            for (i, j), (x, y) in zip(row.tolist(), places.tolist()):
+                yield [label, i, j, repr(x), repr(y), z, *angles]
+
+
+def euler_degrees(face: Face) -> tuple[float, float, float]:
+    """φ, θ, ψ in degrees with R = Rz(ψ) Rx(θ) Rz(φ); an untilted lens has θ = 0 and ψ = 0."""
+    r = face.rotation
+    theta = float(np.arctan2(np.hypot(r[0, 2], r[1, 2]), r[2, 2]))
+    if np.hypot(r[0, 2], r[1, 2]) < 1e-12:
+        return float(np.degrees(np.arctan2(r[1, 0], r[0, 0]))), 0.0, 0.0
+    psi = np.arctan2(r[0, 2], -r[1, 2])
+    phi = np.arctan2(r[2, 0], r[2, 1])
+    return float(np.degrees(phi)), float(np.degrees(theta)), float(np.degrees(psi))
+
+
+def check_table(window: Window, json_path: Path, csv_path: Path, scale: float, count: int) -> None:
+    """Rebuild heights from the two files alone and compare them with the design.
+
+    The equation is solved here from the written coefficients, by bisection, not with the package's surfaces.
+
+    Raises
+    ------
+    FileDisagrees, UnreadableFile
+    """
+    try:
+        table = json.loads(json_path.read_text(encoding="utf-8"))
+        faces = {entry["face"]: entry for entry in table["faces"]}
+        with csv_path.open(encoding="ascii", newline="") as stream:
+            rows = list(csv.DictReader(stream))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnreadableFile(f"{json_path.name}: damaged ({error})") from error
+    if len(rows) != count:
+        raise FileDisagrees(f"{csv_path.name}: {len(rows)} lenslets were read back, {count} were written")
+    chance = np.random.default_rng(0)
+    for body, face, label in structured_faces(window):
+        entry = faces[label]
+        mine = [row for row in rows if row["face"] == label]
+        for row in (mine[k] for k in chance.integers(0, len(mine), 50)):
+            _check_pose(window, face, entry, row, scale, json_path.name, body.name)
+
+
+def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str, str], scale: float, name: str,
+                body: str) -> None:  # fmt: skip
+    assert face.array is not None
+    apex = np.array([float(row[f"apex_{axis}_mm"]) for axis in "xyz"])
+    index = np.array([int(row["i"]), int(row["j"])])
+    centre = window.lattice.centres(index) + np.asarray(window.shifts[face.array])
+    reach = 0.3 * min(window.lattice.pitch)
+    x, y = np.array([0.0, reach, -reach, 0.4 * reach]), np.array([0.0, reach, 0.5 * reach, -reach])
+    z = lens_height(face, x, y)
+    points = np.column_stack([x + centre[0], y + centre[1], z])[np.isfinite(z)] * scale
+    a, b, c = (np.radians(float(row[f"{k}_deg"])) for k in ("phi", "theta", "psi"))
+    local = (points - apex) @ (_turn_z(c) @ _turn_x(b) @ _turn_z(a))
+    left = _equation(entry, local)
+    if not len(points) or np.abs(left).max() > 1e-13 * max(float(np.abs(points).max()), reach * scale):
+        raise FileDisagrees(
+            f"{name}: the written equation and pose do not give the {body} face of cell {tuple(index)}"
+        )
+
+
+def _equation(entry: dict[str, Any], p: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Height by which lens-frame points miss the written equation, to first order."""
+    cx, cy, side = entry["curvature_x_per_mm"], entry["curvature_y_per_mm"], entry["side"]
+    x, y, z = p.T
+    q = cx * x * x + cy * y * y
+    if entry["equation"] == "quadric":
+        return np.asarray(0.5 * (q + entry["kappa_per_mm"] * z * z - 2 * side * z))
+    root = 1 - (1 + entry["conic_x"]) * (cx * x) ** 2 - (1 + entry["conic_y"]) * (cy * y) ** 2
+    return np.asarray(side * q / (1 + np.sqrt(root)) - z)
+
+
+def _turn_z(a: float) -> np.ndarray[Any, Any]:
+    return np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
+
+
+def _turn_x(a: float) -> np.ndarray[Any, Any]:
+    return np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])

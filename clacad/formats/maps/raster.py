@@ -1,0 +1,195 @@
+"""Pictures of numbers: TIFF with 16-bit or float pixels and PNG with 16-bit pixels, row by row.
+
+Only what height maps need is written: one plane, uncompressed TIFF in one strip, PNG without filters.
+Rows come from an iterator, so a map of any size needs the memory of a few rows.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.storage.errors import FileDisagrees, UnreadableFile
+
+Pixels = NDArray[np.uint16] | NDArray[np.float32]
+LARGEST_TIFF = (1 << 32) - (1 << 12)
+_SHORT, _LONG, _RATIONAL, _ASCII = 3, 4, 5, 2
+
+
+def tiff_bytes(width: int, height: int, bits: int, description: str) -> int:
+    """Size of the file `write_tiff` makes, exactly."""
+    return len(_tiff_head(width, height, bits, 1.0, description)) + width * height * bits // 8
+
+
+def write_tiff(rows: Iterable[Pixels], path: Path, width: int, height: int, bits: int, pixels_per_cm: float,
+               description: str) -> None:  # fmt: skip
+    """Write blocks of rows (k, width), uint16 or float32, as a TIFF file; row 0 is the top.
+
+    Parameters
+    ----------
+    rows : iterable of (k, width) arrays
+    path : Path
+    width, height : int
+    bits : 16 or 32
+        32 are IEEE floats.
+    pixels_per_cm : float
+        Resolution tag.
+    description : str
+        ASCII; the calibration travels in it.
+
+    Raises
+    ------
+    OSError
+    FileDisagrees
+        More than 4 GiB, or another number of rows than promised.
+    """
+    head = _tiff_head(width, height, bits, pixels_per_cm, description)
+    if len(head) + width * height * bits // 8 > LARGEST_TIFF:
+        raise FileDisagrees(f"{width} × {height} pixels do not fit a TIFF file of 4 GiB")
+    dtype = "<u2" if bits == 16 else "<f4"
+    written = 0
+    with path.open("wb") as stream:
+        stream.write(head)
+        for block in rows:
+            stream.write(np.ascontiguousarray(block, dtype=dtype).tobytes())
+            written += len(block)
+    if written != height:
+        raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
+
+
+def _tiff_head(width: int, height: int, bits: int, pixels_per_cm: float, description: str) -> bytes:
+    """Byte order, one directory, and what does not fit its twelve-byte entries."""
+    text = description.encode("ascii", "replace") + b"\0"
+    text += b"\0" * (len(text) % 2)
+    entries = 14
+    after = 8 + 2 + 12 * entries + 4
+    resolution = after
+    words = resolution + 16
+    data = words + len(text)
+    ratio = (min(round(pixels_per_cm * 1000.0), (1 << 32) - 1) or 1, 1000)
+    fields = [
+        (256, _LONG, 1, width), (257, _LONG, 1, height), (258, _SHORT, 1, bits), (259, _SHORT, 1, 1),
+        (262, _SHORT, 1, 1), (270, _ASCII, len(text), words), (273, _LONG, 1, data), (277, _SHORT, 1, 1),
+        (278, _LONG, 1, height), (279, _LONG, 1, width * height * bits // 8),
+        (282, _RATIONAL, 1, resolution), (283, _RATIONAL, 1, resolution + 8), (296, _SHORT, 1, 3),
+        (339, _SHORT, 1, 1 if bits == 16 else 3),
+    ]  # fmt: skip
+    directory = b"".join(struct.pack("<HHII", *field) for field in fields)
+    head = b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", entries) + directory + struct.pack("<I", 0)
+    return head + struct.pack("<IIII", *ratio, *ratio) + text
+
+
+def read_tiff(path: Path) -> Pixels:
+    """Map a TIFF of the kind `write_tiff` writes: (height, width), uint16 or float32.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    try:
+        if head[:4] != b"II*\0":
+            raise ValueError
+        start, count = struct.unpack_from("<I", head, 4)[0], 0
+        count = struct.unpack_from("<H", head, start)[0]
+        tags = {}
+        for k in range(count):
+            tag, kind, _, value = struct.unpack_from("<HHII", head, start + 2 + 12 * k)
+            tags[tag] = value & 0xFFFF if kind == _SHORT else value
+        shape, bits, data, layout = (
+            (tags[257], tags[256]),
+            tags[258],
+            tags[273],
+            (tags[259], tags[277], tags[339]),
+        )
+    except (ValueError, KeyError, struct.error) as error:
+        raise UnreadableFile(f"{path.name}: not a TIFF height map") from error
+    if (bits, *layout) not in ((16, 1, 1, 1), (32, 1, 1, 3)):
+        raise UnreadableFile(f"{path.name}: {bits}-bit pixels of layout {layout} are not read")
+    if min(shape) < 1 or data + shape[0] * shape[1] * bits // 8 != size:
+        raise UnreadableFile(f"{path.name}: {size} bytes do not hold {shape[1]} × {shape[0]} pixels")
+    dtype = np.dtype("<u2" if bits == 16 else "<f4")
+    return np.memmap(path, dtype=dtype, mode="r", offset=data, shape=shape)
+
+
+def write_png(
+    rows: Iterable[NDArray[np.uint16]], path: Path, width: int, height: int, pixels_per_metre: float
+) -> None:
+    """Write blocks of rows (k, width) as a 16-bit grey PNG file; row 0 is the top.
+
+    Raises
+    ------
+    OSError
+    FileDisagrees
+        Another number of rows than promised.
+    """
+    packer = zlib.compressobj(6)
+    dots = min(round(pixels_per_metre), (1 << 31) - 1)
+    written = 0
+    with path.open("wb") as stream:
+        stream.write(b"\x89PNG\r\n\x1a\n")
+        stream.write(_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)))
+        stream.write(_chunk(b"pHYs", struct.pack(">IIB", dots, dots, 1)))
+        for block in rows:
+            lines = np.zeros((len(block), 1 + 2 * width), dtype=np.uint8)  # the first byte: no filter
+            lines[:, 1:] = np.ascontiguousarray(block, dtype=">u2").view(np.uint8).reshape(len(block), -1)
+            if packed := packer.compress(lines.tobytes()):
+                stream.write(_chunk(b"IDAT", packed))
+            written += len(block)
+        stream.write(_chunk(b"IDAT", packer.flush()))
+        stream.write(_chunk(b"IEND", b""))
+    if written != height:
+        raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def read_png(path: Path, largest: int = 1 << 31) -> NDArray[np.uint16]:
+    """Read a PNG of the kind `write_png` writes: (height, width) uint16.
+
+    Raises
+    ------
+    UnreadableFile
+        Damaged, of another kind, or more than `largest` bytes of pixels.
+    """
+    data = path.read_bytes()
+    if data[:8] != b"\x89PNG\r\n\x1a\n":
+        raise UnreadableFile(f"{path.name}: not a PNG file")
+    at, head, packed = 8, b"", []
+    while at + 12 <= len(data):
+        size = struct.unpack_from(">I", data, at)[0]
+        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
+        if data[at + 8 + size : at + 12 + size] != struct.pack(">I", zlib.crc32(kind + body)):
+            raise UnreadableFile(f"{path.name}: a damaged {kind!r} chunk")
+        if kind == b"IHDR":
+            head = body
+        elif kind == b"IDAT":
+            packed.append(body)
+        at += 12 + size
+        if kind == b"IEND":
+            break
+    else:
+        raise UnreadableFile(f"{path.name}: cut short")
+    width, height, *rest = struct.unpack(">IIBBBBB", head) if len(head) == 13 else (0, 0, 0)
+    need = height * (1 + 2 * width)
+    if rest != [16, 0, 0, 0, 0] or not 0 < need <= largest:
+        raise UnreadableFile(f"{path.name}: not a 16-bit grey picture of allowed size")
+    unpacker = zlib.decompressobj()
+    try:
+        lines = unpacker.decompress(b"".join(packed), need)
+    except zlib.error as error:
+        raise UnreadableFile(f"{path.name}: damaged ({error})") from error
+    table = np.frombuffer(lines, dtype=np.uint8)
+    if len(lines) != need or not unpacker.eof and unpacker.unconsumed_tail or table[:: 1 + 2 * width].any():
+        raise UnreadableFile(f"{path.name}: its pixels are not {width} × {height} unfiltered ones")
+    pixels = np.ascontiguousarray(table.reshape(height, -1)[:, 1:]).view(">u2")
+    return pixels.astype(np.uint16)

@@ -1,0 +1,411 @@
+"""Height maps of the optical faces: TIFF, PNG, point cloud with normals, and Zemax grid sag of a cell.
+
+A map covers the cells of the face's own array, pixels at the middle of equal squares so that none lies
+on a wall. Heights are along the outward normal of the sheet's face: a front face grows towards −z, a
+back face towards +z, zero at the face's reference plane, the plane through its lenslets' apices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil, sqrt
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.maps.raster import Pixels, read_png, read_tiff, write_png, write_tiff
+from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height_and_normal
+from clacad.storage.errors import FileDisagrees, UnreadableFile
+
+Floats = NDArray[np.float64]
+MOST_SAMPLES = 4_000_000
+BLOCK = 1 << 18
+NO_DATA = -(2.0**20)
+"""Pixel of a float map where there is no face at all (a hole); in 16-bit maps such a pixel is 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """One optical face as a raster.
+
+    Parameters
+    ----------
+    window, body, face
+    label : str
+        "array1-front" and so on; part of file names.
+    pixel : float
+        Side of a pixel, design units.
+    width, height : int
+        Pixels along x and y.
+    origin : (x, y), lengths
+        Lower left corner of the map.
+    reference : float
+        Sheet-frame z of the plane heights are counted from.
+    low, high : floats
+        Range of heights, design units, exact over the pixels.
+    """
+
+    window: Window
+    body: Body
+    face: Face
+    label: str
+    pixel: float
+    width: int
+    height: int
+    origin: tuple[float, float]
+    reference: float
+    low: float
+    high: float
+
+    @property
+    def step(self) -> float:
+        """Height of one grey level of a 16-bit map, design units; level 1 is `low`, 65535 is `high`."""
+        return (self.high - self.low) / 65534.0 or 1.0
+
+    def calibration(self, scale: float) -> dict[str, object]:
+        """What a machine needs to use the map, in millimetres (`scale` = millimetres per design unit)."""
+        return {
+            "face": self.label, "pixel_mm": self.pixel * scale, "width": self.width, "height": self.height,
+            "left_mm": self.origin[0] * scale, "bottom_mm": self.origin[1] * scale,
+            "reference_z_mm": self.reference * scale, "outward": "-z" if self.face.side > 0 else "+z",
+            "low_mm": self.low * scale, "high_mm": self.high * scale, "step_mm": self.step * scale,
+            "level_of_low": 1, "row_0": "top (greatest y)", "column_0": "left (least x)",
+            "hole": {"u16": 0, "f32": NO_DATA},
+        }  # fmt: skip
+
+    def blocks(self) -> Iterator[Floats]:
+        """Heights (k, width) from the top row down, design units, NaN where there is no face."""
+        x = self.origin[0] + self.pixel * (np.arange(self.width) + 0.5)
+        rows = max(1, BLOCK // self.width)
+        for top in range(0, self.height, rows):
+            stop = min(top + rows, self.height)
+            y = self.origin[1] + self.pixel * (self.height - 0.5 - np.arange(top, stop))
+            gx, gy = np.meshgrid(x, y)
+            yield outward_height(
+                self.window, self.body, self.face, gx.ravel(), gy.ravel(), self.reference
+            ).reshape(gx.shape)
+
+
+def outward_height(window: Window, body: Body, face: Face, x: Floats, y: Floats, reference: float) -> Floats:
+    """Height of a face above its reference plane, away from the material, at sheet points (n,)."""
+    index, u, v = _located(window, face, x, y)
+    z = face_height(window, face, u, v)
+    if body.columnar:
+        front, back = column(window, body, u, v)
+        z = front if face is body.front else back
+    land = np.nan if face.land is None else face.land
+    z = np.where(window.lattice.contains(index), z, land)
+    return np.asarray(-face.side * (z - reference))
+
+
+def _located(window: Window, face: Face, x: Floats, y: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+    assert face.array is not None
+    dx, dy = window.shifts[face.array]
+    return window.lattice.locate(x - dx, y - dy)
+
+
+def structured_faces(window: Window) -> list[tuple[Body, Face, str]]:
+    """List the faces that carry lenslets, with a label each."""
+    found = []
+    for body in window.bodies:
+        for face, side in ((body.front, "front"), (body.back, "back")):
+            if face.array is not None:
+                found.append((body, face, f"{body.name}-{side}"))
+    return found
+
+
+def samples_per_cell(window: Window, asked: int | None, most: int = MOST_SAMPLES) -> int:
+    """Pixels per pitch: as asked, else as many as keep a map under `most`, between 4 and 64."""
+    if asked is not None:
+        return asked
+    return int(min(64, max(4, sqrt(most / max(1, window.lattice.cell_count)))))
+
+
+def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int) -> HeightMap:
+    """Lay out the map of a face and find its range of heights.
+
+    Raises
+    ------
+    FileDisagrees
+        The face is undercut: its graph ends inside the optical zone and there is no land below.
+    """
+    assert face.array is not None
+    dx, dy = window.shifts[face.array]
+    x0, x1, y0, y1 = window.lattice.extent()
+    pixel = window.lattice.pitch[0] / per_cell
+    width, height = ceil((x1 - x0) / pixel * (1 - 1e-12)), ceil((y1 - y0) / pixel * (1 - 1e-12))
+    # A map that is not a whole number of pixels wide is centred on the cells.
+    origin = (dx + 0.5 * (x0 + x1 - width * pixel), dy + 0.5 * (y0 + y1 - height * pixel))
+    plain = HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], 0.0, 0.0)
+    low, high = _range(window, body, face, per_cell)
+    return (
+        HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], low, high)
+        if (high >= low)
+        else _empty(plain)
+    )
+
+
+def _empty(map_: HeightMap) -> HeightMap:
+    raise FileDisagrees(f"{map_.label}: the face has no height anywhere; there is nothing to draw")
+
+
+def _range(window: Window, body: Body, face: Face, per_cell: int) -> tuple[float, float]:
+    """Range of heights over one cell, twice as fine as the map, borders and corners included."""
+    tile = window.lattice.tile()
+    n = 2 * per_cell + 1
+    x, y = np.meshgrid(
+        np.linspace(tile[:, 0].min(), tile[:, 0].max(), n), np.linspace(tile[:, 1].min(), tile[:, 1].max(), n)
+    )
+    points = np.concatenate([np.column_stack([x.ravel(), y.ravel()]), tile])
+    u, v = points.T
+    if body.columnar:
+        front, back = column(window, body, u, v)
+        z = front if face is body.front else back
+    else:
+        z = face_height(window, face, u, v)
+    heights = -face.side * (z - face.vertex[2])
+    if face.land is not None:
+        heights = np.append(heights, -face.side * (face.land - face.vertex[2]))
+    return float(np.nanmin(heights, initial=np.inf)), float(np.nanmax(heights, initial=-np.inf))
+
+
+# -- TIFF and PNG --------------------------------------------------------------------------------
+
+
+def write_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
+    """Write a height map as "tiff32" (millimetres), "tiff16" or "png16" (levels).
+
+    Parameters
+    ----------
+    scale : float
+        Millimetres per design unit.
+
+    Raises
+    ------
+    OSError, FileDisagrees
+    """
+    text = f"clacad height map {map_.label}, pixel {map_.pixel * scale!r} mm, low {map_.low * scale!r} mm, step {map_.step * scale!r} mm"
+    per_mm = 1.0 / (map_.pixel * scale)
+    if kind == "tiff32":
+        rows: Iterator[Pixels] = (_millimetres(block, scale) for block in map_.blocks())
+        write_tiff(rows, path, map_.width, map_.height, 32, 10.0 * per_mm, text)
+    elif kind == "tiff16":
+        levels: Iterator[Pixels] = (map_levels(map_, block) for block in map_.blocks())
+        write_tiff(levels, path, map_.width, map_.height, 16, 10.0 * per_mm, text)
+    else:
+        write_png(
+            (map_levels(map_, block) for block in map_.blocks()),
+            path,
+            map_.width,
+            map_.height,
+            1000.0 * per_mm,
+        )
+
+
+def _millimetres(heights: Floats, scale: float) -> NDArray[np.float32]:
+    return np.where(np.isfinite(heights), heights * scale, NO_DATA).astype(np.float32)
+
+
+def map_levels(map_: HeightMap, heights: Floats) -> NDArray[np.uint16]:
+    """Grey levels of heights: 1 is the map's low, 65535 its high, 0 a hole."""
+    with np.errstate(invalid="ignore"):
+        level = 1.0 + np.rint((heights - map_.low) / map_.step)
+    return np.where(np.isfinite(heights), np.clip(level, 1, 65535), 0).astype(np.uint16)
+
+
+def check_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
+    """Read a map back and compare every 17th pixel or so with the lens formula of its cell.
+
+    Raises
+    ------
+    FileDisagrees, UnreadableFile
+    """
+    pixels: Pixels = read_png(path) if kind == "png16" else read_tiff(path)
+    if pixels.shape != (map_.height, map_.width):
+        raise FileDisagrees(f"{path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels were read back")
+    chance = np.random.default_rng(0)
+    row, col = chance.integers(0, map_.height, 2000), chance.integers(0, map_.width, 2000)
+    got = np.asarray(pixels[row, col], dtype=np.float64)
+    x = np.asarray(map_.origin[0] + map_.pixel * (col + 0.5), dtype=np.float64)
+    y = np.asarray(map_.origin[1] + map_.pixel * (map_.height - 0.5 - row), dtype=np.float64)
+    want = outward_height(map_.window, map_.body, map_.face, x, y, map_.reference)
+    hole = ~np.isfinite(want)
+    if kind == "tiff32":
+        heights, empty = got / scale, got == NO_DATA
+        room = 2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15
+    else:
+        heights, empty = map_.low + (got - 1.0) * map_.step, got == 0
+        room = 0.51 * map_.step
+    if (empty != hole).any() or (np.abs(heights - want)[~hole] > room).any():
+        raise FileDisagrees(f"{path.name}: its heights are not those of {map_.label}")
+
+
+# -- points and grids as text --------------------------------------------------------------------
+
+
+def write_points(window: Window, body: Body, face: Face, per_cell: int, path: Path, scale: float) -> int:
+    """Write x y z nx ny nz of every cell's face, millimetres in the sheet frame, outward unit normals.
+
+    Points are at the middle of per_cell × per_cell squares of each cell (those inside the cell); where land
+    covers the lens the normal is that of the land. Returns the number of points.
+    """
+    assert face.array is not None
+    total = 0
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        stream.write(f"# clacad points of {body.name}, unit mm, columns x y z nx ny nz (outward)\n")
+        for j in range(window.lattice.count[1]):
+            for line in point_lines(window, face, per_cell, window.lattice.row(j), scale):
+                stream.write(line + "\n")
+                total += 1
+    return total
+
+
+def point_lines(
+    window: Window, face: Face, per_cell: int, cells: NDArray[np.int64], scale: float
+) -> Iterator[str]:
+    """Lines of some cells (k, 2) of a face."""
+    assert face.array is not None
+    local, z, normal = _cell_points(window, face, per_cell)
+    shift = np.asarray(window.shifts[face.array])
+    for centre in (window.lattice.centres(cells) + shift) * scale if len(cells) else ():
+        table = np.column_stack([local * scale + centre, z * scale, normal])
+        yield from map(_LINE.__mod__, map(tuple, table.tolist()))
+
+
+_LINE = "%.9f %.9f %.9f %.12f %.12f %.12f"
+
+
+def _cell_points(window: Window, face: Face, per_cell: int) -> tuple[Floats, Floats, Floats]:
+    tile = window.lattice.tile()
+    x0, x1, y0, y1 = tile[:, 0].min(), tile[:, 0].max(), tile[:, 1].min(), tile[:, 1].max()
+    u = x0 + (x1 - x0) * (np.arange(per_cell) + 0.5) / per_cell
+    v = y0 + (y1 - y0) * (np.arange(per_cell) + 0.5) / per_cell
+    gx, gy = (g.ravel() for g in np.meshgrid(u, v))
+    inside = np.ones(gx.shape, dtype=bool)
+    for (ox, oy), half in zip(
+        (window.lattice.offset(*s) for s in window.lattice.steps), window.lattice.half_widths
+    ):
+        inside &= (gx * ox + gy * oy) / (2.0 * half) < half
+    gx, gy = gx[inside], gy[inside]
+    z = face_height(window, face, gx, gy)
+    lens, normal = lens_height_and_normal(face, gx, gy)
+    flat = ~(z == lens)
+    normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side
+    keep = np.isfinite(z)
+    return np.column_stack([gx, gy])[keep], z[keep], normal[keep]
+
+
+def check_points(window: Window, face: Face, path: Path, scale: float, count: int) -> None:
+    """Read a point file back and hold 2,000 of its points against the lens formula of their cells.
+
+    Raises
+    ------
+    FileDisagrees, UnreadableFile
+    """
+    assert face.array is not None
+    lines = _picked_lines(path, count)
+    try:
+        table = np.array([[float(w) for w in line.split()] for line in lines])
+    except ValueError as error:
+        raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
+    if table.ndim != 2 or table.shape[1] != 6:
+        raise UnreadableFile(f"{path.name}: a line that is not six numbers")
+    _, u, v = _located(window, face, table[:, 0] / scale, table[:, 1] / scale)
+    z = face_height(window, face, u, v) * scale
+    if not (np.abs(table[:, 2] - z) <= 2e-9 + 1e-8 * abs(window.lattice.pitch[0] * scale)).all():
+        raise FileDisagrees(f"{path.name}: a point does not lie on the face")
+    if (np.abs(np.linalg.norm(table[:, 3:], axis=1) - 1.0) > 1e-9).any() or (
+        table[:, 5] * -face.side <= 0
+    ).any():
+        raise FileDisagrees(f"{path.name}: a normal that is not a unit vector pointing outwards")
+
+
+def _picked_lines(path: Path, count: int) -> list[str]:
+    stride = max(1, count // 2000)
+    picked, seen = [], 0
+    with path.open(encoding="ascii", errors="replace") as stream:
+        for line in stream:
+            if line.startswith("#"):
+                continue
+            if seen % stride == 0:
+                picked.append(line)
+            seen += 1
+    if seen != count:
+        raise FileDisagrees(f"{path.name}: {seen} points were read back, {count} were written")
+    return picked
+
+
+def write_grid_sag(window: Window, face: Face, per_cell: int, path: Path, scale: float) -> None:
+    """Write one cell as a Zemax grid sag file: sag and its derivatives at (n + 1) × (n + 1) nodes.
+
+    Sag is along +z from the apex plane, x right, rows from the greatest y down; unit millimetres (flag 0).
+    A node without a surface carries the no-data flag 1.
+    """
+    tile = window.lattice.tile()
+    n = per_cell + 1
+    half_x, half_y = float(tile[:, 0].max()), float(tile[:, 1].max())
+    x, y = np.meshgrid(np.linspace(-half_x, half_x, n), np.linspace(half_y, -half_y, n))
+    z, normal = lens_height_and_normal(face, x.ravel(), y.ravel())
+    with np.errstate(invalid="ignore"):
+        slope = -normal[:, :2] / normal[:, 2:]
+    dx, dy = 2 * half_x / per_cell * scale, 2 * half_y / per_cell * scale
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        stream.write(f"{n} {n} {dx!r} {dy!r} 0 0 0\n")
+        for sag, (sx, sy) in zip(((z - face.vertex[2]) * scale).tolist(), slope.tolist()):
+            gone = sag != sag
+            stream.write("0 0 0 0 1\n" if gone else f"{sag:.15e} {sx:.15e} {sy:.15e} 0 0\n")
+
+
+def check_grid_sag(window: Window, face: Face, path: Path, scale: float) -> None:
+    """Read a grid sag file back and compare it with the surface's own `sag` in its lens frame.
+
+    Raises
+    ------
+    FileDisagrees, UnreadableFile
+    """
+    found, _ = read_grid_sag(face, path, scale)
+    there = np.isfinite(found[:, 2])
+    local = (found - np.asarray(face.vertex))[there] @ face.rotation
+    sag = face.surface.sag(local[:, 0], local[:, 1])
+    reach = float(np.max(np.abs(found[:, :2] - np.asarray(face.vertex)[:2])))
+    if not there.any() or not (np.abs(sag - local[:, 2]) <= 1e-12 * reach).all():
+        raise FileDisagrees(f"{path.name}: its sag is not that of the lens")
+
+
+def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]:
+    """Read a grid sag file.
+
+    Parameters
+    ----------
+    face : Face
+        Whose apex plane sag is counted from.
+    path : Path
+    scale : float
+        Millimetres per design unit.
+
+    Returns
+    -------
+    points : (n, 3) lengths
+        Nodes in the cell frame, z in the sheet frame; NaN where the surface has no point.
+    step : (2,) lengths
+        Distance of nodes.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    try:
+        head = lines[0].split()
+        nx, ny, dx, dy = int(head[0]), int(head[1]), float(head[2]), float(head[3])
+        table = np.array([[float(w) for w in line.split()] for line in lines[1:]])
+    except (ValueError, IndexError) as error:
+        raise UnreadableFile(f"{path.name}: not a grid sag file") from error
+    if table.shape != (nx * ny, 5):
+        raise UnreadableFile(f"{path.name}: {len(lines) - 1} lines for {nx} × {ny} nodes")
+    x = np.tile((np.arange(nx) - 0.5 * (nx - 1)) * dx, ny) / scale
+    y = -np.repeat((np.arange(ny) - 0.5 * (ny - 1)) * dy, nx) / scale
+    z = np.where(table[:, 4] == 0, table[:, 0] / scale + face.vertex[2], np.nan)
+    return np.column_stack([x, y, z]), np.array([dx, dy]) / scale

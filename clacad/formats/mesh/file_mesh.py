@@ -1,0 +1,313 @@
+"""A mesh as a file holds it: nothing is known but triangles, perhaps a unit, names and normals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.storage.errors import UnreadableFile
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CHUNK = 1 << 16
+"""Facets handled at a time; 65,536 facets are 4.7 MB of float64 corners."""
+
+MOST_EXPANDED = 100_000_000
+"""Facets up to which a file that repeats its parts may be walked as if each of them were written out."""
+
+SURVEYED = 200_000
+"""Facets of a file too large to walk by which its place is found."""
+
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+ONE_PLACE = np.concatenate([np.eye(3), np.zeros((1, 3))])[None]
+
+
+class Soup(Protocol):
+    """Triangles that are read when they are asked for."""
+
+    def __len__(self) -> int:
+        """Number of triangles."""
+
+    def __getitem__(self, which: slice, /) -> NDArray[np.floating]:
+        """Corners (k, 3, 3) of a run of triangles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One mesh of a file and the places it is put at.
+
+    Parameters
+    ----------
+    name : str
+        As written in the file, "" when it has none.
+    vertices : (v, 3) array or None, file unit
+    triangles : (t, 3) int array or None
+        Rows of `vertices`, counter-clockwise seen from outside.
+    soup : (t, 3, 3) float32 array, or what slices like one, or None
+        Corners of each triangle instead of the two above (STL); usually read from the file when sliced.
+    normals : (v, 3) array or None
+        Unit vertex normals, where the format holds them.
+    placements : (m, 4, 3) array
+        Affine maps in row-vector form: x' = x @ place[:3] + place[3].
+    """
+
+    name: str
+    vertices: Floats | None = None
+    triangles: Ints | None = None
+    soup: Soup | None = None
+    normals: Floats | None = None
+    placements: Floats = field(default_factory=lambda: ONE_PLACE)
+
+    @property
+    def facet_count(self) -> int:
+        """Facets of one placement."""
+        if self.soup is not None:
+            return len(self.soup)
+        assert self.triangles is not None
+        return len(self.triangles)
+
+    @property
+    def repeated(self) -> bool:
+        """Whether it stands at more than one place."""
+        return len(self.placements) > 1
+
+    def corners(self, start: int, stop: int) -> Floats:
+        """Corners of facets start … stop − 1 before placing, (k, 3, 3), file unit."""
+        if self.soup is not None:
+            return np.asarray(self.soup[start:stop], dtype=np.float64)
+        assert self.vertices is not None
+        assert self.triangles is not None
+        return np.asarray(self.vertices[self.triangles[start:stop]], dtype=np.float64)
+
+    def corner_normals(self, start: int, stop: int) -> Floats | None:
+        """Vertex normals at the corners of facets start … stop − 1, (k, 3, 3), or None."""
+        if self.normals is None:
+            return None
+        assert self.triangles is not None
+        return np.asarray(self.normals[self.triangles[start:stop]], dtype=np.float64)
+
+    def picked(self, facets: Ints) -> Floats:
+        """Corners of chosen facets before placing, (k, 3, 3), file unit."""
+        if self.soup is None:
+            assert self.vertices is not None
+            assert self.triangles is not None
+            return np.asarray(self.vertices[self.triangles[facets]], dtype=np.float64)
+        found = np.empty((len(facets), 3, 3))
+        run = facets // CHUNK
+        for k in np.unique(run):
+            mine = run == k
+            found[mine] = self.corners(int(k) * CHUNK, (int(k) + 1) * CHUNK)[facets[mine] - k * CHUNK]
+        return found
+
+    def own_box(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner of its facets before placing, (3,) each."""
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for start in range(0, self.facet_count, CHUNK):
+            corners = self.corners(start, start + CHUNK)
+            low = np.minimum(low, corners.min(axis=(0, 1)))
+            high = np.maximum(high, corners.max(axis=(0, 1)))
+        return low, high
+
+    def pairs(self, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
+        """The same chunks as `chunks`, with the unit normals (k, 3, 3) stored for their corners, or None."""
+        if self.normals is None:
+            yield from ((corners, None) for corners in self.chunks(size))
+            return
+        for place in self.placements:
+            yield from self.pairs_at(place, size)
+
+    def pairs_at(self, place: Floats, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
+        """Corners and stored normals, both (k, 3, 3), of the facets at one place (4, 3)."""
+        for start in range(0, self.facet_count, size):
+            stop = min(start + size, self.facet_count)
+            normals = self.corner_normals(start, stop)
+            if normals is not None:
+                normals = turned_normals(normals, place)
+            yield _placed(self.corners(start, stop), place), normals
+
+    def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
+        """Corners of all facets of all placements, (k ≤ size, 3, 3) at a time, file unit.
+
+        Small meshes placed many times are expanded many at a time, never all at once.
+        """
+        count = self.facet_count
+        if count == 0:
+            return
+        if count >= size or len(self.placements) == 1:
+            for place in self.placements:
+                for start in range(0, count, size):
+                    yield _placed(self.corners(start, min(start + size, count)), place)
+            return
+        corners = self.corners(0, count)
+        together = max(1, size // count)
+        for first in range(0, len(self.placements), together):
+            places = self.placements[first : first + together]
+            moved = np.einsum("tcx,pxy->ptcy", corners, places[:, :3]) + places[:, None, None, 3]
+            yield moved.reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class FileMesh:
+    """A mesh file that was read.
+
+    Parameters
+    ----------
+    format : str
+        "stl-binary", "stl-ascii", "3mf", "ply", "glb", "obj".
+    parts : tuple of Part
+    unit : float or None
+        Metres per file unit; None when the format does not say.
+    name : str
+        What the file calls itself (STL header text, 3MF title), "" if nothing.
+    """
+
+    format: str
+    parts: tuple[Part, ...]
+    unit: float | None = None
+    name: str = ""
+
+    @property
+    def facet_count(self) -> int:
+        """Number of facets with every placement counted."""
+        return sum(part.facet_count * len(part.placements) for part in self.parts)
+
+    @property
+    def stored_count(self) -> int:
+        """Number of facets that are written in the file, each part once."""
+        return sum(part.facet_count for part in self.parts)
+
+    @property
+    def expandable(self) -> bool:
+        """Whether its facets are few enough to walk all of them at every place; a file without repeats always is."""
+        return self.facet_count <= max(MOST_EXPANDED, self.stored_count)
+
+    def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
+        """Corners of all facets, (k, 3, 3) at a time, file unit; memory does not grow with the file.
+
+        Raises
+        ------
+        UnreadableFile
+            Its repeated parts stand for more facets than MOST_EXPANDED: look at each part once, or at `thinned`.
+        """
+        if not self.expandable:
+            raise UnreadableFile(f"its parts stand for {self.facet_count} facets, more than {MOST_EXPANDED}")
+        for part in self.parts:
+            yield from part.chunks(size)
+
+    def pairs(self, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
+        """The chunks of `chunks`, each with the normals (k, 3, 3) stored for its corners, or None."""
+        if not self.expandable:
+            raise UnreadableFile(f"its parts stand for {self.facet_count} facets, more than {MOST_EXPANDED}")
+        for part in self.parts:
+            yield from part.pairs(size)
+
+    def thinned(self, count: int) -> Floats:
+        """Corners of about `count` facets spread evenly over parts, places and facets, (k, 3, 3), file unit.
+
+        Nothing is expanded; a mesh of fewer facets comes whole. The same file gives the same facets.
+        """
+        total = self.facet_count
+        if total <= count:
+            return np.concatenate([np.zeros((0, 3, 3)), *self.chunks()])
+        found = []
+        for part in self.parts:
+            every = part.facet_count * len(part.placements)
+            many = min(every, int(np.ceil(count * every / total)))
+            k = np.arange(many)
+            # places in order, facets by the golden ratio: no stride of one falls in step with the other
+            place = (k * len(part.placements)) // max(1, many)
+            share = (k * GOLDEN) % 1.0 if part.repeated else (k + 0.5) / max(1, many)
+            corners = part.picked((share * part.facet_count).astype(np.int64))
+            spots = part.placements[place]
+            found.append(np.einsum("kcx,kxy->kcy", corners, spots[:, :3]) + spots[:, None, 3])
+        return np.concatenate(found)
+
+    def survey(self, count: int = SURVEYED) -> Iterator[Floats]:
+        """Chunks to find out with how a part lies: all facets, or of a file that stands for too many an even part.
+
+        Those are `thinned`, and the facets at its very ends in many directions, so that its box and its hull are whole.
+        """
+        if self.expandable:
+            yield from self.chunks()
+            return
+        found = np.concatenate([self.thinned(count), self._ends()])
+        for start in range(0, len(found), CHUNK):
+            yield found[start : start + CHUNK]
+
+    def _ends(self) -> Floats:
+        """Facets (k, 3, 3) that hold the farthest corner along each of many directions."""
+        k = np.arange(256)
+        z, turn = 1.0 - (2 * k + 1) / len(k), 2.0 * np.pi * GOLDEN * k
+        around = np.sqrt(1.0 - z * z)
+        signs = np.array(
+            [[x, y, w] for x in (-1, 0, 1) for y in (-1, 0, 1) for w in (-1, 0, 1)], dtype=np.float64
+        )
+        ways = np.concatenate([np.column_stack([around * np.cos(turn), around * np.sin(turn), z]), signs])
+        found = []
+        for part in self.parts:
+            for linear, rows in kinds(part):
+                reach, facet = np.full(len(ways), -np.inf), np.zeros(len(ways), dtype=np.int64)
+                for start in range(0, part.facet_count, CHUNK // 16):
+                    along = (part.corners(start, start + CHUNK // 16) @ linear @ ways.T).max(axis=1)
+                    best = along.argmax(axis=0)
+                    farther = along[best, np.arange(len(ways))] > reach
+                    reach[farther] = along[best, np.arange(len(ways))][farther]
+                    facet[farther] = best[farther] + start
+                place = np.array([int(np.argmax(part.placements[rows, 3] @ way)) for way in ways])
+                spots = part.placements[rows[place]]
+                found.append(np.einsum("kcx,kxy->kcy", part.picked(facet), spots[:, :3]) + spots[:, None, 3])
+        return np.concatenate(found)
+
+    def box(self) -> tuple[Floats, Floats]:
+        """Lowest and highest corner, (3,) each, file unit."""
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for part in self.parts:
+            for linear, rows in kinds(part):
+                least, most = np.full(3, np.inf), np.full(3, -np.inf)
+                for start in range(0, part.facet_count, CHUNK):
+                    corners = part.corners(start, start + CHUNK)
+                    corners = corners if np.array_equal(linear, np.eye(3)) else corners @ linear
+                    least = np.minimum(least, corners.min(axis=(0, 1)))
+                    most = np.maximum(most, corners.max(axis=(0, 1)))
+                move = part.placements[rows, 3]
+                low = np.minimum(low, least + move.min(axis=0))
+                high = np.maximum(high, most + move.max(axis=0))
+        return low, high
+
+
+def kinds(part: Part) -> list[tuple[Floats, Ints]]:
+    """Placements of a part by how they turn and scale it: linear map (3, 3) and row numbers, the commonest first."""
+    linear = part.placements[:, :3].reshape(-1, 9)
+    if (linear == linear[0]).all():
+        return [(linear[0].reshape(3, 3), np.arange(len(linear)))]
+    size = np.abs(linear).max(initial=1e-300)
+    _, first, which, times = np.unique(
+        np.round(linear / size, 12) + 0.0, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    order = np.argsort(-times, kind="stable")
+    rows = np.argsort(which.ravel(), kind="stable")
+    ends = np.cumsum(times)
+    return [(linear[first[k]].reshape(3, 3), rows[ends[k] - times[k] : ends[k]]) for k in order]
+
+
+def turned_normals(normals: Floats, place: Floats) -> Floats:
+    """Normals (k, 3, 3) of a part after placing; a unit normal stays one where the map turns, mirrors and scales."""
+    linear = place[:3]
+    size = abs(float(np.linalg.det(linear)))
+    if size == 0.0:
+        return np.full_like(normals, np.nan)
+    if np.array_equal(linear, np.eye(3)):
+        return normals
+    return np.asarray(normals @ (np.linalg.inv(linear).T * size ** (1.0 / 3.0)))
+
+
+def _placed(corners: Floats, place: Floats) -> Floats:
+    if np.array_equal(place, ONE_PLACE[0]):
+        return corners
+    return np.asarray(corners @ place[:3] + place[3])

@@ -1,0 +1,360 @@
+"""GLB: glTF 2.0 in one binary file, for viewers. One mesh a body, one node a cell or a body, exact normals.
+
+Coordinates are millimetres about each cell's own centre; a root node scales them to the metres that
+glTF is in. Glass is said by KHR_materials_transmission and KHR_materials_ior.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clacad.formats.mesh.file_mesh import FileMesh, Floats, Ints, Part
+from clacad.formats.mesh.repeated_pieces import Piece
+from clacad.storage.errors import FileDisagrees, UnreadableFile
+
+_MAGIC = b"glTF"
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_LONGEST_JSON = 1 << 28
+_MOST_NODES = 2_000_000
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+MILLIMETRE = 1e-3
+INSTANCING = "EXT_mesh_gpu_instancing"
+
+
+def write_glb(
+    pieces: Sequence[Piece], path: Path, scale: float, name: str, gpu_instancing: bool = False
+) -> None:
+    """Write pieces as one GLB file.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Each with `normals`.
+    path : Path
+    scale : float
+        Millimetres per design unit.
+    name : str
+    gpu_instancing : bool
+        One node for all cells of a body, their places in an array (EXT_mesh_gpu_instancing, float32): far smaller,
+        for viewers that know the extension; others refuse the file.
+
+    Raises
+    ------
+    OSError
+    FileDisagrees
+        A value is not finite, or a piece has no normals.
+    """
+    binary = bytearray()
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "clacad"},
+        "extensionsUsed": ["KHR_materials_ior", "KHR_materials_transmission"],
+        "scene": 0, "scenes": [{"name": name, "nodes": [0]}],
+        "nodes": [{"name": name, "scale": [MILLIMETRE] * 3, "children": []}],
+        "meshes": [], "materials": [], "accessors": [], "bufferViews": [],
+    }  # fmt: skip
+    for piece in pieces:
+        _add_mesh(document, binary, piece, scale)
+        add = _add_instances if gpu_instancing and piece.places is not None else _add_nodes
+        add(document, binary, piece, len(document["meshes"]) - 1, scale)
+    document["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + len(binary)
+    if length >= 1 << 32:
+        raise FileDisagrees(f"{length} bytes do not fit the 32-bit length of a GLB file")
+    with path.open("wb") as stream:
+        stream.write(_MAGIC + _words(2, length) + _words(len(text), _JSON))
+        stream.write(text)
+        stream.write(_words(len(binary), _BIN))
+        stream.write(binary)
+
+
+def _words(*values: int) -> bytes:
+    return b"".join(value.to_bytes(4, "little") for value in values)
+
+
+def _add_mesh(document: dict[str, Any], binary: bytearray, piece: Piece, scale: float) -> None:
+    position, normal = (values.astype("<f4") + np.float32(0.0) for values in piece.sound(scale))
+    material = {
+        "name": f"{piece.name} material",
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
+            "metallicFactor": 0.0,
+            "roughnessFactor": 0.0,
+        },
+        "extensions": {
+            "KHR_materials_ior": {"ior": float(piece.index)},
+            "KHR_materials_transmission": {"transmissionFactor": 1.0},
+        },
+    }
+    document["materials"].append(material)
+    attributes = {
+        "POSITION": _add_accessor(document, binary, position, 5126, "VEC3", 34962, bounds=True),
+        "NORMAL": _add_accessor(document, binary, normal, 5126, "VEC3", 34962),
+    }
+    corners = np.asarray(piece.triangles, dtype="<u4").reshape(-1)
+    primitive = {
+        "attributes": attributes, "mode": 4, "material": len(document["materials"]) - 1,
+        "indices": _add_accessor(document, binary, corners, 5125, "SCALAR", 34963),
+    }  # fmt: skip
+    document["meshes"].append({"name": piece.name, "primitives": [primitive]})
+
+
+def _add_accessor(document: dict[str, Any], binary: bytearray, array: np.ndarray[Any, Any], component: int, kind: str,
+                  target: int, bounds: bool = False) -> int:  # fmt: skip
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes, "target": target}
+    binary.extend(np.ascontiguousarray(array).tobytes())
+    document["bufferViews"].append(view)
+    accessor: dict[str, Any] = {
+        "bufferView": len(document["bufferViews"]) - 1, "componentType": component, "count": len(array), "type": kind,
+    }  # fmt: skip
+    if bounds:
+        accessor["min"], accessor["max"] = array.min(axis=0).tolist(), array.max(axis=0).tolist()
+    document["accessors"].append(accessor)
+    return len(document["accessors"]) - 1
+
+
+def _add_instances(
+    document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float
+) -> None:
+    assert piece.places is not None
+    place = np.asarray(piece.places.centres() * scale, dtype="<f4") + np.float32(0.0)
+    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": place.nbytes}
+    binary.extend(np.ascontiguousarray(place).tobytes())
+    document["bufferViews"].append(view)
+    accessor = {
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": 5126,
+        "count": len(place),
+        "type": "VEC3",
+    }
+    document["accessors"].append(accessor)
+    document["nodes"][0]["children"].append(len(document["nodes"]))
+    where = {INSTANCING: {"attributes": {"TRANSLATION": len(document["accessors"]) - 1}}}
+    document["nodes"].append({"name": piece.name, "mesh": mesh, "extensions": where})
+    document["extensionsUsed"] = sorted({*document["extensionsUsed"], INSTANCING})
+    document["extensionsRequired"] = [INSTANCING]
+
+
+def _add_nodes(document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float) -> None:
+    nodes, children = document["nodes"], document["nodes"][0]["children"]
+    if piece.places is None:
+        children.append(len(nodes))
+        nodes.append({"name": piece.name, "mesh": mesh})
+        return
+    body = {"name": piece.name, "children": list(range(len(nodes) + 1, len(nodes) + 1 + piece.count))}
+    children.append(len(nodes))
+    nodes.append(body)
+    nodes.extend(
+        {"mesh": mesh, "translation": [x * scale, y * scale, 0.0]}
+        for x, y, _ in piece.places.centres().tolist()
+    )
+
+
+# -- reading -----------------------------------------------------------------------------------
+
+
+def read_glb(path: Path) -> FileMesh:
+    """Read a GLB file whose data are inside it; instances stay instances.
+
+    Raises
+    ------
+    UnreadableFile
+        Cut short, inconsistent, needs another file or an extension that changes the geometry.
+    """
+    data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
+    try:
+        document, binary = _chunks(data)
+        return _scene(document, binary)
+    except UnreadableFile as error:
+        raise UnreadableFile(f"{path.name}: {error}") from error
+    except (
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        raise UnreadableFile(f"{path.name}: damaged ({type(error).__name__}: {error})") from error
+
+
+def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    if len(data) < 20 or bytes(data[:4]) != _MAGIC:
+        raise UnreadableFile("not a GLB file")
+    version, length, size, kind = (int(v) for v in np.frombuffer(bytes(data[4:20]), "<u4"))
+    if version != 2 or length != len(data):
+        raise UnreadableFile(f"version {version}, {length} bytes promised and {len(data)} found")
+    if kind != _JSON or size > _LONGEST_JSON or 20 + size > length:
+        raise UnreadableFile("its first chunk is not a JSON text of allowed length")
+    document = json.loads(bytes(data[20 : 20 + size]))
+    rest = data[20 + size :]
+    if len(rest) < 8:
+        raise UnreadableFile("no binary chunk")
+    size, kind = (int(v) for v in np.frombuffer(bytes(rest[:8]), "<u4"))
+    if kind != _BIN or size != len(rest) - 8:
+        raise UnreadableFile("its binary chunk has another length than it says")
+    if not isinstance(document, dict):
+        raise UnreadableFile("its JSON is not an object")
+    return document, rest[8:]
+
+
+def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
+    if set(document.get("extensionsRequired", ())) - {INSTANCING}:
+        raise UnreadableFile(f"needs the extensions {document['extensionsRequired']}, which are not read")
+    if any("uri" in buffer for buffer in document["buffers"]) or len(document["buffers"]) != 1:
+        raise UnreadableFile("its data lie in another file")
+    nodes = document["nodes"]
+    if len(nodes) > _MOST_NODES:
+        raise UnreadableFile(f"{len(nodes)} nodes are more than the {_MOST_NODES} allowed")
+    scene = document["scenes"][document.get("scene", 0)]
+    places: dict[int, list[Floats]] = {}
+    seen: set[int] = set()
+    stack = [(int(n), np.eye(4)) for n in scene["nodes"]]
+    while stack:
+        number, above = stack.pop()
+        if number in seen or number < 0:
+            raise UnreadableFile(f"node {number} stands twice: a scene is a tree")
+        seen.add(number)
+        node = nodes[number]
+        if set(node.get("extensions", ())) - {INSTANCING} or "skin" in node:
+            raise UnreadableFile(f"node {number} uses an extension or skin, which is not read")
+        place = _local(node) @ above
+        if "mesh" in node:
+            found = _instances(document, binary, node) if "extensions" in node else np.eye(4)[None]
+            places.setdefault(int(node["mesh"]), []).append((found @ place)[:, :, :3])
+        children = [int(child) for child in node.get("children", ())]
+        leaves = [n for n in children if 0 <= n < len(nodes) and n not in seen and set(nodes[n]) <= _LEAF]
+        chosen = set(leaves)
+        if len(chosen) == len(leaves) > 1:  # a sheet of cells in one go, not one matrix after the other
+            seen.update(chosen)
+            for mesh, found in _leaves([nodes[n] for n in leaves]):
+                places.setdefault(mesh, []).append((found @ place)[::-1, :, :3])
+            children = [n for n in children if n not in chosen]
+        stack.extend((child, place) for child in children)
+    parts = [
+        part
+        for mesh in sorted(places)
+        for part in _parts(document, binary, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
+    ]
+    if not parts:
+        raise UnreadableFile("its scene shows no triangle")
+    return FileMesh("glb", tuple(parts), 1.0, str(scene.get("name", "")))
+
+
+_LEAF = {"mesh", "name", "translation"}
+"""All that a node holds which is nothing but a mesh put somewhere."""
+
+
+def _leaves(nodes: list[dict[str, Any]]) -> list[tuple[int, Floats]]:
+    """Meshes that plain nodes put somewhere, and their row-vector matrices (k, 4, 4)."""
+    found: dict[int, list[Any]] = {}
+    for node in nodes:
+        if "mesh" in node:
+            found.setdefault(int(node["mesh"]), []).append(node.get("translation", (0.0, 0.0, 0.0)))
+    return [(mesh, _translations(np.array(moves, dtype=np.float64))) for mesh, moves in found.items()]
+
+
+def _translations(moves: Floats) -> Floats:
+    """Row-vector matrices (k, 4, 4) of displacements (k, 3)."""
+    if moves.shape[1:] != (3,) or not np.isfinite(moves).all():
+        raise UnreadableFile("a node's place is not a number")
+    matrices = np.tile(np.eye(4), (len(moves), 1, 1))
+    matrices[:, 3, :3] = moves
+    return matrices
+
+
+def _instances(document: dict[str, Any], binary: np.ndarray[Any, Any], node: dict[str, Any]) -> Floats:
+    """Row-vector matrices of a node's instances, (k, 4, 4), last first like the nodes of a tree."""
+    attributes = node["extensions"][INSTANCING]["attributes"]
+    if set(attributes) != {"TRANSLATION"}:
+        raise UnreadableFile("instances that are turned or scaled are not read")
+    offsets = _accessed(document, binary, attributes["TRANSLATION"], 3).astype(np.float64)
+    if len(offsets) > _MOST_NODES or not np.isfinite(offsets).all():
+        raise UnreadableFile("its instances are too many, or stand nowhere")
+    return _translations(offsets)[::-1]
+
+
+def _local(node: dict[str, Any]) -> Floats:
+    """Row-vector matrix of a node, (4, 4)."""
+    place = np.eye(4)
+    if "matrix" in node:
+        place = np.array(node["matrix"], dtype=np.float64).reshape(4, 4)  # column-major is row-vector order
+    else:
+        x, y, z, w = (float(v) for v in node.get("rotation", (0, 0, 0, 1)))
+        turn = np.array(
+            [[1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
+             [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
+             [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]]
+        )  # fmt: skip
+        size = np.array([float(v) for v in node.get("scale", (1, 1, 1))])
+        place[:3, :3] = size[:, None] * turn
+        place[3, :3] = [float(v) for v in node.get("translation", (0, 0, 0))]
+    if not np.isfinite(place).all():
+        raise UnreadableFile("a node's place is not a number")
+    return place
+
+
+def _parts(
+    document: dict[str, Any], binary: np.ndarray[Any, Any], number: int, placements: Floats
+) -> list[Part]:
+    mesh = document["meshes"][number]
+    found = []
+    for primitive in mesh["primitives"]:
+        if primitive.get("mode", 4) != 4 or "extensions" in primitive:
+            raise UnreadableFile(f"mesh {number} is not plain triangles")
+        vertices = _accessed(document, binary, primitive["attributes"]["POSITION"], 3).astype(np.float64)
+        normals: Floats | None = None
+        if "NORMAL" in primitive["attributes"]:
+            normals = _accessed(document, binary, primitive["attributes"]["NORMAL"], 3).astype(np.float64)
+        if "indices" in primitive:
+            corners: Ints = _accessed(document, binary, primitive["indices"], 1).astype(np.int64).reshape(-1)
+        else:
+            corners = np.arange(len(vertices), dtype=np.int64)
+        if len(corners) == 0 or len(corners) % 3 or corners.min() < 0 or corners.max() >= len(vertices):
+            raise UnreadableFile(f"mesh {number} uses vertices that are not there")
+        if not np.isfinite(vertices).all() or (normals is not None and len(normals) != len(vertices)):
+            raise UnreadableFile(f"mesh {number} has a vertex that is not a number, or too few normals")
+        found.append(
+            Part(
+                str(mesh.get("name", "")),
+                vertices,
+                corners.reshape(-1, 3),
+                normals=normals,
+                placements=placements,
+            )
+        )
+    return found
+
+
+def _accessed(
+    document: dict[str, Any], binary: np.ndarray[Any, Any], number: int, width: int
+) -> np.ndarray[Any, Any]:
+    accessor = document["accessors"][int(number)]
+    view = document["bufferViews"][int(accessor["bufferView"])]
+    kind = np.dtype(_COMPONENTS[accessor["componentType"]])
+    count = int(accessor["count"])
+    if (
+        _WIDTHS[accessor["type"]] != width
+        or "sparse" in accessor
+        or "byteStride" in view
+        or accessor.get("normalized")
+    ):
+        raise UnreadableFile(f"accessor {number} has a form that is not read")
+    if width == 3 and kind != np.dtype("<f4"):
+        raise UnreadableFile(f"accessor {number} is not float32")
+    inside = int(accessor.get("byteOffset", 0))
+    start, size = int(view.get("byteOffset", 0)) + inside, count * width * kind.itemsize
+    if min(count, inside, start) < 0 or inside + size > int(view["byteLength"]) or start + size > len(binary):
+        raise UnreadableFile(f"accessor {number} reaches outside its data")
+    if not math.isfinite(size):
+        raise UnreadableFile(f"accessor {number} has no size")
+    return np.frombuffer(binary[start : start + size].tobytes(), dtype=kind).reshape(count, width)

@@ -1,0 +1,220 @@
+"""PLY: indexed triangles with exact vertex normals, binary, double precision."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Floats, Ints, Part
+from clacad.formats.mesh.repeated_pieces import Piece
+from clacad.storage.errors import UnreadableFile
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_LONGEST_HEADER = 1 << 16
+FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def ply_bytes(vertices: int, facets: int, header: int = 0) -> int:
+    """Size of a file with this many vertices and facets, without its header unless that is given."""
+    return header + 48 * vertices + FACE.itemsize * facets
+
+
+def write_ply(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> None:
+    """Write pieces into one binary little-endian PLY file, instances expanded.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Each with `normals`.
+    path : Path
+    scale : float
+        Millimetres per design unit.
+    name : str
+
+    Raises
+    ------
+    OSError
+    FileDisagrees
+        A value is not finite, or a piece has no normals.
+    """
+    vertices = sum(len(piece.vertices) * piece.count for piece in pieces)
+    facets = sum(len(piece.triangles) * piece.count for piece in pieces)
+    with path.open("wb") as stream:
+        stream.write(_header(name, vertices, facets))
+        for piece in pieces:
+            for centre in _centres(piece):
+                _write_vertices(stream, piece, centre, scale)
+        first = 0
+        for piece in pieces:
+            for _ in range(piece.count):
+                _write_faces(stream, piece.triangles, first)
+                first += len(piece.vertices)
+
+
+def _header(name: str, vertices: int, facets: int) -> bytes:
+    lines = [
+        "ply", "format binary_little_endian 1.0", "comment clacad unit=mm",
+        "comment name=" + re.sub(r"[^ -~]", "?", name)[:200], f"element vertex {vertices}",
+        *(f"property double {p}" for p in ("x", "y", "z", "nx", "ny", "nz")),
+        f"element face {facets}", "property list uchar int vertex_indices", "end_header", "",
+    ]  # fmt: skip
+    return "\n".join(lines).encode("ascii")
+
+
+def _centres(piece: Piece) -> Floats:
+    return np.zeros((1, 3)) if piece.places is None else piece.places.centres()
+
+
+def _write_vertices(stream: IO[bytes], piece: Piece, centre: Floats, scale: float) -> None:
+    block = np.concatenate(piece.sound(scale, centre), axis=1)
+    stream.write(np.ascontiguousarray(block, dtype="<f8").tobytes())
+
+
+def _write_faces(stream: IO[bytes], triangles: Ints, first: int) -> None:
+    for start in range(0, len(triangles), CHUNK):
+        corners = triangles[start : start + CHUNK]
+        block = np.empty(len(corners), dtype=FACE)
+        block["count"] = 3
+        block["corners"] = corners + first
+        stream.write(block.tobytes())
+
+
+# -- reading -----------------------------------------------------------------------------------
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    scalars: list[tuple[str, str]]
+    lists: list[tuple[str, str, str]]
+    before: int = 0  # plain numbers that stand before the list in each row
+
+
+def read_ply(path: Path) -> FileMesh:
+    """Read a PLY file of triangles: ASCII or binary, with or without normals; other numbers of a face are skipped.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
+    head = bytes(data[:_LONGEST_HEADER])
+    end = re.search(rb"\nend_header\r?\n", head)
+    if not re.match(rb"ply\r?\n", head) or end is None:
+        raise UnreadableFile(f"{path.name}: not a PLY file (no header)")
+    lines = head[: end.start()].decode("latin-1").splitlines()
+    form, elements, comments = _parsed_header(path, lines)
+    by_name = {element.name: element for element in elements}
+    if [e.name for e in elements][:2] != ["vertex", "face"] or len(elements) != 2:
+        raise UnreadableFile(f"{path.name}: its elements are {sorted(by_name)}; vertex and face are read")
+    if elements[0].lists or len(elements[1].lists) != 1:
+        raise UnreadableFile(f"{path.name}: faces must have one list and vertices plain numbers")
+    body = data[end.end() :]
+    if form == "ascii":
+        vertices, triangles = _ascii_body(path, bytes(body), *elements)
+    else:
+        vertices, triangles = _binary_body(path, body, "<" if "little" in form else ">", *elements)
+    return _checked(path, vertices, triangles, elements[0], comments)
+
+
+def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], str]:
+    form, comments = "", ""
+    elements: list[_Element] = []
+    for line in lines[1:]:
+        words = line.split()
+        try:
+            if not words:
+                continue
+            if words[0] in ("comment", "obj_info"):
+                comments += " " + line
+            elif words[0] == "format":
+                form = words[1]
+            elif words[0] == "element":
+                elements.append(_Element(words[1], int(words[2]), [], []))
+            elif words[:2] == ["property", "list"]:
+                elements[-1].lists.append((words[4], _TYPES[words[2]], _TYPES[words[3]]))
+                elements[-1].before = len(elements[-1].scalars)
+            elif words[0] == "property":
+                elements[-1].scalars.append((words[2], _TYPES[words[1]]))
+            else:
+                raise KeyError(words[0])
+        except (IndexError, KeyError, ValueError) as error:
+            raise UnreadableFile(f"{path.name}: a header line that is not PLY: {line[:80]!r}") from error
+    if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise UnreadableFile(f"{path.name}: unknown PLY format {form!r}")
+    for e in elements:
+        names = [name for name, *_ in (*e.scalars, *e.lists)]
+        if len(set(names)) < len(names):
+            raise UnreadableFile(f"{path.name}: its element {e.name!r} has a property twice")
+    if any(e.count < 0 or e.count > 1 << 31 for e in elements):
+        raise UnreadableFile(f"{path.name}: an element count out of range")
+    return form, elements, comments
+
+
+def _binary_body(
+    path: Path, body: NDArray[np.uint8], order: str, vertex: _Element, face: _Element
+) -> tuple[Floats, Ints]:
+    row = np.dtype([(name, order + kind) for name, kind in vertex.scalars])
+    _, count_kind, index_kind = face.lists[0]
+    fields: list[Any] = [(f"scalar {k}", order + kind) for k, (_, kind) in enumerate(face.scalars)]
+    fields[face.before : face.before] = [("count", order + count_kind), ("corners", order + index_kind, 3)]
+    triangle = np.dtype(fields)
+    need = row.itemsize * vertex.count + triangle.itemsize * face.count
+    if need != len(body):
+        raise UnreadableFile(
+            f"{path.name}: holds {len(body)} bytes of data; its header promises {need} for triangles"
+        )
+    rows = np.frombuffer(body, dtype=row, count=vertex.count)
+    faces = np.frombuffer(body, dtype=triangle, count=face.count, offset=row.itemsize * vertex.count)
+    if (faces["count"] != 3).any():
+        raise UnreadableFile(f"{path.name}: a face that is not a triangle")
+    values = np.stack([rows[name].astype(np.float64) for name, _ in vertex.scalars], axis=1)
+    return values, np.asarray(faces["corners"], dtype=np.int64)
+
+
+def _ascii_body(path: Path, body: bytes, vertex: _Element, face: _Element) -> tuple[Floats, Ints]:
+    try:
+        numbers = np.array(body.split(), dtype=np.float64)
+    except ValueError as error:
+        raise UnreadableFile(f"{path.name}: a word in the data that is no number") from error
+    width, row = len(vertex.scalars), 4 + len(face.scalars)
+    if len(numbers) != width * vertex.count + row * face.count:
+        raise UnreadableFile(
+            f"{path.name}: {len(numbers)} numbers are not what its header promises for triangles"
+        )
+    faces = numbers[width * vertex.count :].reshape(-1, row)[:, face.before : face.before + 4]
+    if (faces[:, 0] != 3).any() or not (np.abs(faces) < 1 << 31).all():
+        raise UnreadableFile(f"{path.name}: a face that is not a triangle")
+    return numbers[: width * vertex.count].reshape(-1, width), faces[:, 1:].astype(np.int64)
+
+
+def _checked(path: Path, values: Floats, triangles: Ints, vertex: _Element, comments: str) -> FileMesh:
+    names = [name for name, _ in vertex.scalars]
+    if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
+        raise UnreadableFile(f"{path.name}: vertices have no x, y, z")
+    position = values[:, [names.index(k) for k in ("x", "y", "z")]]
+    normals = None
+    if {"nx", "ny", "nz"} <= set(names):
+        normals = values[:, [names.index(k) for k in ("nx", "ny", "nz")]]
+    if not np.isfinite(position).all() or (normals is not None and not np.isfinite(normals).all()):
+        raise UnreadableFile(f"{path.name}: a vertex that is not a number")
+    if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(position):
+        raise UnreadableFile(f"{path.name}: no triangle, or one that uses a vertex that is not there")
+    unit = 1e-3 if "unit=mm" in comments else None
+    return FileMesh("ply", (Part("", position, triangles, normals=normals),), unit, _name_in(comments))
+
+
+def _name_in(comments: str) -> str:
+    match = re.search(r"comment name=(.*?)(?: comment |$)", comments)
+    return match[1].strip() if match else ""

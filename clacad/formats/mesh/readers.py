@@ -1,0 +1,62 @@
+"""Read a mesh file of any format that is known, by what is in it and not by its name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from clacad.formats.mesh.file_mesh import FileMesh
+from clacad.storage.errors import UnreadableFile
+
+
+def read_mesh(path: str | os.PathLike[str]) -> FileMesh:
+    """Read STL (binary or ASCII), 3MF, PLY, GLB or OBJ.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    FileMesh
+        Coordinates in the file's unit; its `chunks` yield corners without holding them all.
+
+    Raises
+    ------
+    UnreadableFile
+        Not one of these, damaged, or built to harm its reader. Nothing else is raised for any content.
+    FileNotFoundError
+    """
+    path = Path(path)
+    with path.open("rb") as stream:
+        head = stream.read(512)
+    try:
+        return _reader(head, path.suffix.lower())(path)
+    except (MemoryError, OverflowError) as error:
+        raise UnreadableFile(f"{path.name}: too large to be read here") from error
+
+
+def _reader(head: bytes, suffix: str) -> Callable[[Path], FileMesh]:
+    """Choose by the first bytes; STL has no mark, so its suffix or its arithmetic decides last."""
+    if head.startswith(b"PK\x03\x04"):
+        from clacad.formats.mesh.threemf import read_threemf
+
+        return read_threemf
+    if head.startswith(b"glTF"):
+        from clacad.formats.mesh.glb import read_glb
+
+        return read_glb
+    if head.startswith((b"ply\n", b"ply\r\n")):
+        from clacad.formats.mesh.ply import read_ply
+
+        return read_ply
+    if suffix == ".obj":
+        from clacad.formats.mesh.obj import read_obj
+
+        return read_obj
+    from clacad.formats.mesh.stl import read_stl
+
+    if suffix in (".3mf", ".glb", ".ply"):
+        raise UnreadableFile(f"the file does not begin as a {suffix[1:].upper()} file does")
+    return read_stl

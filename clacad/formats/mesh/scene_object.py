@@ -1,0 +1,37 @@
+"""A mesh file as an object of a scene: y up, standing on the origin, as high as asked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.mesh.readers import read_mesh
+
+if TYPE_CHECKING:
+    from clacad.scene import Scene, SceneObject
+
+Floats = NDArray[np.float64]
+
+
+def standing_corners(scene: Scene, thing: SceneObject) -> Floats:
+    """Corners (t, 3, 3) of a mesh object in its own frame, scene lengths.
+
+    Raises
+    ------
+    SceneError
+        The file is missing or outside the scene's folders.
+    UnreadableFile
+        It is no mesh, or damaged.
+    """
+    assert thing.file is not None  # the scene's rules ask for it
+    corners = np.concatenate([np.zeros((0, 3, 3)), *read_mesh(scene.file(thing.file)).chunks()])
+    if thing.up == "z":  # x stays, the file's y points away from the viewer
+        corners = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)
+    if not len(corners):
+        return corners
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    tall = high[1] - low[1]
+    return np.asarray((corners - foot) * (thing.size[0] / tall if tall > 0.0 else 1.0))

@@ -1,0 +1,365 @@
+"""3MF: a zip of XML that states its unit and lets one cell stand many times.
+
+Written without a library, so that equal designs give equal bytes: fixed dates, no identifiers drawn
+at random, numbers in the shortest form that reads back exactly. Read with an expander of our own,
+because readers in the field lose instances that are shared through two levels.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Floats, Part
+from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.storage.archive import Attributes, open_archive, parse_xml
+from clacad.storage.errors import FileDisagrees, UnreadableFile
+
+FLAT_LIMIT = 50_000
+"""Up to this many places components are written in one level, which every reader tried understands."""
+
+MOST_FACETS = 100_000_000
+"""Facets that may be written in a file; at how many places they stand is MOST_PLACES' business."""
+
+MOST_PLACES = 4_000_000
+NAMESPACE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+MODEL = "3D/3dmodel.model"
+_TYPES = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
+    '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>'
+    "</Types>\n"
+)
+_RELATIONS = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
+    f'<Relationship Target="/{MODEL}" Id="rel0" '
+    'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>'
+    "</Relationships>\n"
+)
+UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
+
+
+# -- writing -----------------------------------------------------------------------------------
+
+
+def write_threemf(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> None:
+    """Write pieces, each standing once or on a lattice, as one 3MF file.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+    path : Path
+    scale : float
+        Millimetres per design unit.
+    name : str
+        Title of the model.
+
+    Raises
+    ------
+    OSError
+    FileDisagrees
+        A coordinate is not a finite number.
+    """
+    with path.open("wb") as raw, zipfile.ZipFile(raw, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        archive.writestr(_entry("[Content_Types].xml"), _TYPES)
+        archive.writestr(_entry("_rels/.rels"), _RELATIONS)
+        with archive.open(_entry(MODEL), "w", force_zip64=True) as stream:
+            for block in _blocks(_model(pieces, scale, name)):
+                stream.write(block)
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    entry.create_system = 0  # the same bytes on every system
+    entry.external_attr = 0
+    return entry
+
+
+def _blocks(lines: Iterator[str]) -> Iterator[bytes]:
+    kept: list[str] = []
+    for line in lines:
+        kept.append(line)
+        if len(kept) == 4096:
+            yield "".join(kept).encode()
+            kept.clear()
+    yield "".join(kept).encode()
+
+
+def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
+    yield '<?xml version="1.0" encoding="UTF-8"?>\n'
+    yield f'<model unit="millimeter" xml:lang="en-US" xmlns="{NAMESPACE}">\n'
+    yield f'<metadata name="Title">{escape(name, quote=False)}</metadata>\n<metadata name="Application">clacad</metadata>\n'
+    yield "<resources>\n"
+    numbers = iter(range(1, 1 << 31))
+    items: list[tuple[int, str]] = []
+    for piece in pieces:
+        mesh = next(numbers)
+        yield from mesh_lines(piece, mesh, scale)
+        if piece.places is None:
+            items.append((mesh, ""))
+            continue
+        if piece.count <= FLAT_LIMIT:
+            whole = next(numbers)
+            yield from _flat(piece.name, piece.places, mesh, whole, scale)
+        else:
+            kinds = [next(numbers) for _ in piece.places.rows()[0]]
+            whole = next(numbers)
+            yield from _hierarchical(piece.name, piece.places, mesh, kinds, whole, scale)
+        items.append((whole, ""))
+    yield "</resources>\n<build>\n"
+    for number, transform in items:
+        yield f'<item objectid="{number}"{transform}/>\n'
+    yield "</build>\n</model>\n"
+
+
+def mesh_lines(piece: Piece, number: int, scale: float) -> Iterator[str]:
+    """Lines of one mesh object."""
+    vertices = np.asarray(piece.vertices, dtype=np.float64) * scale + 0.0
+    if not np.isfinite(vertices).all():
+        raise FileDisagrees(f"{piece.name}: a vertex is not a finite number")
+    label = piece.name if piece.places is None else piece.name + " cell"
+    yield f'<object id="{number}" type="model" name="{escape(label)}">\n<mesh>\n<vertices>\n'
+    for x, y, z in vertices.tolist():
+        yield f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>\n'
+    yield "</vertices>\n<triangles>\n"
+    for a, b, c in np.asarray(piece.triangles).tolist():
+        yield f'<triangle v1="{a}" v2="{b}" v3="{c}"/>\n'
+    yield "</triangles>\n</mesh>\n</object>\n"
+
+
+def _flat(name: str, places: Places, mesh: int, number: int, scale: float) -> Iterator[str]:
+    yield f'<object id="{number}" type="model" name="{escape(name)}">\n<components>\n'
+    for x, y, _ in places.centres().tolist():
+        yield component_text(mesh, x * scale, y * scale)
+    yield "</components>\n</object>\n"
+
+
+def _hierarchical(
+    name: str, places: Places, mesh: int, kinds: list[int], whole: int, scale: float
+) -> Iterator[str]:
+    offsets, standing = places.rows()
+    for number, row in zip(kinds, offsets):
+        yield f'<object id="{number}" type="model" name="{escape(name + " row")}">\n<components>\n'
+        for x in row.tolist():
+            yield component_text(mesh, x * scale, 0.0)
+        yield "</components>\n</object>\n"
+    yield f'<object id="{whole}" type="model" name="{escape(name)}">\n<components>\n'
+    for kind, (x, y) in standing:
+        yield component_text(kinds[kind], x * scale, y * scale)
+    yield "</components>\n</object>\n"
+
+
+def component_text(number: int, x: float, y: float) -> str:
+    """Line that puts object `number` at (x, y)."""
+    return f'<component objectid="{number}" transform="1 0 0 0 1 0 0 0 1 {x + 0.0!r} {y + 0.0!r} 0"/>\n'
+
+
+# -- reading -----------------------------------------------------------------------------------
+
+
+@dataclass
+class _Object:
+    name: str
+    vertices: list[float] = field(default_factory=list)
+    triangles: list[int] = field(default_factory=list)
+    components: list[tuple[str, Floats]] = field(default_factory=list)
+
+
+@dataclass
+class _Model:
+    """What the parser has gathered so far."""
+
+    path: str
+    unit: float = 1e-3
+    objects: dict[str, _Object] = field(default_factory=dict)
+    items: list[tuple[str, Floats]] = field(default_factory=list)
+    current: _Object | None = None
+    title: str = ""
+    in_title: bool = False
+
+    def fail(self, why: str) -> UnreadableFile:
+        return UnreadableFile(f"{self.path}: {why}")
+
+
+def read_threemf(path: Path) -> FileMesh:
+    """Read a 3MF file and expand its components through any number of levels.
+
+    Raises
+    ------
+    UnreadableFile
+        Not 3MF, damaged, hostile, or needs an extension that is not read.
+    """
+    with open_archive(path) as archive:
+        try:
+            with archive.open(_model_name(path, archive)) as stream:
+                model = _parsed(path.name, stream)
+        except (KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError) as error:
+            raise UnreadableFile(f"{path.name}: damaged ({error})") from error
+    places: dict[str, list[Floats]] = {}
+    budget = [MOST_PLACES]
+    for number, place in model.items:
+        _expand(model, number, place, places, (), budget)
+    parts = tuple(_part(model, number, np.concatenate(list(found))) for number, found in places.items())
+    facets = sum(part.facet_count * len(part.placements) for part in parts)
+    if not facets:
+        raise UnreadableFile(f"{path.name}: holds no triangle that is built")
+    return FileMesh("3mf", parts, model.unit, model.title.strip())
+
+
+def _model_name(path: Path, archive: zipfile.ZipFile) -> str:
+    found: list[str] = []
+
+    def start(tag: str, attributes: Attributes) -> None:
+        if tag == "Relationship" and attributes.get("Type", "").endswith("/3dmodel"):
+            found.append(attributes.get("Target", "").lstrip("/"))
+
+    if "_rels/.rels" not in archive.namelist():
+        raise UnreadableFile(f"{path.name}: a zip file, but not 3MF (no _rels/.rels)")
+    with archive.open("_rels/.rels") as stream:
+        parse_xml(stream, path.name, start, lambda _: None)
+    if len(found) != 1 or found[0] not in archive.namelist():
+        raise UnreadableFile(f"{path.name}: it names {len(found)} models; one that exists is needed")
+    return found[0]
+
+
+def _parsed(name: str, stream: IO[bytes]) -> _Model:
+    model = _Model(name)
+
+    def start(tag: str, attributes: Attributes) -> None:
+        handler = _HANDLERS.get(tag)
+        if handler is not None:
+            try:
+                handler(model, attributes)
+            except (KeyError, ValueError) as error:
+                if isinstance(error, UnreadableFile):
+                    raise
+                raise model.fail(f"a damaged <{tag}> element") from error
+
+    def end(tag: str) -> None:
+        if tag == "object":
+            model.current = None
+        model.in_title = False
+
+    def text(data: str) -> None:
+        if model.in_title and len(model.title) < 1000:
+            model.title += data
+
+    parse_xml(stream, name, start, end, text)
+    return model
+
+
+def _on_model(model: _Model, attributes: Attributes) -> None:
+    unit = attributes.get("unit", "millimeter")
+    if unit not in UNITS:
+        raise model.fail(f"unknown unit {unit!r}")
+    model.unit = UNITS[unit]
+    if attributes.get("requiredextensions", "").strip():
+        raise model.fail(f"needs the extension {attributes['requiredextensions']!r}, which is not read")
+
+
+def _on_metadata(model: _Model, attributes: Attributes) -> None:
+    model.in_title = attributes.get("name") == "Title"
+
+
+def _on_object(model: _Model, attributes: Attributes) -> None:
+    number = attributes["id"]
+    if number in model.objects:
+        raise model.fail(f"object {number} comes twice")
+    model.current = model.objects[number] = _Object(attributes.get("name", ""))
+
+
+def _on_vertex(model: _Model, attributes: Attributes) -> None:
+    _current(model).vertices.extend((float(attributes["x"]), float(attributes["y"]), float(attributes["z"])))
+
+
+def _on_triangle(model: _Model, attributes: Attributes) -> None:
+    _current(model).triangles.extend((int(attributes["v1"]), int(attributes["v2"]), int(attributes["v3"])))
+
+
+def _on_component(model: _Model, attributes: Attributes) -> None:
+    if any(key.endswith(":path") for key in attributes):
+        raise model.fail("a component in another part of the archive, which is not read")
+    _current(model).components.append((attributes["objectid"], _transform(model, attributes)))
+
+
+def _on_item(model: _Model, attributes: Attributes) -> None:
+    if any(key.endswith(":path") for key in attributes):
+        raise model.fail("a build item in another part of the archive, which is not read")
+    model.items.append((attributes["objectid"], _transform(model, attributes)))
+
+
+def _current(model: _Model) -> _Object:
+    if model.current is None:
+        raise model.fail("a mesh element outside an object")
+    return model.current
+
+
+def _transform(model: _Model, attributes: Attributes) -> Floats:
+    text = attributes.get("transform")
+    if text is None:
+        return np.asarray(ONE_PLACE[0], dtype=np.float64)
+    numbers = [float(word) for word in text.split()]
+    if len(numbers) != 12 or not all(math.isfinite(v) for v in numbers):
+        raise model.fail("a transform that is not twelve numbers")
+    return np.array(numbers, dtype=np.float64).reshape(4, 3)
+
+
+_HANDLERS = {
+    "model": _on_model, "metadata": _on_metadata, "object": _on_object, "vertex": _on_vertex,
+    "triangle": _on_triangle, "component": _on_component, "item": _on_item,
+}  # fmt: skip
+
+
+def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Floats]], above: tuple[str, ...],
+            budget: list[int]) -> None:  # fmt: skip
+    """Collect where each mesh stands. Leaf components are placed as one array, so a sheet costs one call a row."""
+    if number in above or len(above) > 16:
+        raise model.fail(f"object {number} contains itself, or components nest deeper than 16")
+    found = model.objects.get(number)
+    if found is None:
+        raise model.fail(f"object {number} is used and not defined")
+    if found.triangles:
+        places.setdefault(number, []).append(place[None])
+    leaves: dict[str, list[Floats]] = {}
+    budget[0] -= max(500, len(found.components))  # a level of its own is dearer than a leaf
+    if budget[0] < 0:
+        raise model.fail(f"more than {MOST_PLACES} places of its parts")
+    for child, inner in found.components:
+        inside = model.objects.get(child)
+        if inside is not None and not inside.components:
+            leaves.setdefault(child, []).append(inner)
+        else:
+            _expand(model, child, _composed(inner[None], place)[0], places, (*above, number), budget)
+    for child, inner_places in leaves.items():
+        if model.objects[child].triangles:
+            places.setdefault(child, []).append(_composed(np.stack(inner_places), place))
+
+
+def _composed(inner: Floats, outer: Floats) -> Floats:
+    """Place `inner` maps (m, 4, 3) inside the map `outer` (4, 3)."""
+    result = np.matmul(inner, outer[:3])
+    result[:, 3] += outer[3]
+    return np.asarray(result, dtype=np.float64)
+
+
+def _part(model: _Model, number: str, placements: Floats) -> Part:
+    found = model.objects[number]
+    vertices = np.array(found.vertices).reshape(-1, 3)
+    triangles = np.array(found.triangles, dtype=np.int64).reshape(-1, 3)
+    if not np.isfinite(vertices).all():
+        raise model.fail(f"object {number} has a vertex that is not a number")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise model.fail(f"object {number} has a triangle that uses a vertex it does not have")
+    if len(triangles) > MOST_FACETS:
+        raise model.fail(f"more than {MOST_FACETS} triangles")
+    return Part(found.name, vertices, triangles, placements=placements)

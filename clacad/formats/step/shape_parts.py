@@ -1,0 +1,177 @@
+"""What a shape of the CAD kernel is made of: each part once, and all its placements. Lengths in mm.
+
+An assembly of 80,000 cells is a few shapes and a tree of placements; nothing here visits a part twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clacad.formats.step.placements import Floats, composed
+
+CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A solid, or a shell or face that belongs to none, and where it stands.
+
+    shape : kernel shape, unplaced
+    solid : bool
+    faces : list of kernel faces
+    shells : int
+    placements : (k, 3, 4), mm
+    """
+
+    shape: Any
+    solid: bool
+    faces: list[Any]
+    shells: int
+    placements: Floats
+
+
+def pieces(shape: Any) -> list[Piece]:
+    """The pieces of a shape, in the order they are met.
+
+    Raises
+    ------
+    UnreadableFile
+        A part holds itself, or stands too often.
+    """
+    from OCP.TopAbs import TopAbs_FACE, TopAbs_SHELL, TopAbs_SOLID
+    from OCP.TopoDS import TopoDS_Iterator
+
+    if shape.IsNull():
+        return []
+    order, held, shapes = [], {}, {}
+    waiting = [shape]
+    while waiting:
+        one = waiting.pop()
+        key = one.TShape()
+        if key in shapes:
+            continue
+        shapes[key] = one.Located(_nowhere())
+        order.append(key)
+        if one.ShapeType().value >= TopAbs_SOLID.value:
+            continue
+        own: dict[Any, list[Floats]] = {}
+        inside = TopoDS_Iterator(shapes[key], True, True)
+        while inside.More():
+            child = inside.Value()
+            own.setdefault(child.TShape(), []).append(placement_of(child.Location()))
+            waiting.append(child)
+            inside.Next()
+        held[key] = [(child, np.array(many)) for child, many in own.items()]
+    top = placement_of(shape.Location())
+    placed = composed(held, order)
+    found = []
+    for key in order:
+        one = shapes[key]
+        kind = one.ShapeType()
+        if kind.value < TopAbs_SOLID.value or kind.value > TopAbs_FACE.value:
+            continue
+        where = placed[key]
+        linear = top[:, :3] @ where[:, :, :3]
+        move = top[:, :3] @ where[:, :, 3:] + top[:, 3:]
+        found.append(
+            Piece(
+                one, kind == TopAbs_SOLID, explored(one, TopAbs_FACE), len(explored(one, TopAbs_SHELL)),
+                np.concatenate([linear, move], axis=2),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _nowhere() -> Any:
+    from OCP.TopLoc import TopLoc_Location
+
+    return TopLoc_Location()
+
+
+def placement_of(location: Any) -> Floats:
+    """A location of the kernel as (3, 4)."""
+    move = location.Transformation()
+    return np.array([[move.Value(i, j) for j in (1, 2, 3, 4)] for i in (1, 2, 3)])
+
+
+def moved(shape: Any, placement: Floats) -> Any:
+    """A shape where a placement (3, 4) takes it."""
+    from OCP.gp import gp_Trsf
+    from OCP.TopLoc import TopLoc_Location
+
+    move = gp_Trsf()
+    move.SetValues(*placement.ravel().tolist())
+    return shape.Moved(TopLoc_Location(move))
+
+
+def explored(shape: Any, kind: Any) -> list[Any]:
+    """Every subshape of a kind, as often as it is used."""
+    from OCP.TopAbs import TopAbs_FACE
+    from OCP.TopExp import TopExp_Explorer
+    from OCP.TopoDS import TopoDS
+
+    explorer, found = TopExp_Explorer(shape, kind), []
+    while explorer.More():
+        found.append(TopoDS.Face(explorer.Current()) if kind == TopAbs_FACE else explorer.Current())
+        explorer.Next()
+    return found
+
+
+def box(shape: Any) -> list[list[float]]:
+    """Lowest and highest corner of a shape."""
+    from OCP.Bnd import Bnd_Box
+    from OCP.BRepBndLib import BRepBndLib
+
+    found = Bnd_Box()
+    BRepBndLib.Add_s(shape, found, False)
+    if found.IsVoid():
+        return [[np.inf] * 3, [-np.inf] * 3]
+    found.SetGap(0.0)
+    low, high = found.CornerMin(), found.CornerMax()
+    return [[low.X(), low.Y(), low.Z()], [high.X(), high.Y(), high.Z()]]
+
+
+def whole_box(several: list[Piece]) -> list[list[float]]:
+    """Lowest and highest corner of all pieces in all their placements."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for piece in several:
+        for turn, moves in turns(piece.placements):
+            corners = np.array(box(moved(piece.shape, turn)))
+            low = np.minimum(low, corners[0] + moves.min(axis=0))
+            high = np.maximum(high, corners[1] + moves.max(axis=0))
+    return [low.tolist(), high.tolist()]
+
+
+def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
+    """Every turn among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of all that have it."""
+    linear = placements[:, :, :3].reshape(-1, 9)
+    _, first, which = np.unique(linear.round(12), axis=0, return_index=True, return_inverse=True)
+    for number, row in enumerate(first):
+        turn = np.concatenate([placements[row, :, :3], np.zeros((3, 1))], axis=1)
+        yield turn, placements[which.ravel() == number, :, 3]
+
+
+def boxes_of(faces: list[Any]) -> Floats:
+    """Boxes (n, 2, 3) of faces."""
+    return np.array([box(face) for face in faces]).reshape(-1, 2, 3)
+
+
+def reaching(piece: Piece, boxes: Floats, low: Floats, high: Floats) -> Iterator[Any]:
+    """Faces of a piece, placed, whose boxes reach into the column low … high (2,) of x and y."""
+    whole = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    for row in np.flatnonzero(_reach(whole[None], piece.placements, low, high)):
+        placement = piece.placements[row]
+        for number in np.flatnonzero(_reach(boxes, placement[None], low, high)):
+            yield placement, piece.faces[number]
+
+
+def _reach(boxes: Floats, placements: Floats, low: Floats, high: Floats) -> Any:
+    """Whether boxes (n, 2, 3), or one of them in n placements, reach into a column."""
+    corners = boxes[:, :1] + CORNERS * (boxes[:, 1:] - boxes[:, :1])
+    at = corners @ np.swapaxes(placements[:, :, :3], 1, 2) + placements[:, None, :, 3]
+    flat = at[..., :2]
+    return ((flat.max(axis=1) >= low) & (flat.min(axis=1) <= high)).all(axis=1)

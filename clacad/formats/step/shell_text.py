@@ -1,0 +1,277 @@
+"""Write shells as ISO 10303-21 (STEP) text: a `Writer` that needs no CAD kernel.
+
+The text is a stream: an edge is written when its second face has used it, so memory grows only with the numbers
+of vertices and faces. Parameter curves are the same for all instances of a class and are written once; edges on
+one line and walls in one plane share its entity. Lengths in mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from clacad.formats.step.part21 import Part21, quoted, real, weight
+from clacad.solid.edge_classes import Plane, Surface
+from clacad.solid.face_pattern import Floats
+from clacad.solid.rational_conics import Arc, Patch
+from clacad.solid.shells import Loop, Role
+
+_KEPT = 200_000
+
+
+class Recent:
+    """Numbers of entities written not long ago, by their text: memory stays bounded, equal ones are written once."""
+
+    __slots__ = ("_now", "_before")
+
+    def __init__(self) -> None:
+        self._now: dict[str, int] = {}
+        self._before: dict[str, int] = {}
+
+    def find(self, text: str) -> int | None:
+        """The number under which the text was kept, None if it was not or long ago."""
+        return self._now.get(text) or self._before.get(text)
+
+    def keep(self, text: str, number: int) -> int:
+        """Remember a number; give it back."""
+        self._now[text] = number
+        if len(self._now) > _KEPT:
+            self._before, self._now = self._now, {}
+        return number
+
+
+class TextWriter:
+    """Write shells as text; see `clacad.solid.shells.Writer`.
+
+    Parameters
+    ----------
+    part : Part21
+    curves : bool
+        Write parameter curves.
+    """
+
+    def __init__(self, part: Part21, curves: bool) -> None:
+        self.part, self._with_curves = part, curves
+        self._vertices: list[int] = []
+        self._points: list[int] = []
+        self._edges: list[int] = []
+        self._open: dict[int, tuple[int, int, Arc, Floats, list[str], list[bool]]] = {}
+        self._surfaces: list[int] = []
+        self.faces: list[int] = []
+        self.roles: list[Role] = []
+        self._places, self._lines, self._planes = Recent(), Recent(), Recent()
+        self._kept: dict[int, tuple[object, object]] = {}
+        self._directions: dict[tuple[float, ...], int] = {}
+        self._vectors: dict[tuple[float, ...], int] = {}
+
+    @property
+    def unfinished(self) -> int:
+        """Number of edges that were not used by exactly two faces (0 for closed shells)."""
+        return len(self._open)
+
+    def vertex(self, point: Floats, tolerance: float) -> int:
+        """Write a vertex (text carries no tolerance: readers find it from the geometry)."""
+        at = self._point(self.part.coordinates(point.tolist()))
+        self._points.append(at)
+        self._vertices.append(self.part.add(f"VERTEX_POINT('',#{at})"))
+        return len(self._vertices) - 1
+
+    def edge(self, first: int, last: int, arc: Arc, offset: Floats, tolerance: float) -> int:
+        """Reserve an edge; it is written when two faces have used it."""
+        number = len(self._edges)
+        self._edges.append(self.part.reserve())
+        self._open[number] = (first, last, arc, offset, [], [])
+        return number
+
+    def surface(self, surface: Surface, offset: Floats) -> int:
+        """Write a surface."""
+        if isinstance(surface, Plane):
+            number = self._plane(surface, offset)
+        else:
+            number = self._patch(surface, offset)
+        self._surfaces.append(number)
+        return len(self._surfaces) - 1
+
+    def face(self, surface: int, same_sense: bool, loops: list[Loop], role: Role) -> int:
+        """Write a face and its loops."""
+        part = self.part
+        bounds = []
+        for n, loop in enumerate(loops):
+            uses = []
+            for use in loop:
+                if use.edge < 0:
+                    continue  # a side closed in a point is no edge in STEP
+                sense = "T" if use.forward else "F"
+                uses.append(part.add(f"ORIENTED_EDGE('',*,*,#{self._edges[use.edge]},.{sense}.)"))
+            ring = part.add(f"EDGE_LOOP('',({','.join(f'#{use}' for use in uses)}))")
+            bounds.append(part.add(f"{'FACE_OUTER_BOUND' if n == 0 else 'FACE_BOUND'}('',#{ring},.T.)"))
+            for use in loop:
+                if use.edge >= 0:
+                    self._use(use.edge, use.forward, use.parameters, surface)
+        listed = ",".join(f"#{bound}" for bound in bounds)
+        sense = "T" if same_sense else "F"
+        self.faces.append(
+            part.add(f"ADVANCED_FACE('{role}',({listed}),#{self._surfaces[surface]},.{sense}.)")
+        )
+        self.roles.append(role)
+        return len(self.faces) - 1
+
+    def solid(self, faces: Sequence[int], name: str) -> int:
+        """Close faces to a solid; its entity number."""
+        listed = ",".join([f"#{self.faces[face]}" for face in faces])
+        shell = self.part.add(f"CLOSED_SHELL('',({listed}))")
+        return self.part.add(f"MANIFOLD_SOLID_BREP({quoted(name)},#{shell})")
+
+    # -- edges ------------------------------------------------------------------------------------
+
+    def _use(self, edge: int, forward: bool, parameters: Arc | None, surface: int) -> None:
+        if edge not in self._open:
+            raise ValueError("an edge is used by more than two faces; please report the design")
+        first, last, arc, offset, curves, senses = self._open[edge]
+        senses.append(forward)
+        if parameters is not None and self._with_curves:
+            shared = self._shared(parameters)
+            number = self.part.add(f"PCURVE('',#{self._surfaces[surface]},#{shared})")
+            curves.append(f"#{number}")
+        if len(senses) == 2:
+            if senses[0] == senses[1]:
+                raise ValueError("an edge runs the same way in both its faces; please report the design")
+            del self._open[edge]
+            self._finish(edge, first, last, arc, offset, curves)
+
+    def _finish(self, edge: int, first: int, last: int, arc: Arc, offset: Floats, curves: list[str]) -> None:
+        part = self.part
+        curve = (
+            self._straight(first, arc, offset)
+            if arc.straight and not curves
+            else self._curve(first, last, arc, offset)
+        )
+        if curves:
+            curve = part.add(f"SURFACE_CURVE('',#{curve},({','.join(curves)}),.PCURVE_S1.)")
+        part.put(
+            self._edges[edge], f"EDGE_CURVE('',#{self._vertices[first]},#{self._vertices[last]},#{curve},.T.)"
+        )
+
+    def _straight(self, first: int, arc: Arc, offset: Floats) -> int:
+        """A line; edges one behind the other share it, for a line has no ends in STEP."""
+        start = arc.poles[0] + offset
+        way = arc.poles[-1] - arc.poles[0]
+        way = way / np.linalg.norm(way)
+        unit = tuple(way.tolist())
+        if unit not in self._vectors:
+            self._vectors[unit] = self.part.add(f"VECTOR('',#{self._direction(unit)},1.)")
+        vector = self._vectors[unit]
+        foot = start - float(start @ way) * way
+        text = f"{vector}{self.part.coordinates(foot.tolist())}"
+        return self._lines.find(text) or self._lines.keep(
+            text, self.part.add(f"LINE('',#{self._points[first]},#{vector})")
+        )
+
+    def _curve(self, first: int, last: int, arc: Arc, offset: Floats) -> int:
+        inner = (arc.poles[1:-1] + offset).tolist()
+        coordinates = self.part.coordinates
+        points = [self._points[first], *(self._point(coordinates(p)) for p in inner), self._points[last]]
+        before, after = self._template(arc)
+        return self.part.add(f"{before}{','.join([f'#{p}' for p in points])}{after}")
+
+    def _template(self, arc: Arc) -> tuple[str, str]:
+        """Everything but the poles of a curve, the same for all instances of its class."""
+        found = self._kept.get(id(arc))
+        if found is None:
+            found = self._kept[id(arc)] = (arc, _curve_text(arc.weights, weight))
+        text = found[1]
+        assert isinstance(text, tuple)
+        return text
+
+    def _shared(self, parameters: Arc) -> int:
+        """The representation of a parameter curve, written once for all instances of its class."""
+        found = self._kept.get(id(parameters))
+        if found is None:
+            part = self.part
+            points = [
+                part.add(f"CARTESIAN_POINT('',({real(u)},{real(v)}))") for u, v in parameters.poles.tolist()
+            ]
+            before, after = _curve_text(parameters.weights, real)
+            curve = part.add(f"{before}{','.join(f'#{p}' for p in points)}{after}")
+            number = part.add(f"DEFINITIONAL_REPRESENTATION('',(#{curve}),#{part.parameter_space})")
+            found = self._kept[id(parameters)] = (parameters, number)
+        number_found = found[1]
+        assert isinstance(number_found, int)
+        return number_found
+
+    # -- surfaces and points ----------------------------------------------------------------------
+
+    def _plane(self, plane: Plane, offset: Floats) -> int:
+        """A plane; faces in one plane share it, for a plane has no ends in STEP."""
+        part = self.part
+        origin = plane.origin + offset
+        normal, across = (self._direction(tuple(way.tolist())) for way in (plane.normal, plane.across))
+        text = f"{normal},{across},{part.coordinate(float(origin @ plane.normal))}"
+        found = self._planes.find(text)
+        if found is not None:
+            return found
+        at = self._point(part.coordinates(origin.tolist()))
+        place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{normal},#{across})")
+        return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
+
+    def _patch(self, patch: Patch, offset: Floats) -> int:
+        part = self.part
+        m, n = patch.weights.shape
+        found = self._kept.get(id(patch))
+        if found is None:
+            found = self._kept[id(patch)] = (patch, _patch_text(patch.weights))
+        text = found[1]
+        assert isinstance(text, tuple)
+        poles = (patch.poles.reshape(-1, 3) + offset).tolist()
+        ids = [f"#{self._point(part.coordinates(pole))}" for pole in poles]
+        rows = ",".join([f"({','.join(ids[i * n : (i + 1) * n])})" for i in range(m)])
+        return part.add(f"{text[0]}{rows}{text[1]}")
+
+    def _direction(self, way: tuple[float, ...]) -> int:
+        if way not in self._directions:
+            self._directions[way] = self.part.add(f"DIRECTION('',({','.join(real(value) for value in way)}))")
+        return self._directions[way]
+
+    def _point(self, text: str) -> int:
+        """A point; equal points written not long ago are written once."""
+        return self._places.find(text) or self._places.keep(
+            text, self.part.add(f"CARTESIAN_POINT('',{text})")
+        )
+
+
+def _knots(degree: int) -> tuple[str, str]:
+    return f"({degree + 1},{degree + 1})", "(0.,1.)"
+
+
+def _curve_text(weights: Floats, written: Callable[[float], str]) -> tuple[str, str]:
+    degree = len(weights) - 1
+    many, knots = _knots(degree)
+    if np.ptp(weights) == 0.0:
+        return (
+            f"B_SPLINE_CURVE_WITH_KNOTS('',{degree},(",
+            f"),.UNSPECIFIED.,.F.,.F.,{many},{knots},.UNSPECIFIED.)",
+        )
+    listed = ",".join([written(value) for value in weights])
+    return (
+        f"(BOUNDED_CURVE()B_SPLINE_CURVE({degree},(",
+        f"),.UNSPECIFIED.,.F.,.F.)B_SPLINE_CURVE_WITH_KNOTS({many},{knots},.UNSPECIFIED.)CURVE()"
+        f"GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_CURVE(({listed}))REPRESENTATION_ITEM(''))",
+    )
+
+
+def _patch_text(weights: Floats) -> tuple[str, str]:
+    m, n = weights.shape
+    many_u, knots = _knots(m - 1)
+    many_v, _ = _knots(n - 1)
+    if np.ptp(weights) == 0.0:
+        return (
+            f"B_SPLINE_SURFACE_WITH_KNOTS('',{m - 1},{n - 1},(",
+            f"),.UNSPECIFIED.,.F.,.F.,.F.,{many_u},{many_v},{knots},{knots},.UNSPECIFIED.)",
+        )
+    listed = ",".join([f"({','.join([weight(value) for value in row])})" for row in weights])
+    return (
+        f"(BOUNDED_SURFACE()B_SPLINE_SURFACE({m - 1},{n - 1},(",
+        f"),.UNSPECIFIED.,.F.,.F.,.F.)B_SPLINE_SURFACE_WITH_KNOTS({many_u},{many_v},{knots},{knots},.UNSPECIFIED.)"
+        f"GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_SURFACE(({listed}))REPRESENTATION_ITEM('')SURFACE())",
+    )

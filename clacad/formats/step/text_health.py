@@ -1,0 +1,368 @@
+"""Scan a STEP file's own text: is it whole, are its shells closed, do its lens patches lie on the design?
+
+No CAD kernel and none of the writer's code: a second opinion that also reads files far too large for a kernel.
+Lengths in mm, whatever unit the file is in; every part in all its placements.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.step.assembly_text import NUMBER, SHELLS, Assembly, Lookup, Standing, Vectors
+from clacad.formats.step.lens_placements import LensPoints
+from clacad.storage.errors import UnreadableFile
+
+Floats = NDArray[np.float64]
+
+# a doubled quote inside a string reads as the end of one and the beginning of the next; nothing is tried twice
+_STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
+_ENTITY = re.compile(r"\s*#(\d+)\s*=\s*\(?\s*([A-Z0-9_]+)")
+_REFERENCE = re.compile(r"#(\d+)")
+_STRING = re.compile(r"'((?:[^']|'')*)'")
+GEOMETRY = frozenset((
+    "CARTESIAN_POINT", "ORIENTED_EDGE", "EDGE_CURVE", "EDGE_LOOP", "VERTEX_POINT", "FACE_BOUND", "FACE_OUTER_BOUND",
+    "ADVANCED_FACE", "LINE", "VECTOR", "PLANE", "B_SPLINE_CURVE_WITH_KNOTS", "BOUNDED_CURVE", "PCURVE", "SURFACE_CURVE",
+    "DEFINITIONAL_REPRESENTATION", "SEAM_CURVE", "CIRCLE", "AXIS2_PLACEMENT_2D", "BOUNDED_SURFACE",
+    "B_SPLINE_SURFACE_WITH_KNOTS", "STYLED_ITEM", "OVER_RIDING_STYLED_ITEM", "COLOUR_RGB", "CLOSED_SHELL", "OPEN_SHELL",
+))  # fmt: skip
+"""Entities that no assembly is made of; there are many of them."""
+PATCHES = ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS", "B_SPLINE_SURFACE", "RATIONAL_B_SPLINE_SURFACE")
+_CHUNK = 1 << 22
+LONGEST = 1 << 28
+"""Characters of one statement; a shell of ten million faces has fewer."""
+
+
+@dataclass
+class Scan:
+    """What the text of a STEP file says.
+
+    Attributes
+    ----------
+    schema, name : str
+    millimetres : bool
+        Whether all lengths of the file are written in millimetres.
+    units : tuple of float
+        Millimetres per unit of length, of every representation that says so.
+    entities : number of entities of every type
+    names : names of products and solids
+    colours : (red, green, blue) of every colour, sRGB
+    solids, faces, shells : counted once per instance in the assembly
+    dangling : number of references to entities that are not there
+    open_edges : number of edges not used once in each direction
+    parts : list of Standing
+        Every solid and bare shell, with its placements.
+    points : Vectors
+        All 3-D points, in the file's unit.
+    patches : (pole numbers, (m, n), weights (m, n)) of every surface curved both ways that is one Bézier patch
+    uneven : number of surfaces curved both ways that are more than one span; they are not evaluated here
+    face_ids, face_surfaces : number of every face, and of its surface
+    reversed_faces : faces that look against their surface's own normal
+    shell_faces : faces of every shell
+    """
+
+    schema: str = ""
+    name: str = ""
+    millimetres: bool = False
+    units: tuple[float, ...] = ()
+    entities: Counter[str] = field(default_factory=Counter)
+    names: list[str] = field(default_factory=list)
+    colours: list[tuple[float, ...]] = field(default_factory=list)
+    solids: int = 0
+    faces: int = 0
+    shells: int = 0
+    dangling: int = 0
+    open_edges: int = 0
+    parts: list[Standing] = field(default_factory=list)
+    points: Vectors = field(default_factory=Vectors)
+    patches: dict[int, tuple[list[int], tuple[int, int], list[float]]] = field(default_factory=dict)
+    uneven: int = 0
+    face_ids: array[int] = field(default_factory=lambda: array("q"))
+    face_surfaces: array[int] = field(default_factory=lambda: array("q"))
+    reversed_faces: set[int] = field(default_factory=set)
+    shell_faces: dict[int, array[int]] = field(default_factory=dict)
+
+
+def statements(path: str | os.PathLike[str]) -> Iterator[str]:
+    """The statements of a Part 21 file, without their semicolons; memory is that of a few megabytes.
+
+    Raises
+    ------
+    UnreadableFile
+        The file is no Part 21 file, or ends before its last statement.
+    """
+    rest, first = "", True
+    with open(path, encoding="latin-1") as stream:
+        while block := stream.read(_CHUNK):
+            if first and not block.lstrip().startswith("ISO-10303-21;"):
+                raise UnreadableFile(
+                    f"{os.fspath(path)}: is no STEP file (it does not start with ISO-10303-21)"
+                )
+            first = False
+            rest += block
+            end = 0
+            while match := _STATEMENT.match(rest, end):
+                yield match.group(1)
+                end = match.end()
+            rest = rest[end:]
+            if len(rest) > LONGEST:
+                raise UnreadableFile(f"{os.fspath(path)}: a statement of more than {LONGEST} characters")
+    if first or rest.strip():
+        raise UnreadableFile(f"{os.fspath(path)}: ends in the middle of a statement; the file is cut short")
+
+
+class _Edges:
+    """How often every edge is used, and which way."""
+
+    def __init__(self) -> None:
+        self.uses: dict[int, int] = {}
+        self.turned: set[int] = set()
+
+
+def scan_step(path: str | os.PathLike[str]) -> Scan:
+    """Scan a STEP file.
+
+    Raises
+    ------
+    UnreadableFile
+        The file is no STEP file, is cut short, or holds no face.
+    OSError
+        The file cannot be read.
+    """
+    try:
+        return _scanned(path)
+    except UnreadableFile:
+        raise
+    except (RecursionError, ArithmeticError, ValueError, LookupError, MemoryError) as error:
+        raise UnreadableFile(
+            f"{os.fspath(path)}: its text makes no sense ({type(error).__name__})"
+        ) from error
+
+
+def _scanned(path: str | os.PathLike[str]) -> Scan:
+    scan, edges, assembly = Scan(), _Edges(), Assembly()
+    defined, referred = array("q"), array("q")
+    last = ""
+    for statement in statements(path):
+        last = statement.strip()
+        match = _ENTITY.match(statement)
+        if match is None:
+            _header(scan, last)
+            continue
+        number, kind = int(match.group(1)), match.group(2)
+        body = statement[match.end() :]
+        bare = _STRING.sub("''", body) if "'" in body else body
+        defined.append(number)
+        scan.entities[kind] += 1
+        references = [int(found) for found in _REFERENCE.findall(bare)]
+        referred.extend(references)
+        _collect(scan, edges, number, kind, bare, references)
+        if kind not in GEOMETRY:
+            assembly.collect(number, kind, kind + bare, references, _title(scan, kind, body))
+    if last != "END-ISO-10303-21":
+        raise UnreadableFile(f"{os.fspath(path)}: has no end statement; the file is cut short")
+    if scan.entities["ADVANCED_FACE"] == 0:
+        raise UnreadableFile(f"{os.fspath(path)}: holds no face")
+    if edges.turned:
+        _count_turned(path, edges)
+    # not a table of all numbers: a stranger's file may name one of 10^18
+    known = np.unique(np.frombuffer(defined, dtype=np.int64))
+    scan.dangling = int(np.count_nonzero(~np.isin(np.frombuffer(referred, dtype=np.int64), known)))
+    scan.open_edges = sum(uses != 3 for uses in edges.uses.values())
+    _place(scan, assembly)
+    return scan
+
+
+def _title(scan: Scan, kind: str, body: str) -> str:
+    """Name of a product or solid."""
+    if kind not in ("PRODUCT", "MANIFOLD_SOLID_BREP"):
+        return ""
+    scan.names.append(_STRING.findall(body)[0])
+    return scan.names[-1]
+
+
+def _place(scan: Scan, assembly: Assembly) -> None:
+    scan.units = tuple(sorted(assembly.units()))
+    scan.millimetres = scan.units == (1.0,)
+    scan.parts = assembly.standing(scan.points.lookup())
+    for part in scan.parts:
+        many = len(part.placements)
+        scan.solids += many * part.solid
+        scan.shells += many * len(part.shells)
+        scan.faces += many * sum(len(scan.shell_faces.get(shell, ())) for shell in part.shells)
+
+
+def _header(scan: Scan, statement: str) -> None:
+    if statement.startswith("FILE_NAME"):
+        scan.name = _STRING.findall(statement)[0]
+    elif statement.startswith("FILE_SCHEMA"):
+        scan.schema = _STRING.findall(statement)[0]
+
+
+def _collect(scan: Scan, edges: _Edges, number: int, kind: str, body: str, references: list[int]) -> None:
+    if kind == "CARTESIAN_POINT":
+        scan.points.add(number, body)
+    elif kind == "ORIENTED_EDGE":
+        _use(edges, references[0], ".T." in body)
+    elif kind in ("FACE_BOUND", "FACE_OUTER_BOUND") and ".F." in body:
+        edges.turned.add(references[0])
+    elif kind == "ADVANCED_FACE":
+        scan.face_ids.append(number)
+        scan.face_surfaces.append(references[-1])
+        if ".F." in body:
+            scan.reversed_faces.add(number)
+    elif kind in PATCHES:
+        _surface(scan, number, kind + body, references)
+    elif kind == "COLOUR_RGB":
+        scan.colours.append(tuple(float(value) for value in NUMBER.findall(body)))
+    elif kind in SHELLS:
+        scan.shell_faces[number] = array("q", references)
+
+
+def _use(edges: _Edges, edge: int, forward: bool) -> None:
+    """Count one use of an edge: 1 forward, 2 backward, 4 and more a second one the same way."""
+    sense, uses = 1 if forward else 2, edges.uses.get(edge, 0)
+    edges.uses[edge] = uses + (sense if not uses & sense else 4)
+
+
+def _count_turned(path: str | os.PathLike[str], edges: _Edges) -> None:
+    """Count the uses of edges again, those of loops that their face takes the other way round the other way.
+
+    Loops may stand before or after their edges and bounds, so the text is read twice more; few writers need it.
+    """
+    turned: set[int] = set()
+    for number, kind, body in _entities(path):
+        if kind == "EDGE_LOOP" and number in edges.turned:
+            turned.update(int(found) for found in _REFERENCE.findall(body))
+    edges.uses.clear()
+    for number, kind, body in _entities(path):
+        if kind == "ORIENTED_EDGE":
+            _use(edges, int(_REFERENCE.findall(body)[0]), (".T." in body) != (number in turned))
+
+
+def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
+    for statement in statements(path):
+        match = _ENTITY.match(statement)
+        if match is not None:
+            yield int(match.group(1)), match.group(2), _STRING.sub("''", statement[match.end() :])
+
+
+def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
+    body = "".join(body.split())
+    degrees = re.search(r"B_SPLINE_SURFACE(?:_WITH_KNOTS)?\(\s*(?:''\s*,)?\s*(\d+)\s*,\s*(\d+)", body)
+    if degrees is None:
+        return
+    m, n = int(degrees.group(1)) + 1, int(degrees.group(2)) + 1
+    if min(m, n) < 3:
+        return  # a wall
+    if len(references) != m * n:
+        scan.uneven += 1
+        return
+    rational = body.find("RATIONAL_B_SPLINE_SURFACE(")
+    weights = (
+        [float(value) for value in NUMBER.findall(body[rational:])][: m * n]
+        if rational >= 0
+        else [1.0] * (m * n)
+    )
+    scan.patches[number] = (references, (m, n), weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Bézier patches of one degree, of faces that stand somewhere.
+
+    poles : (k, m, n, 3), mm, in the frame of their part
+    weights : (k, m, n)
+    sense : (k,)
+        −1 where the face looks against du × dv.
+    part : (k,)
+        Their part, an index into `Scan.parts`.
+    """
+
+    poles: Floats
+    weights: Floats
+    sense: Floats
+    part: NDArray[np.int64]
+
+
+def patches_of(scan: Scan) -> list[Patches]:
+    """Every lens patch of every part that stands somewhere, grouped by degree."""
+    ids = np.frombuffer(scan.face_ids, dtype=np.int64)
+    surfaces = np.frombuffer(scan.face_surfaces, dtype=np.int64)
+    order = np.argsort(ids, kind="stable")
+    found: dict[tuple[int, int], list[tuple[int, float, int]]] = {}
+    for number, part in enumerate(scan.parts):
+        for shell in part.shells if len(part.placements) else ():
+            faces = np.frombuffer(scan.shell_faces.get(shell, array("q")), dtype=np.int64)
+            at = np.minimum(np.searchsorted(ids, faces, sorter=order), len(ids) - 1)
+            for face, surface in zip(faces.tolist(), surfaces[order[at]].tolist(), strict=True):
+                if surface in scan.patches:
+                    sense = -1.0 if face in scan.reversed_faces else 1.0
+                    found.setdefault(scan.patches[surface][1], []).append((surface, sense, number))
+    points = scan.points.lookup() if found else None
+    return [] if points is None else [_gathered(scan, points, shape, rows) for shape, rows in found.items()]
+
+
+def _gathered(
+    scan: Scan, points: Lookup, shape: tuple[int, int], rows: list[tuple[int, float, int]]
+) -> Patches:
+    numbers = np.array([scan.patches[surface][0] for surface, _, _ in rows], dtype=np.int64)
+    part = np.array([number for _, _, number in rows], dtype=np.int64)
+    unit = np.array([one.unit for one in scan.parts])[part]
+    poles = points.values[points.rows(numbers.ravel())].reshape(-1, *shape, 3) * unit[:, None, None, None]
+    weights = np.array([scan.patches[surface][2] for surface, _, _ in rows]).reshape(-1, *shape)
+    return Patches(poles, weights, np.array([sense for _, sense, _ in rows]), part)
+
+
+def patch_points(scan: Scan, per_side: int = 3) -> LensPoints:
+    """Points of the middle of every curved patch, evaluated from the text.
+
+    Parameters
+    ----------
+    scan : Scan
+    per_side : int
+        Points along each parameter, from 0.3 to 0.7.
+    """
+    t = np.linspace(0.3, 0.7, per_side)
+    found, each, done = [LensPoints.none()], per_side * per_side, 0
+    for group in patches_of(scan):
+        place, normal = _evaluate(group.poles, group.weights, t)
+        patch = done + np.repeat(np.arange(len(group.part)), each)
+        done += len(group.part)
+        found.append(LensPoints(place, normal * np.repeat(group.sense, each)[:, None], patch, group.part))
+    return LensPoints.joined(found)
+
+
+def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats]:
+    """Points and unit normals du × dv of rational Bézier patches (k, m, n) at the grid t × t, by de Casteljau."""
+    homogeneous = np.concatenate([poles * weights[..., None], weights[..., None]], axis=-1)
+    points, normals = [], []
+    for u in t:
+        rows, rows_u = _casteljau(np.moveaxis(homogeneous, 1, 0), u)
+        for v in t:
+            place, place_v = _casteljau(np.moveaxis(rows, 1, 0), v)
+            place_u, _ = _casteljau(np.moveaxis(rows_u, 1, 0), v)
+            w = place[:, 3:]
+            point = place[:, :3] / w
+            along = (place_u[:, :3] - point * place_u[:, 3:]) / w
+            across = (place_v[:, :3] - point * place_v[:, 3:]) / w
+            normal = np.cross(along, across)
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            points.append(point)
+            normals.append(normal)
+    return np.stack(points, axis=1).reshape(-1, 3), np.stack(normals, axis=1).reshape(-1, 3)
+
+
+def _casteljau(control: Floats, t: float) -> tuple[Floats, Floats]:
+    """Value and derivative of Bézier curves whose control points lie along axis 0."""
+    degree = len(control) - 1
+    while len(control) > 2:
+        control = (1.0 - t) * control[:-1] + t * control[1:]
+    return (1.0 - t) * control[0] + t * control[1], degree * (control[1] - control[0])

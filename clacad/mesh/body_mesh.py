@@ -1,0 +1,254 @@
+"""The mesh of one body: a few cell templates, where they stand, and the land around them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.mesh.cell_template import Template, TemplateMaker
+from clacad.mesh.land_ring import Land, row_states
+from clacad.sheet.window import Body, Window
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_CHUNK = 200_000  # triangles an expanded block holds at most, about
+
+
+@dataclass(frozen=True, eq=False)
+class Tiled:
+    """One tiling of a body: its templates and its displacement."""
+
+    maker: TemplateMaker
+    shift: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Cells of one row that share a template.
+
+    template : Template
+    cells : (n, 2) int64
+    shift : (2,) lengths
+    """
+
+    template: Template
+    cells: Ints
+    shift: tuple[float, float]
+
+    def corners(self, window: Window, first: int, last: int) -> Floats:
+        """Triangle corners (k, 3, 3) of cells first … last − 1."""
+        return self.vertices(window, first, last)[:, self.template.triangles].reshape(-1, 3, 3)
+
+    def vertices(self, window: Window, first: int, last: int) -> Floats:
+        """Vertices (cells, v, 3) of cells first … last − 1: the owner's centre plus its frame's x, y."""
+        t = self.template
+        steps, which = np.unique(t.owner, axis=0, return_inverse=True)
+        centres = window.lattice.centres(self.cells[first:last, None, :] + steps[None]) + np.array(self.shift)
+        out = np.empty((last - first, len(t.z), 3))
+        out[:, :, :2] = centres[:, which.ravel(), :]
+        out[:, :, :2] += t.xy
+        out[:, :, 2] = t.z
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Plain:
+    """Triangles of the land ring and of the outline's side wall, with their own vertices.
+
+    key : (v, 4) int64
+        Owner cell, canonical point and level of each vertex, for welding with the cells' own.
+    """
+
+    vertices: Floats
+    key: Ints
+    triangles: Ints
+    kind: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMesh:
+    """A watertight mesh of one body, expanded only when asked.
+
+    Attributes
+    ----------
+    name : str
+    window : Window
+    body : Body
+    tiled : tuple of Tiled
+    ringed : bool
+        Land reaches from the cells to the window's outline.
+    plain : Plain
+        Land ring and outline wall.
+    step : length
+        Height of one z level.
+    slope_error : float
+        rms angle between facet and exact normal, area-weighted over optical facets, worse face (radians).
+    sag_error : float
+        Largest normal distance between facet and exact surface (length).
+    saddles : int
+        Vertical lines in which two columns touch and nothing else.
+    bevel_volume : float
+        Volume that bevels at saddles add (length³).
+    """
+
+    name: str
+    window: Window
+    body: Body
+    tiled: tuple[Tiled, ...]
+    ringed: bool
+    plain: Plain
+    step: float
+    slope_error: float
+    sag_error: float
+    saddles: int = 0
+    bevel_volume: float = 0.0
+
+    def blocks(self) -> Iterator[Block]:
+        """Cells grouped by row and template."""
+        lattice = self.window.lattice
+        for tiled in self.tiled:
+            for j in range(lattice.count[1]):
+                yield from self._row_blocks(tiled, j)
+
+    def _row_blocks(self, tiled: Tiled, j: int) -> Iterator[Block]:
+        row = self.window.lattice.row(j)
+        if not len(row):
+            return
+        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
+        states = row_states(self.window, row, tiled.maker.offsets, self.ringed, apart)
+        kinds, which = np.unique(states, axis=0, return_inverse=True)
+        for n, kind in enumerate(kinds):
+            yield Block(tiled.maker.template(kind), row[which.ravel() == n], tiled.shift)
+
+    @cached_property
+    def census(self) -> tuple[tuple[Template, int], ...]:
+        """Templates and how often each occurs, without expanding."""
+        lattice = self.window.lattice
+        counts: dict[int, list[int]] = {}
+        templates: dict[int, Template] = {}
+        for tiled in self.tiled:
+            for j, times in _distinct_rows(lattice.count[1], lattice.outline is None):
+                for block in self._row_blocks(tiled, j):
+                    templates[id(block.template)] = block.template
+                    counts.setdefault(id(block.template), []).append(times * len(block.cells))
+        return tuple((templates[key], sum(number)) for key, number in counts.items())
+
+    @property
+    def facet_count(self) -> int:
+        """Number of triangles, exactly, without expanding them."""
+        return sum(len(t.triangles) * number for t, number in self.census) + len(self.plain.triangles)
+
+    def rows(self) -> Iterator[Floats]:
+        """Yield all triangles as (k, 3, 3) corner blocks of at most a row (lengths, sheet frame, outward).
+
+        Memory is that of one block, whatever the number of cells; blocks come in a fixed order.
+        """
+        for block, first, last in self._portions():
+            yield block.corners(self.window, first, last)
+        if len(self.plain.triangles):
+            yield self.plain.vertices[self.plain.triangles]
+
+    def _portions(self) -> Iterator[tuple[Block, int, int]]:
+        """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
+        for block in self.blocks():
+            each = max(1, _CHUNK // len(block.template.triangles))
+            for first in range(0, len(block.cells), each):
+                yield block, first, min(first + each, len(block.cells))
+
+    def parts(self) -> Iterator[tuple[Template, int]]:
+        """Yield (template, number of cells) of each block of `rows`, the plain land left out."""
+        for block, first, last in self._portions():
+            yield block.template, last - first
+
+    def tags(self) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
+        """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
+
+        Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are FRONT
+        and BACK, of the body's front and back face.
+        """
+        for block, first, last in self._portions():
+            cells = block.cells[first:last]
+            kind = np.tile(block.template.kind, len(cells))
+            yield kind, np.repeat(cells, len(block.template.triangles), axis=0)
+        if len(self.plain.triangles):
+            yield self.plain.kind, np.full((len(self.plain.triangles), 2), -(2**31), dtype=np.int64)
+
+    @cached_property
+    def _expanded(self) -> tuple[Floats, Ints]:
+        """Shared vertices and triangles of the whole body."""
+        keys, positions, triangles, count = [], [], [], 0
+        for block in self.blocks():
+            t = block.template
+            owner = block.cells[:, None, :] + t.owner[None]
+            rest = np.broadcast_to(np.stack([t.point, t.level], axis=1), (*owner.shape[:2], 2))
+            keys.append(np.concatenate([owner, rest], axis=2).reshape(-1, 4))
+            positions.append(block.vertices(self.window, 0, len(block.cells)).reshape(-1, 3))
+            start = count + len(t.z) * np.arange(len(block.cells))
+            triangles.append((t.triangles[None] + start[:, None, None]).reshape(-1, 3))
+            count += len(keys[-1])
+        keys.append(self.plain.key)
+        positions.append(self.plain.vertices)
+        triangles.append(self.plain.triangles + count)
+        if len(self.tiled) > 1:  # points of the two tilings are numbered alike but never shared
+            return _weld_positions(np.concatenate(positions), np.concatenate(triangles))
+        return _weld(np.concatenate(keys), np.concatenate(positions), np.concatenate(triangles))
+
+    @property
+    def vertices(self) -> Floats:
+        """Shared vertices (n, 3), sheet frame (lengths). Expands the whole body."""
+        return self._expanded[0]
+
+    @property
+    def triangles(self) -> Ints:
+        """Vertex numbers (m, 3), outward counter-clockwise, in the order of `rows`. Expands the whole body."""
+        return self._expanded[1]
+
+    def volume(self) -> float:
+        """Volume by the divergence sum over the templates (length³), compensated."""
+        from clacad.mesh.volume import mesh_volume
+
+        return mesh_volume(self)
+
+
+def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
+    """Rows that stand for all: (row, how many are like it). Inner rows of a full lattice repeat in pairs."""
+    if not full or count <= 6:
+        return [(j, 1) for j in range(count)]
+    inner = range(2, count - 2)
+    even, odd = sum(1 for j in inner if j % 2 == 0), sum(1 for j in inner if j % 2)
+    return [(0, 1), (1, 1), (2, even), (3, odd), (count - 2, 1), (count - 1, 1)]
+
+
+def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Give one number to vertices with one key."""
+    packed = np.zeros(len(key), dtype=np.int64)
+    for column in range(4):
+        _, rank = np.unique(key[:, column], return_inverse=True)
+        packed = packed * (int(rank.max()) + 1) + rank
+        _, packed = np.unique(packed, return_inverse=True)
+    first = np.zeros(int(packed.max()) + 1, dtype=np.int64)
+    first[packed[::-1]] = np.arange(len(packed))[::-1]
+    return position[first], packed[triangles]
+
+
+def _weld_positions(position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Give one number to vertices at one place."""
+    order = np.lexsort(position.T)
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (np.diff(position[order], axis=0) != 0.0).any(axis=1)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return position[order[new]], number[triangles]
+
+
+def no_plain() -> Plain:
+    """No land ring."""
+    return Plain(np.empty((0, 3)), np.empty((0, 4), dtype=np.int64), np.empty((0, 3), dtype=np.int64),
+                 np.empty(0, dtype=np.uint8))  # fmt: skip
+
+
+__all__ = ["Block", "BodyMesh", "Land", "Plain", "Tiled", "no_plain"]

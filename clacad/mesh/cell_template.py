@@ -1,0 +1,329 @@
+"""A cell's own triangles for each way its neighbours can stand: the unit that a sheet repeats.
+
+A cell owns its two caps, its inner walls, the walls on the borders it is the left cell of, and the
+walls towards neighbours that do not exist. What it owns depends only on which neighbours are cells,
+land or nothing, so a sheet of any size has a handful of templates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.mesh import cell_triangulation as pl
+from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
+from clacad.mesh.prototile import Prototile
+from clacad.mesh.step_walls import Column, Ring, strip
+from clacad.sheet.lattice import Lattice
+from clacad.topology import node_cells
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Offset = tuple[int, int]
+
+NOTHING, CELL, PLAIN = 0, 1, 2  # what stands at a neighbour's place: nothing, a kept cell, plain land
+FRONT, FRONT_LAND, BACK, BACK_LAND, WALL = 0, 1, 2, 3, 4  # kinds of triangle
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """The triangles one cell owns, in terms of vertices that cells share.
+
+    owner : (v, 2) int64
+        Index step to the cell in whose frame the vertex has its canonical coordinates.
+    point : (v,) int64
+        Canonical footprint point.
+    level : (v,) int64
+    xy : (v, 2) lengths
+        In the owner's cell frame.
+    z : (v,) lengths
+    triangles : (t, 3)
+    kind : (t,) uint8
+        FRONT, FRONT_LAND, BACK, BACK_LAND or WALL.
+    """
+
+    owner: Ints
+    point: Ints
+    level: Ints
+    xy: Floats
+    z: Floats
+    triangles: Ints
+    kind: NDArray[np.uint8]
+
+
+def neighbour_offsets(lattice: Lattice) -> tuple[Offset, ...]:
+    """Index steps to every cell that shares a border or a node with a cell (8 or 6)."""
+    steps = set()
+    for cells in node_cells(lattice):
+        for here, _ in cells:
+            steps |= {(there[0] - here[0], there[1] - here[1]) for there, _ in cells}
+    return tuple(sorted(steps - {(0, 0)}))
+
+
+@dataclass(eq=False)
+class TemplateMaker:
+    """Makes and keeps the templates of one prototile."""
+
+    tile: Prototile
+    lattice: Lattice
+    offsets: tuple[Offset, ...] = field(init=False)
+    _made: dict[bytes, Template] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.offsets = neighbour_offsets(self.lattice)
+        triangles = self.tile.plan.triangles
+        self._levels = self.tile.corner_levels()
+        a = triangles[:, [0, 1, 2]].ravel()
+        b = triangles[:, [1, 2, 0]].ravel()
+        number = np.repeat(np.arange(len(triangles)), 3)
+        self._left = dict(zip(zip(a.tolist(), b.tolist()), number.tolist()))
+        self._third = dict(zip(zip(a.tolist(), b.tolist()), triangles[:, [2, 0, 1]].ravel().tolist()))
+        self._after = dict(zip(zip(number.tolist(), a.tolist()), (np.arange(len(a)) % 3).tolist()))
+        self._apart = bool((np.abs(self.tile.land) == FAR).any())
+        self.places = self._canonical()
+        self._caps = self._make_caps()
+        self._inner = self._inner_walls()
+        self._rings: dict[tuple[int, bytes], Ring] = {}
+
+    # -- where points belong ------------------------------------------------------------------
+
+    def _canonical(self) -> tuple[Ints, Ints]:
+        """Owner step and canonical point of every footprint point."""
+        n = len(self.tile.plan.xy)
+        owner, point = np.zeros((n, 2), dtype=np.int64), np.arange(n)
+        sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
+        for k in range(half, 2 * half):
+            inner = sides[k][1:-1]
+            owner[inner] = self.lattice.steps[k]
+            point[inner] = sides[k - half][1:-1][::-1]
+        self._corner_of: dict[int, tuple[int, int]] = {}
+        for index, cells in enumerate(node_cells(self.lattice)):
+            for place, (step, corner) in enumerate(cells):
+                local = int(sides[corner][0])
+                owner[local] = (-step[0], -step[1])
+                point[local] = sides[cells[0][1]][0]
+                self._corner_of[local] = (index, place)
+        self._side_of = {
+            int(p): (k, i + 1) for k, side in enumerate(sides) for i, p in enumerate(side[1:-1])
+        }  # fmt: skip
+        return owner, point
+
+    # -- columns and fans ---------------------------------------------------------------------
+
+    def _column(self, triangle: int, point: int) -> Column:
+        """The column of a triangle at one of its corners."""
+        front, back = self._levels[triangle, self._after[triangle, point]]
+        return None if front == NONE or back == -NONE else (int(front), int(back))
+
+    def _fan(self, point: int, first: int) -> list[int]:
+        """Triangles about a point, counter-clockwise from the edge point → first."""
+        fan = []
+        edge = (point, first)
+        while edge in self._left:
+            fan.append(self._left[edge])
+            edge = (point, self._third[edge])
+            if edge == (point, first):
+                break
+        return fan
+
+    def _own_fan(self, point: int) -> list[int]:
+        """Triangles about a point of the footprint, in canonical order."""
+        if point in self._corner_of or point in self._side_of:
+            sides = self.tile.plan.sides
+            for side in sides:
+                at = np.flatnonzero(side[:-1] == point)
+                if len(at):
+                    return self._fan(point, int(side[at[0] + 1]))
+        start = min(q for p, q in self._spokes[point])
+        return self._fan(point, start)
+
+    def _absent(self, state: int) -> Column:
+        """The column that stands at the place of a cell that is not kept."""
+        front, back = self.tile.land
+        return (front, back) if state == PLAIN and front != NONE and back != -NONE else None
+
+    def _ring(self, point: int, states: dict[Offset, int], code: bytes) -> Ring:
+        """All columns about a point, its own cell's and its neighbours'."""
+        shared = point in self._corner_of or point in self._side_of
+        key = (point, code if shared else b"")
+        if key not in self._rings:
+            self._rings[key] = Ring(self._wedges(point, states))
+        return self._rings[key]
+
+    def _wedges(self, point: int, states: dict[Offset, int]) -> list[tuple[Hashable, Column]]:
+        sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
+        around: list[
+            tuple[Offset, int]
+        ] = []  # cells about the point in canonical order, with their local point
+        if point in self._corner_of:
+            index, place = self._corner_of[point]
+            cells = node_cells(self.lattice)[index]
+            here = cells[place][0]
+            around = [((s[0] - here[0], s[1] - here[1]), int(sides[c][0])) for s, c in cells]
+        elif point in self._side_of:
+            k, i = self._side_of[point]
+            other = (k + half) % (2 * half)
+            pair = [((0, 0), point), (self.lattice.steps[k], int(sides[other][len(sides[other]) - 1 - i]))]
+            around = pair if k < half else pair[::-1]
+        else:
+            around = [((0, 0), point)]
+        wedges: list[tuple[Hashable, Column]] = []
+        for offset, local in around:
+            state = CELL if offset == (0, 0) else states[offset]
+            if state == CELL:
+                wedges += [((offset, t), self._column(t, local)) for t in self._own_fan(local)]
+            else:
+                wedges.append(((offset, -1), self._absent(state)))
+        return wedges
+
+    # -- caps and inner walls -----------------------------------------------------------------
+
+    def _make_caps(self) -> tuple[Ints, Ints, Ints, NDArray[np.uint8]]:
+        """Both caps: vertex points, vertex levels, triangles, kinds."""
+        plan, part = self.tile.plan, self.tile.part
+        points, levels, kinds = [], [], []
+        for side in (0, 1):
+            level = self._levels[:, :, side]
+            if (np.abs(level) == FAR).all():
+                continue
+            if self.tile.plane[side]:
+                corners = self._plane_cap()
+                z = np.full(corners.shape, self.tile.lens[0, side])
+                kind = np.full(len(corners), (FRONT, BACK)[side])
+            else:
+                solid = (part[:, side] == LENS) | (part[:, side] == LAND)
+                corners, z = plan.triangles[solid], level[solid]
+                kind = np.where(part[solid, side] == LENS, (FRONT, BACK)[side], (FRONT_LAND, BACK_LAND)[side])
+                kind[self.tile.bevelled(side)[solid]] = WALL
+            if side == 0:  # material above: seen from outside (below) the turn is the other way
+                corners, z = corners[:, ::-1], z[:, ::-1]
+            points.append(corners)
+            levels.append(z)
+            kinds.append(kind)
+        key = np.stack([np.concatenate(points).ravel(), np.concatenate(levels).ravel()], axis=1)
+        vertex, inverse = np.unique(key, axis=0, return_inverse=True)
+        return vertex[:, 0], vertex[:, 1], inverse.reshape(-1, 3), np.concatenate(kinds).astype(np.uint8)
+
+    def _plane_cap(self) -> Ints:
+        """Triangles of a plane face: a fan over the border points only, where a point lies inside."""
+        sides = self.tile.plan.sides
+        if all(len(side) == 2 for side in sides):
+            return pl.polygon_fan(np.array([side[0] for side in sides]))
+        centre = int(np.argmin(np.hypot(*self.tile.plan.xy.T)))
+        if any(centre in side for side in sides):
+            return self.tile.plan.triangles
+        return pl.fan(sides, centre)
+
+    def _inner_walls(self) -> list[tuple[int, int, int, int]]:
+        """Edges inside the footprint over which the columns differ: (p, q, left, right triangle)."""
+        triangles, levels = self.tile.plan.triangles, self._levels
+        edges, number = pl.edges_of(triangles)
+        order = np.argsort(number.ravel(), kind="stable")
+        sorted_number = number.ravel()[order]
+        twice = np.flatnonzero(sorted_number[:-1] == sorted_number[1:])
+        one, two = order[twice], order[twice + 1]
+
+        def ends(flat: Ints) -> tuple[Ints, Ints]:
+            t, s = flat // 3, flat % 3
+            return levels[t, s], levels[t, (s + 1) % 3]
+
+        (p1, q1), (q2, p2) = ends(one), ends(two)
+        differ = np.flatnonzero((p1 != p2).any(axis=1) | (q1 != q2).any(axis=1))
+        walls = []
+        for n in differ:
+            t, s = int(one[n] // 3), int(one[n] % 3)
+            walls.append((int(triangles[t, s]), int(triangles[t, (s + 1) % 3]), t, int(two[n] // 3)))
+        self._spokes: dict[int, list[tuple[int, int]]] = {}
+        for p, q, *_ in walls:
+            for point in (p, q):
+                if point not in self._spokes:
+                    self._spokes[point] = [edge for edge in self._left if edge[0] == point]
+        return walls
+
+    # -- templates ----------------------------------------------------------------------------
+
+    def template(self, states: NDArray[np.uint8]) -> Template:
+        """The triangles a cell owns whose neighbours (in the order of `offsets`) are in these states."""
+        code = states.astype(np.uint8).tobytes()
+        if code not in self._made:
+            self._made[code] = self._make(dict(zip(self.offsets, states.tolist())), code)
+        return self._made[code]
+
+    def _make(self, states: dict[Offset, int], code: bytes) -> Template:
+        walls = self._walls(states, code)
+        point, level, caps, kinds = self._caps
+        known = dict(zip(zip(point.tolist(), level.tolist()), range(len(point))))
+        more: list[tuple[int, int]] = []
+        rows = []
+        for triangle in walls:
+            row = []
+            for vertex in triangle:
+                if vertex not in known:
+                    known[vertex] = len(known)
+                    more.append(vertex)
+                row.append(known[vertex])
+            rows.append(row)
+        extra = np.asarray(more, dtype=np.int64).reshape(-1, 2)
+        point, level = np.concatenate([point, extra[:, 0]]), np.concatenate([level, extra[:, 1]])
+        triangles = np.concatenate([caps, np.asarray(rows, dtype=np.int64).reshape(-1, 3)])
+        kind = np.concatenate([kinds, np.full(len(rows), WALL, dtype=np.uint8)])
+        used = np.unique(triangles)
+        renumber = np.zeros(len(point), dtype=np.int64)
+        renumber[used] = np.arange(len(used))
+        point, level = point[used], level[used]
+        owner, canonical = self.places[0][point], self.places[1][point]
+        return Template(owner, canonical, level, self.tile.plan.xy[canonical], level * self.tile.step,
+                        renumber[triangles], kind)  # fmt: skip
+
+    def _walls(self, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:
+        found: list[tuple[tuple[int, int], ...]] = []
+        zero = (0, 0)
+        for p, q, left, right in self._inner:
+            found += strip(
+                p, q, (self._column(left, p), self._column(left, q)), (self._column(right, p), self._column(right, q)),
+                ((zero, left), (zero, right)), (self._ring(p, states, code), self._ring(q, states, code)),
+            )  # fmt: skip
+        for k in range(len(self.tile.plan.sides)):
+            step = self.lattice.steps[k]
+            if self._apart and states[step] == NOTHING:
+                continue  # the outline's wall, which knows both faces, stands here
+            if states[step] != CELL or k < len(self.tile.plan.sides) // 2:
+                found += self._border(k, states, code)
+        return found
+
+    def _border(self, k: int, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:
+        """Walls over side k of the tile."""
+        sides, m = self.tile.plan.sides, len(self.tile.plan.sides)
+        step = self.lattice.steps[k]
+        opposite = sides[(k + m // 2) % m][::-1]
+        found: list[tuple[tuple[int, int], ...]] = []
+        for i, (p, q) in enumerate(zip(sides[k][:-1].tolist(), sides[k][1:].tolist())):
+            left = self._left[p, q]
+            columns = (self._column(left, p), self._column(left, q))
+            if states[step] == CELL:
+                p_there, q_there = int(opposite[i]), int(opposite[i + 1])
+                right = self._left[q_there, p_there]
+                others = (self._column(right, p_there), self._column(right, q_there))
+            else:
+                right = -1
+                others = (self._absent(states[step]),) * 2
+            if columns == others:
+                continue
+            found += strip(
+                p, q, columns, others, (((0, 0), left), (step, right)),
+                (self._ring(p, states, code), self._ring(q, states, code)),
+            )  # fmt: skip
+        return found
+
+    def border_levels(self, k: int, segment: int, face: int) -> tuple[int, int]:
+        """Level of one face at both ends of a segment of side k (0 front, 1 back)."""
+        side = self.tile.plan.sides[k]
+        p, q = int(side[segment]), int(side[segment + 1])
+        triangle = self._left[p, q]
+        at_p, at_q = self._column(triangle, p), self._column(triangle, q)
+        assert at_p is not None
+        assert at_q is not None
+        return at_p[face], at_q[face]

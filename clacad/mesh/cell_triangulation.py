@@ -1,0 +1,275 @@
+"""Triangulations of one cell's footprint: the regular grid, border points, cuts along a curve.
+
+All triangles are counter-clockwise seen from +z. `sides[k]` lists the points of side k of the tile
+in order, from corner k to corner k + 1 inclusive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.lattice import Lattice
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Tags = TypeVar("Tags", NDArray[np.bool_], NDArray[np.uint8])
+
+
+@dataclass(frozen=True, eq=False)
+class Planar:
+    """A triangulated cell footprint.
+
+    xy : (n, 2) lengths, cell frame
+    triangles : (m, 3)
+    zone : (m,) bool
+        Whether the triangle lies in the optical zone.
+    sides : m arrays of point numbers
+    fixed : (n,) bool
+        Points that must stay where they are (on the tile's or the zone's border).
+    """
+
+    xy: Floats
+    triangles: Ints
+    zone: Bools
+    sides: tuple[Ints, ...]
+    fixed: Bools
+
+
+def grid(lattice: Lattice, tile: Floats, zone: Floats, quads: int, diagonal: int) -> Planar:
+    """Triangulate a tile: a regular grid over its optical zone, and a ring of land if the zone is smaller.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    tile, zone : (m, 2) lengths
+        Corners of the cell and of its optical zone (the same polygon where there is no seam).
+    quads : int
+        Grid steps along each side.
+    diagonal : +1 or −1
+        Squares are split along (+x, +y) or along (+x, −y); hexagons have no choice.
+    """
+    xy, triangles, sides = _hexagon(zone, quads) if lattice.hexagonal else _square(zone, quads, diagonal)
+    fixed = np.zeros(len(xy), dtype=bool)
+    for side in sides:
+        fixed[side] = True
+    planar = Planar(xy, triangles, np.ones(len(triangles), dtype=bool), sides, fixed)
+    return planar if np.array_equal(tile, zone) else _with_ring(planar, tile)
+
+
+def _square(zone: Floats, q: int, diagonal: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
+    hx, hy = zone[0, 0], zone[1, 1]
+    steps = (2 * np.arange(q + 1) - q) / q  # symmetric about the centre to the last bit
+    x, y = np.meshgrid(hx * steps, hy * steps)
+    xy = np.stack([x.ravel(), y.ravel()], axis=1)
+    number = np.arange((q + 1) ** 2).reshape(q + 1, q + 1)
+    p00, p10, p01, p11 = (
+        n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:])
+    )
+    if diagonal > 0:
+        pair = [(p00, p10, p11), (p00, p11, p01)]
+    else:
+        pair = [(p00, p10, p01), (p10, p11, p01)]
+    triangles = np.stack([np.stack(t, axis=1) for t in pair], axis=1).reshape(-1, 3)
+    sides = (number[:, -1], number[-1, ::-1], number[::-1, 0], number[0, :])
+    return xy, triangles, tuple(np.array(s) for s in sides)
+
+
+def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
+    m = len(zone)
+    ring = np.arange(1, q + 1)
+    start = np.concatenate([[0], 1 + m * ring * (ring - 1) // 2])
+    points = [np.zeros((1, 2))]
+    triangles = []
+    for r in range(1, q + 1):
+        s = np.arange(r)
+        for k in range(m):
+            a, b = zone[k], zone[(k + 1) % m]
+            points.append((a * (r - s)[:, None] + b * s[:, None]) / q)
+            inner = max(m * (r - 1), 1)
+            outer_a = start[r] + k * r + s
+            outer_b = start[r] + (k * r + s + 1) % (m * r)
+            inner_a = start[r - 1] + (k * (r - 1) + s) % inner
+            triangles.append(np.stack([outer_a, outer_b, inner_a], axis=1))
+            inner_b = start[r - 1] + (k * (r - 1) + s[1:] - 1) % inner
+            triangles.append(np.stack([outer_a[1:], inner_a[1:], inner_b], axis=1))
+    last = start[q] + np.arange(m * q + 1) % (m * q)
+    sides = tuple(np.array(last[k * q : (k + 1) * q + 1]) for k in range(m))
+    return np.concatenate(points), np.concatenate(triangles).astype(np.int64), sides
+
+
+def _with_ring(zone: Planar, tile: Floats) -> Planar:
+    """Surround the zone by flat land out to the tile, whose own sides then need no points but corners."""
+    n, m = len(zone.xy), len(tile)
+    triangles = [zone.triangles]
+    for k, side in enumerate(zone.sides):
+        a, b = n + k, n + (k + 1) % m
+        fan = np.stack([np.full(len(side) - 1, a), side[1:], side[:-1]], axis=1)
+        triangles += [fan, np.array([[a, b, side[-1]]])]
+    ring = sum(len(t) for t in triangles[1:])
+    return Planar(
+        np.concatenate([zone.xy, tile]),
+        np.concatenate(triangles),
+        np.concatenate([zone.zone, np.zeros(ring, dtype=bool)]),
+        tuple(np.array([n + k, n + (k + 1) % m]) for k in range(m)),
+        np.concatenate([zone.fixed, np.ones(m, dtype=bool)]),
+    )
+
+
+def side_points(start: Floats, end: Floats, t: Floats) -> Floats:
+    """Points (n, 2) at parameters t on a straight side; both ends and mirror images are exact."""
+    t = np.asarray(t, dtype=np.float64)[:, None]
+    return np.asarray(np.where(t < 0.5, start + t * (end - start), end - (1.0 - t) * (end - start)))
+
+
+def place(breaks: Floats, quads: int, least: float) -> tuple[Floats, Floats]:
+    """Choose the border's sample parameters so that every break is one of them.
+
+    A grid sample within a fifth of a step of a break moves there (no slivers); a break keeps at least
+    `least` from the ends and from other breaks.
+
+    Returns
+    -------
+    samples : (n,) ascending, 0 and 1 included
+    grid_at : (quads + 1,)
+        Where each regular grid sample lies now; the rest of `samples` is additional.
+    """
+    grid_at = np.arange(quads + 1) / quads
+    extra: list[float] = []
+    taken: set[int] = set()
+    for t in breaks:
+        i = int(np.rint(t * quads))
+        if 0 < i < quads and i not in taken and abs(t * quads - i) < 0.2:
+            grid_at[i] = t
+            taken.add(i)
+        else:
+            extra.append(float(np.clip(t, least, 1.0 - least)))
+    return np.unique(np.concatenate([grid_at, np.asarray(extra)])), grid_at
+
+
+def space(breaks: Floats, least: float) -> list[Floats]:
+    """Group parameters that lie within `least` of their neighbour: each group becomes one sample."""
+    t = np.sort(breaks)
+    if t.size == 0:
+        return []
+    return np.split(t, np.flatnonzero(np.diff(t) > least) + 1)
+
+
+def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, Floats]]) -> Planar:
+    """Move and add points on the tile's sides.
+
+    Parameters
+    ----------
+    samples : m pairs (samples, grid_at)
+        Of `place`, along each side.
+    """
+    xy, triangles, zone = planar.xy.copy(), planar.triangles.tolist(), planar.zone.tolist()
+    sides = []
+    new: list[Floats] = []
+    m = len(tile)
+    for k, (t, grid_at) in enumerate(samples):
+        a, b = tile[k], tile[(k + 1) % m]
+        at = dict(zip(grid_at.tolist(), planar.sides[k].tolist()))
+        xy[planar.sides[k][1:-1]] = side_points(a, b, grid_at)[1:-1]
+        added = [value for value in t.tolist() if value not in at]
+        for value, point in zip(added, side_points(a, b, np.asarray(added)) if added else ()):
+            at[value] = len(xy) + len(new)
+            new.append(point)
+        side = [at[value] for value in t.tolist()]
+        sides.append(np.asarray(side))
+        if added:
+            _fan_side(triangles, zone, side, set(planar.sides[k].tolist()))
+    every = np.concatenate([xy, np.asarray(new).reshape(-1, 2)])
+    fixed = np.concatenate([planar.fixed, np.ones(len(new), dtype=bool)])
+    return replace(planar, xy=every, triangles=np.asarray(triangles, dtype=np.int64), zone=np.asarray(zone),
+                   sides=tuple(sides), fixed=fixed)  # fmt: skip
+
+
+def _fan_side(triangles: list[list[int]], zone: list[bool], side: list[int], old: set[int]) -> None:
+    """Split the border triangle over each old border edge into a fan through the new points on it."""
+    runs: dict[tuple[int, int], list[int]] = {}
+    first = side[0]
+    between: list[int] = []
+    for point in side[1:]:
+        if point in old:
+            if between:
+                runs[first, point] = between
+            first, between = point, []
+        else:
+            between.append(point)
+    for n in range(len(triangles)):
+        for turn in range(3):
+            p, q, c = (triangles[n][(turn + s) % 3] for s in range(3))
+            if (p, q) not in runs:
+                continue
+            chain = [p, *runs.pop((p, q)), q]
+            triangles[n] = [chain[0], chain[1], c]
+            for u, v in zip(chain[1:-1], chain[2:]):
+                triangles.append([u, v, c])
+                zone.append(zone[n])
+            break
+
+
+def fan(sides: tuple[Ints, ...], centre: int) -> Ints:
+    """Triangulate a convex tile by its border points and one point inside, (n, 3)."""
+    rim = np.concatenate([side[:-1] for side in sides])
+    return np.stack([rim, np.roll(rim, -1), np.full(len(rim), centre)], axis=1)
+
+
+def polygon_fan(corners: Ints) -> Ints:
+    """Triangulate a convex polygon without points between its corners, (n − 2, 3)."""
+    return np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
+
+
+def edges_of(triangles: Ints) -> tuple[Ints, Ints]:
+    """Undirected edges (e, 2), and each triangle's three edge numbers (m, 3); edge s is corner s → s + 1."""
+    both = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, inverse = np.unique(both, axis=0, return_inverse=True)
+    return edges, inverse.reshape(-1, 3).astype(np.int64)
+
+
+def split(triangles: Ints, zone: Tags, xy: Floats, number: Ints, middle: Ints) -> tuple[Ints, Tags]:
+    """Split triangles at the points that lie on their edges.
+
+    Parameters
+    ----------
+    triangles (m, 3), xy (n, 2)
+    zone : (m, ...)
+        What each triangle is; its pieces are the same.
+    number : (m, 3)
+        Edge numbers, as `edges_of` gives.
+    middle : (e,)
+        Point on each edge, −1 for none. At most two of a triangle's edges have one.
+    """
+    on = middle[number]
+    cuts = (on >= 0).sum(axis=1)
+    out, tags = [triangles[cuts == 0]], [zone[cuts == 0]]
+    for count in (1, 2):
+        rows = np.flatnonzero(cuts == count)
+        if not len(rows):
+            continue
+        # turn so that the cut edge is corner 0 → 1, or the uncut edge corner 2 → 0
+        has = on[rows] >= 0
+        turn = np.argmax(has, axis=1) if count == 1 else (np.argmin(has, axis=1) + 1) % 3
+        order = (turn[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(triangles[rows], order, axis=1).T
+        p, q, _ = np.take_along_axis(on[rows], order, axis=1).T
+        if count == 1:
+            pieces = [(a, p, c), (p, b, c)]
+        else:  # p on a–b, q on b–c: a corner b and a quadrilateral a p q c, split along its shorter diagonal
+            across = np.hypot(*(xy[a] - xy[q]).T) <= np.hypot(*(xy[p] - xy[c]).T)
+            pieces = [(p, b, q), (a, p, np.where(across, q, c)), (np.where(across, a, p), q, c)]
+        out += [np.stack(piece, axis=1) for piece in pieces]
+        tags += [zone[rows]] * len(pieces)
+    return np.concatenate(out), np.concatenate(tags)
+
+
+def signed_areas(xy: Floats, triangles: Ints) -> Floats:
+    """Twice the signed area of each triangle, (m,)."""
+    a, b, c = xy[triangles[:, 0]], xy[triangles[:, 1]], xy[triangles[:, 2]]
+    ab, ac = b - a, c - a
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])

@@ -1,0 +1,276 @@
+"""The land around the cells: the window's outline as a polygon, and the flat ring up to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset, TemplateMaker
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.window import Window
+from clacad.topology.cannot_build import CannotBuild
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+States = NDArray[np.uint8]
+Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
+
+_TOUCH = 8.0 * 2.0**-23  # relative to the sheet: a gap a float32 file could not hold is no gap
+
+
+def outline_polygon(window: Window) -> Floats:
+    """Corners (n, 2) of the window's outline, counter-clockwise, centred on the origin (lengths).
+
+    A circle becomes a polygon of equal area, or one around it where a cell would stick out.
+    """
+    outline, lattice = window.outline, window.lattice
+    if isinstance(outline, Rectangle):
+        x, y = 0.5 * outline.width, 0.5 * outline.height
+        return np.array([(x, -y), (x, y), (-x, y), (-x, -y)])
+    assert isinstance(outline, Circle)
+    r = 0.5 * outline.diameter
+    n = int(np.clip(ceil(pi * sqrt(500.0 * r / min(lattice.pitch))), 360, 8192)) // 4 * 4
+    angle = (2 * np.arange(n) + 1) * (pi / n)
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    equal = r * sqrt(2.0 * pi / n / sin(2.0 * pi / n))
+    corners = lattice.centres(lattice.cells())[:, None, :] + lattice.tile()
+    # the reach of a corner towards the polygon's side nearest to it
+    across = np.hypot(corners[..., 0], corners[..., 1]).max(initial=0.0)
+    if across >= equal * np.cos(pi / n) * (1.0 - 1e-6):
+        equal = r / np.cos(pi / n) * (1.0 + 1e-6)
+    return np.asarray(equal * unit)
+
+
+def row_states(
+    window: Window,
+    row: Ints,
+    offsets: tuple[Offset, ...],
+    ringed: bool,
+    shift: tuple[float, float] = (0.0, 0.0),
+) -> States:
+    """What stands about each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
+
+    ringed : bool
+        Whether there is land out to the window's outline.
+    shift : (2,) lengths
+        Displacement of the cells against the centre of the outline.
+    """
+    states = np.full((len(row), len(offsets)), NOTHING, dtype=np.uint8)
+    for n, step in enumerate(offsets):
+        there = row + np.array(step)
+        kept = window.lattice.contains(there)
+        states[kept, n] = CELL
+        if ringed and not kept.all():
+            absent = np.flatnonzero(~kept)
+            states[absent[_reaches_inside(window, there[absent], shift)], n] = PLAIN
+    return states
+
+
+def _reaches_inside(window: Window, index: Ints, shift: tuple[float, float]) -> NDArray[np.bool_]:
+    """Whether a cell's footprint overlaps the inside of the outline (neighbours of kept cells only)."""
+    if not isinstance(window.outline, Rectangle):
+        return np.ones(len(index), dtype=bool)  # a round outline keeps clear of the kept cells
+    corners = window.lattice.centres(index)[:, None, :] + window.lattice.tile() + np.array(shift)
+    half = 0.5 * np.array([window.outline.width, window.outline.height])
+    half -= _TOUCH * half.max()
+    return np.asarray(((corners.min(axis=1) < half) & (corners.max(axis=1) > -half)).all(axis=1))
+
+
+Segment = tuple[int, Key, Key, tuple[int, int, int, int] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Land:
+    """The ring of land of one tiling.
+
+    keys : list of Key
+        Points of the ring's boundary.
+    position : key → (x, y), sheet frame (lengths)
+        Of all boundary points, also those only on the outline.
+    triangles : (t, 3)
+        Indices into `keys`, counter-clockwise from +z.
+    rim : list of (outline side, start key, end key, touching cell or None)
+        The outline counter-clockwise. A cell that touches it is (i, j, side of its tile, segment).
+    """
+
+    keys: list[Key]
+    position: dict[Key, tuple[float, float]]
+    triangles: Ints
+    rim: list[Segment]
+
+
+def boundary(lattice: Lattice) -> list[tuple[int, int, int]]:
+    """Every (i, j, side) whose neighbour is not kept."""
+    index = lattice.cells()
+    found = []
+    for k, step in enumerate(lattice.steps):
+        bare = index[~lattice.contains(index + np.array(step))]
+        found += [(i, j, k) for i, j in bare.tolist()]
+    return found
+
+
+def make_land(
+    window: Window, maker: TemplateMaker, shift: tuple[float, float], centre: tuple[float, float]
+) -> Land:
+    """Triangulate the land between the cells of one tiling and the outline.
+
+    Parameters
+    ----------
+    window : Window
+    maker : TemplateMaker
+        Of the tiling: gives the points of the cells' sides.
+    shift : (2,) lengths
+        Displacement of the tiling's cells.
+    centre : (2,) lengths
+        Centre of the outline.
+
+    Raises
+    ------
+    ValueError
+        A cell reaches beyond the outline.
+    """
+    polygon = outline_polygon(window) + np.array(centre)
+    owner, point = maker.places
+    sides = maker.tile.plan.sides
+    scale = float(np.abs(polygon).max())
+    position: dict[Key, tuple[float, float]] = {}
+    directed: list[tuple[Key, Key]] = []  # land on the left
+    touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
+    bare = boundary(window.lattice)
+    local = maker.tile.plan.xy
+    for i, j, k in bare:
+        chain = sides[k]
+        keys: list[Key] = [
+            (i + int(owner[p][0]), j + int(owner[p][1]), int(point[p])) for p in chain.tolist()
+        ]
+        for key in (key for key in keys if key not in position):
+            c = window.lattice.centres(np.array([key[:2]]))[0]
+            position[key] = (
+                float(c[0] + shift[0] + local[key[2]][0]),
+                float(c[1] + shift[1] + local[key[2]][1]),
+            )
+        ends = np.array([position[keys[0]], position[keys[-1]]])
+        if len(_on_side(polygon, ends, scale)):
+            for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
+                touching[a, b] = (i, j, k, n)
+        else:
+            directed += [(b, a) for a, b in zip(keys[:-1], keys[1:])]
+    _refuse_outside(window, np.array(list(position.values())).reshape(-1, 2), polygon, scale)
+    rim = _rim(polygon, position, touching, scale)
+    directed += [(a, b) for _, a, b, cell in rim if cell is None]
+    loops = link_loops(directed, position)
+    keys = list(dict.fromkeys(key for loop in loops for key in loop))
+    number = {key: n for n, key in enumerate(keys)}
+    return Land(keys, position, triangulate_loops(loops, number, position), rim)
+
+
+def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:
+    """Sides of the polygon on which all of the points lie."""
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    along = (b - a) / np.hypot(*(b - a).T)[:, None]
+    relative = points[None] - a[:, None]
+    across = along[:, None, 0] * relative[..., 1] - along[:, None, 1] * relative[..., 0]
+    return np.flatnonzero((np.abs(across) < _TOUCH * scale).all(axis=1))
+
+
+def _refuse_outside(window: Window, points: Floats, polygon: Floats, scale: float) -> None:
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    along = (b - a) / np.hypot(*(b - a).T)[:, None]
+    for start in range(0, len(points), 4096):
+        relative = points[start : start + 4096, None] - a[None]
+        across = along[:, 0] * relative[..., 1] - along[:, 1] * relative[..., 0]
+        if (across < -_TOUCH * scale).any():
+            raise CannotBuild(
+                "CL136",
+                f"a cell of {window.name!r} reaches {-float(across.min()):.3g} beyond the outline {window.outline}; "
+                "a larger outline or fewer cells would hold it",
+            )
+
+
+def _rim(
+    polygon: Floats,
+    position: dict[Key, tuple[float, float]],
+    touching: dict[tuple[Key, Key], tuple[int, int, int, int]],
+    scale: float,
+) -> list[Segment]:
+    """Walk the outline counter-clockwise, splitting it at every cell point that lies on it."""
+    keys = list(position)
+    at = np.array([position[key] for key in keys]).reshape(-1, 2)
+    corner: list[Key] = []
+    for n, p in enumerate(polygon):
+        near = np.flatnonzero(np.hypot(*(at - p).T) < _TOUCH * scale) if len(at) else np.empty(0, dtype=int)
+        corner.append(keys[near[0]] if len(near) else (-1, n, -1))
+        position.setdefault(corner[-1], (float(p[0]), float(p[1])))
+    rim: list[Segment] = []
+    few = len(polygon) <= 16  # a circle's polygon keeps clear of the cells
+    for n in range(len(polygon)):
+        a, b = polygon[n], polygon[(n + 1) % len(polygon)]
+        length = float(np.hypot(*(b - a)))
+        along = (b - a) / length
+        chain = [corner[n]]
+        if few and len(at):
+            t = (at - a) @ along
+            across = along[0] * (at[:, 1] - a[1]) - along[1] * (at[:, 0] - a[0])
+            on = np.flatnonzero(
+                (np.abs(across) < _TOUCH * scale) & (t > _TOUCH * scale) & (t < length - _TOUCH * scale)
+            )
+            chain += [keys[m] for m in on[np.argsort(t[on])]]
+        chain.append(corner[(n + 1) % len(polygon)])
+        rim += [(n, p, q, touching.get((p, q))) for p, q in zip(chain[:-1], chain[1:])]
+    return rim
+
+
+def link_loops(directed: list[tuple[Key, Key]], position: dict[Key, tuple[float, float]]) -> list[list[Key]]:
+    """Link directed segments to closed loops; where loops touch, each keeps to its own land."""
+    leaving: dict[Key, list[Key]] = {}
+    for a, b in directed:
+        leaving.setdefault(a, []).append(b)
+    loops = []
+    while leaving:
+        first = next(iter(leaving))
+        loop, here, before = [], first, None
+        while True:
+            loop.append(here)
+            choices = leaving[here]
+            nxt = (
+                choices[0]
+                if len(choices) == 1 or before is None
+                else _rightmost(position, before, here, choices)
+            )
+            choices.remove(nxt)
+            if not choices:
+                del leaving[here]
+            before, here = here, nxt
+            if here == first:
+                break
+        loops.append(loop)
+    return loops
+
+
+def _rightmost(position: dict[Key, tuple[float, float]], before: Key, here: Key, choices: list[Key]) -> Key:
+    """The first way on, turning clockwise from the way back."""
+    x, y = position[here]
+
+    def heading(key: Key) -> float:
+        return float(np.arctan2(position[key][1] - y, position[key][0] - x))
+
+    back = heading(before)
+    return min(choices, key=lambda key: (back - heading(key)) % (2.0 * pi) or 2.0 * pi)
+
+
+def triangulate_loops(
+    loops: list[list[Key]], number: dict[Key, int], position: dict[Key, tuple[float, float]]
+) -> Ints:
+    """Triangulate the region on the left of the loops without adding points."""
+    if not loops:
+        return np.empty((0, 3), dtype=np.int64)
+    from manifold3d import triangulate
+
+    order = np.array([number[key] for loop in loops for key in loop])
+    polygons = [np.array([position[key] for key in loop]) for loop in loops]
+    scale = float(max(np.abs(p).max() for p in polygons))
+    found = np.asarray(triangulate([p / scale for p in polygons]), dtype=np.int64)
+    return np.asarray(order[found])

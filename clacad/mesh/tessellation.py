@@ -1,0 +1,176 @@
+"""From a window to watertight meshes, by slope error or by quads a cell side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+from clacad.mesh.body_mesh import BodyMesh, Tiled, no_plain
+from clacad.mesh.cell_template import TemplateMaker
+from clacad.mesh.facet_error import facet_errors
+from clacad.mesh.integer_heights import NONE, merge_steps, z_step
+from clacad.mesh.land_triangles import make_plain
+from clacad.mesh.prototile import Prototile, make_prototile
+from clacad.mesh.window_mesh import Mesh
+from clacad.sheet.window import Body, Window
+from clacad.topology import CellComplex, cell_complex
+from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
+from clacad.topology.pieces_and_holes import saddle_count
+
+COARSEST = 1e-2  # largest step of heights, in body thicknesses
+MOST_QUADS = 2048  # a prototile of 17 M triangles
+
+
+def tessellate(
+    window: Window, slope_error: float | None = None, quads: int | None = None, merge: float | None = None,
+    saddle_bevel: float = 0.0,
+) -> Mesh:  # fmt: skip
+    """Mesh every body of a window, watertight by construction.
+
+    Exactly one of `slope_error` and `quads` is given.
+
+    Parameters
+    ----------
+    window : Window
+    slope_error : float, optional
+        Largest rms angle allowed between facet and exact normal (radians).
+    quads : int, optional
+        Grid steps along each side of a cell's optical zone.
+    merge : length, optional
+        Steps between neighbours below this height are closed up. Default: four z steps.
+    saddle_bevel : length, optional
+        Width of the bevels that give columns which only touch at a saddle a real contact. Default 0: none, the
+        columns keep vertices of their own and the surface is exact.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    ValueError
+        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
+        surface ends inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
+    """
+    if (slope_error is None) == (quads is None):
+        raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
+    if quads is None:
+        assert slope_error is not None
+        quads = forecast_quads(window, slope_error)
+    if quads < 1:
+        raise ValueError(f"quads = {quads}: at least 1 is needed")
+    return Mesh(
+        window, tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies), quads
+    )
+
+
+def mesh_body(
+    window: Window, body: Body, quads: int, merge: float | None = None, saddle_bevel: float = 0.0
+) -> BodyMesh:
+    """Mesh one body; see `tessellate`."""
+    parts = _parts(window, body, merge, saddle_bevel)
+    tiles = [parts.tile(n, quads) for n in range(len(parts.cells.tilings))]
+    tiled = tuple(
+        Tiled(TemplateMaker(tile, window.lattice), tiling.shift)
+        for tile, tiling in zip(tiles, parts.cells.tilings)
+    )
+    ringed = window.outline is not None and all(abs(level) != NONE for tile in tiles for level in tile.land)
+    if len(tiled) > 1 and not ringed:
+        raise CannotBuild(
+            "CL134",
+            f"body {body.name!r} needs land on both faces out to its outline: give body.border a width",
+        )
+    errors = [facet_errors(tile, body) for tile in tiles]
+    plain = make_plain(window, tiled, parts.step) if ringed else no_plain()
+    return BodyMesh(
+        body.name,
+        window,
+        body,
+        tiled,
+        ringed,
+        plain,
+        parts.step,
+        max(e[0] for e in errors),
+        max(e[1] for e in errors),
+        saddle_count(parts.cells),
+        window.lattice.cell_count * sum(tile.bevel_volume() for tile in tiles),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """A body's complex and the z lattice its meshes use."""
+
+    window: Window
+    body: Body
+    cells: CellComplex
+    step: float
+    gap: int
+    bevel: float
+
+    def tile(self, tiling: int, quads: int) -> Prototile:
+        """The prototile of one tiling."""
+        return make_prototile(
+            self.window, self.body, self.cells, self.cells.tilings[tiling], quads, self.step, self.gap, self.bevel
+        )  # fmt: skip
+
+
+def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
+    refuse_buried_land(body.front, body.back)
+    step = z_step(window)
+    thick = abs(body.back.vertex[2] - body.front.vertex[2])
+    if step > COARSEST * thick > 0.0:
+        raise CannotBuild(
+            "CL137",
+            f"heights near z = {max(map(abs, window.z_range)):.3g} are multiples of {step:.3g} in a float32 file, and "
+            f"body {body.name!r} is {thick:.3g} thick: no mesh holds it; STEP does, or a shorter pair.separation",
+        )
+    gap = merge_steps(merge, step)
+    cells = cell_complex(window, body, merge=gap * step, spacing=0.0, rims=False)
+    return _Parts(window, body, cells, step, gap, bevel)
+
+
+def count_facets(window: Window, quads: int) -> int:
+    """Exact number of triangles of the mesh with these quads, without expanding it."""
+    return tessellate(window, quads=quads).facet_count
+
+
+def forecast_bytes(window: Window, quads: int) -> int:
+    """Size of the binary STL files of all bodies together (84 bytes each, and 50 a triangle)."""
+    return 84 * len(window.bodies) + 50 * count_facets(window, quads)
+
+
+def slope_error_at(window: Window, quads: int) -> float:
+    """The slope error (radians) the mesh with these quads will have."""
+    worst = 0.0
+    for body in window.bodies:
+        parts = _parts(window, body, None)
+        worst = max(
+            worst, *(facet_errors(parts.tile(n, quads), body)[0] for n in range(len(parts.cells.tilings)))
+        )
+    return worst
+
+
+def forecast_quads(window: Window, slope_error: float) -> int:
+    """Fewest quads a cell side whose slope error does not exceed the given one (radians).
+
+    Raises
+    ------
+    ValueError
+        More than 2048 would be needed.
+    """
+    if not slope_error > 0.0:
+        raise ValueError(f"slope_error = {slope_error}: must be positive (radians)")
+    probe = 8
+    guess = max(1, ceil(probe * slope_error_at(window, probe) / slope_error))
+    while guess <= MOST_QUADS:
+        found = slope_error_at(window, guess)
+        if found <= slope_error:
+            while guess > 1 and slope_error_at(window, guess - 1) <= slope_error:
+                guess -= 1
+            return guess
+        guess = max(guess + 1, ceil(guess * found / slope_error * 0.999))
+    raise ValueError(
+        f"a slope error of {slope_error:.3g} rad needs more than {MOST_QUADS} quads a cell side "
+        f"({guess}); {slope_error_at(window, 64):.3g} rad takes 64"
+    )

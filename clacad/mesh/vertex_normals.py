@@ -1,0 +1,91 @@
+"""Exact normals at facet corners, and one closed cell for formats that repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.mesh.body_mesh import BodyMesh
+from clacad.mesh.cell_template import BACK, FRONT, Template
+from clacad.sheet.window import Body, Window, lens_height_and_normal
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class CellSolid:
+    """One closed column of a body, in the cell frame: what an instanced format repeats.
+
+    vertices : (v, 3) lengths
+    triangles : (t, 3), outward
+    kind : (t,) uint8
+        FRONT, FRONT_LAND, BACK, BACK_LAND or WALL of `clacad.mesh.cell_template`.
+    normals : (t, 3, 3)
+        Outward unit normals at the corners: exact on optical facets, the facet's own elsewhere.
+    """
+
+    vertices: Floats
+    triangles: Ints
+    kind: NDArray[np.uint8]
+    normals: Floats
+
+
+def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
+    """Mesh one telescopelet's column of a body as a closed solid of its own, centred on its cell.
+
+    Raises
+    ------
+    ValueError
+        The body's faces repeat on displaced arrays: no cell of it is a column.
+    """
+    from clacad.mesh.tessellation import mesh_body
+
+    alone = window.with_cells((1, 1))
+    mesh = mesh_body(alone, body, quads)
+    if len(mesh.tiled) > 1:
+        raise ValueError(f"body {body.name!r} has displaced faces: none of its cells is a solid of its own")
+    maker = mesh.tiled[0].maker
+    template = maker.template(np.zeros(len(maker.offsets), dtype=np.uint8))
+    vertices = np.concatenate([local_xy(window, template), template.z[:, None]], axis=1)
+    return CellSolid(vertices, template.triangles, template.kind, template_normals(window, body, template))
+
+
+def local_xy(window: Window, template: Template) -> Floats:
+    """A template's vertices in its own cell's frame, (v, 2) lengths."""
+    origin = window.lattice.centres(np.zeros(2, dtype=np.int64))
+    return np.asarray(template.xy + (window.lattice.centres(template.owner) - origin))
+
+
+def template_normals(window: Window, body: Body, template: Template) -> Floats:
+    """Outward unit normals at the corners of a template's triangles, (t, 3, 3)."""
+    corners = np.concatenate([local_xy(window, template), template.z[:, None]], axis=1)[template.triangles]
+    facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facet /= np.linalg.norm(facet, axis=1, keepdims=True)
+    normals = np.repeat(facet[:, None, :], 3, axis=1)
+    for kind, face, outward in ((FRONT, body.front, -1.0), (BACK, body.back, 1.0)):
+        mine = np.flatnonzero(template.kind == kind)
+        if face.array is None or not len(mine):
+            continue
+        at = corners[mine].reshape(-1, 3)
+        _, exact = lens_height_and_normal(face, at[:, 0], at[:, 1])
+        exact = outward * exact.reshape(-1, 3, 3)
+        normals[mine] = np.where(np.isnan(exact), normals[mine], exact)
+    return normals
+
+
+def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
+    """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
+    known: dict[int, Floats] = {}
+    for template, cells in mesh.parts():
+        if id(template) not in known:
+            known[id(template)] = template_normals(mesh.window, mesh.body, template)
+        yield np.tile(known[id(template)], (cells, 1, 1))
+    if len(mesh.plain.triangles):
+        corners = mesh.plain.vertices[mesh.plain.triangles]
+        facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facet /= np.linalg.norm(facet, axis=1, keepdims=True)
+        yield np.repeat(facet[:, None, :], 3, axis=1)

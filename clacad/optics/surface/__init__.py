@@ -1,0 +1,37 @@
+"""Optical surfaces: their shape, where a ray meets them, Snell's law. See `clacad.optics.surface.sag_and_normal` for notation."""
+
+from __future__ import annotations
+
+from clacad.optics.surface.intersection import Meeting, fresnel, meet, meet_at, refract
+from clacad.optics.surface.quadric import upright_sag
+from clacad.optics.surface.sag_and_normal import (
+    ULP,
+    Biconic,
+    Quadric,
+    Surface,
+    as_quadric,
+    conic_constants,
+    gradient,
+    normal,
+    principal_radii,
+    sag,
+)
+
+__all__ = [
+    "ULP",
+    "Biconic",
+    "Meeting",
+    "Quadric",
+    "Surface",
+    "as_quadric",
+    "conic_constants",
+    "fresnel",
+    "gradient",
+    "meet",
+    "meet_at",
+    "normal",
+    "principal_radii",
+    "refract",
+    "sag",
+    "upright_sag",
+]

@@ -1,0 +1,429 @@
+"""Assemble a window, form by form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import hypot, isinf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.design.process_profiles import profile
+from clacad.optics.law import Law
+from clacad.prescription import poses
+from clacad.prescription.cell_heights import face_range, window_range
+from clacad.prescription.faces_and_bodies import Pose, Shape, biconvex_body, plano_body, slab_body
+from clacad.prescription.parabasal import residual
+from clacad.prescription.radii import (
+    Lenses,
+    NoSuchLens,
+    Pair2,
+    biconvex_exact,
+    biconvex_thin,
+    single_surface,
+    thin_focal_lengths,
+)
+from clacad.prescription.thickness import auto_thickness
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.optics.material.material import Material
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Intent:
+    """What the recipes need of a design, read once."""
+
+    design: Design
+    law: Law
+    turn: Floats
+    eta: Pair2
+    delta: Pair2
+    index: float
+    material: Material | None
+    lattice: Lattice
+    shape: Shape
+    neck: float
+
+    def offset(self, focal_length: Pair2) -> Floats:
+        """(d_x, d_y) = (δ_x f1x, δ_y f1y), with f1 as built; 0 in a meridian without power."""
+        return np.array([0.0 if d == 0.0 else d * f for d, f in zip(self.delta, focal_length, strict=True)])
+
+
+def build_window(design: Design) -> Window:
+    """Build the window of a design; see `clacad.prescription.prescribe.prescribe`."""
+    intent = _intent(design)
+    _refuse_short_radius(intent)
+    window = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}[design.pair.form](intent)
+    window = replace(window, z_range=window_range(window))
+    asked = intent.law.refract(intent.turn[:, 2][None])[0]
+    left = residual(window, intent.turn, _entry(window, intent), asked)
+    return replace(window, residual=left)
+
+
+def _intent(design: Design) -> Intent:
+    pair = design.pair
+    material = None if pair.material is None else _find(pair.material)
+    index = pair.index if material is None else float(material.index(pair.wavelength))
+    assert index is not None  # the design holds exactly one of index and material
+    law = design.law
+    neck = design.body.neck
+    if neck is None:
+        neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
+    return Intent(
+        design, law, law.rotation, design.law_spec.eta, design.law_spec.delta, index, material,
+        _lattice(design), Shape(_conic(design, index), pair.depth), neck,
+    )  # fmt: skip
+
+
+def _find(name: str) -> Material:
+    from clacad.optics.material.material import find
+
+    return find(name)
+
+
+def _conic(design: Design, index: float) -> Pair2 | None:
+    """Conic constants of a biconic; the default makes the axial beam stigmatic (plano outside: a start value)."""
+    pair = design.pair
+    if pair.surface != "biconic":
+        return None
+    if pair.conic is not None:
+        return pair.conic
+    inside = pair.form == "plano" and pair.curved == "inside"
+    k = -(index**2) if inside else -1.0 / index**2
+    return k, k
+
+
+def _lattice(design: Design) -> Lattice:
+    spec = design.lattice
+    outline: Circle | Rectangle | None = None
+    if spec.outline is not None:
+        size = spec.outline.size
+        outline = Circle(size[0]) if spec.outline.shape == "circle" else Rectangle(*size)
+    return Lattice(spec.kind, spec.pitch, spec.count, outline)
+
+
+def _separation(intent: Intent) -> float:
+    pair = intent.design.pair
+    if pair.separation is not None:
+        return pair.separation
+    thickness = pair.thicknesses
+    assert thickness is not None  # the design holds exactly one of the two for a slab
+    return thickness[0] / intent.index
+
+
+def _refuse_short_radius(intent: Intent) -> None:
+    """A face whose radius is below half the cell's diagonal ends inside its cell."""
+    reach = intent.lattice.circumradius
+    factor = intent.index - 1.0
+    if intent.design.pair.form == "biconvex":
+        factor *= 2.0
+    for axis, value in zip("xy", intent.eta, strict=True):
+        for number, f in enumerate(thin_focal_lengths(value, _separation(intent)), start=1):
+            radius = abs(factor * f)
+            if radius < reach:
+                raise NoSuchLens(
+                    f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the diagonal of "
+                    f"its cell ({reach:.6g}): the surface ends inside the cell",
+                    key="lattice.pitch",
+                    hint=f"pitch < {max(intent.lattice.pitch) * radius / reach:.6g}, or separation > "
+                    f"{_separation(intent) * reach / radius:.6g}",
+                )
+
+
+# -- biconvex ---------------------------------------------------------------------------------------
+
+
+def _biconvex(intent: Intent) -> Window:
+    if intent.design.pair.confocal == "best":
+        from clacad.prescription.best_recipe import best_pair
+
+        window = best_pair(intent, lambda t, scale: _biconvex_given(intent, t, scale), _solved(intent))
+    else:
+        window = _biconvex_given(intent, _solved(intent))
+    _refuse_land_without_plate(intent.design, window)
+    return window
+
+
+def _refuse_land_without_plate(design: Design, window: Window) -> None:
+    """A concave lens is plate less lens: there is no plate of its own for a seam, border or outline to lie in."""
+    asked = {
+        "lattice.seam": design.lattice.seam > 0.0,
+        "body.border": design.body.border > 0.0,
+        "lattice.outline": design.lattice.outline is not None,
+    }
+    keys = [key for key, given in asked.items() if given]
+    for number, body in enumerate(window.bodies, start=1):
+        if keys and body.front.land is None:
+            raise NoSuchLens(
+                f"lens {number} is concave: it has no plate for {' and '.join(keys)}",
+                key=keys[0],
+                hint=f"no {' and no '.join(keys)}, or pair.form = 'plano'",
+            )
+
+
+def _solved(intent: Intent) -> Pair2:
+    """Thicknesses asked for, or solved for "auto" with the exact (or thin) radii."""
+    given = intent.design.pair.thicknesses
+    if given is not None:
+        return given
+    separation = _separation(intent)
+    focal = [thin_focal_lengths(value, separation) for value in intent.eta]
+    reach = intent.lattice.circumradius
+    curvature = [
+        sum(0.0 if isinf(f[k]) else max(0.0, 1.0 / f[k]) for f in focal) / (2.0 * (intent.index - 1.0))
+        for k in (0, 1)
+    ]
+    guess = (intent.neck + 0.5 * reach**2 * curvature[0], intent.neck + 0.5 * reach**2 * curvature[1])
+    converging = [abs(f) for fs in focal for f in fs if f > 0.0 and not isinf(f)]
+    limit = min([intent.index * f for f in converging] + [2.0 * separation])
+    return auto_thickness(lambda t: _biconvex_given(intent, t), guess, intent.neck, limit)
+
+
+def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
+    pair = intent.design.pair
+    separation = _separation(intent)
+    recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
+    lenses = recipe(intent.eta, separation, thickness, intent.index)
+    lenses = _scaled(lenses, scale)
+    offset = intent.offset(lenses.focal_length[0])
+    place = poses.biconvex_placement(intent.turn, offset, separation)
+    moved = poses.displacement(
+        (), intent.design.lattice.aperture, place.lens_2[:2], float(place.lens_2[2]), False
+    )
+    relative = place.lens_2 - np.array([*moved, 0.0])
+    bodies = tuple(
+        biconvex_body(
+            lenses,
+            k,
+            Pose(point, intent.turn),
+            intent.shape,
+            intent.index,
+            _web(intent, lenses, k, float(point[2])),
+        )
+        for k, point in enumerate((np.zeros(3), relative))
+    )
+    return _finish(intent, bodies, moved, lenses, offset, separation)
+
+
+def _scaled(lenses: Lenses, scale: float) -> Lenses:
+    if scale == 1.0:
+        return lenses
+    (a, b), (c, d) = lenses.radius
+    (e, f), (g, h) = lenses.focal_length
+    return Lenses(
+        ((e * scale, f * scale), (g * scale, h * scale)),
+        ((a * scale, b * scale), (c * scale, d * scale)),
+        lenses.thickness,
+    )
+
+
+def _web(intent: Intent, lenses: Lenses, number: int, centre: float) -> Pair2 | None:
+    """Front and back z of the plate joining the lenslets of one array; None without one or for a concave lens."""
+    spec = intent.design
+    bordered = spec.body.border > 0.0 or spec.lattice.outline is not None
+    web = spec.pair.web
+    if web is None or (web == 0.0 and bordered):
+        web = intent.neck  # the border is a plate, and something must join it to the lenslets
+    if web == 0.0 or any(r < 0.0 for r in lenses.radius[number]):
+        return None
+    return centre - 0.5 * web, centre + 0.5 * web
+
+
+# -- slab and plano ---------------------------------------------------------------------------------
+
+
+def _slab(intent: Intent) -> Window:
+    separation = _separation(intent)
+    thickness = intent.index * separation
+    lenses = single_surface(intent.eta, separation, (thickness, thickness), intent.index)
+    offset = intent.offset(lenses.focal_length[0])
+    place = poses.slab_placement(intent.turn, offset, thickness)
+    body = slab_body(
+        lenses, (Pose(np.zeros(3), intent.turn), Pose(place.lens_2, intent.turn)), intent.shape, intent.index
+    )
+    height = float(place.lens_2[2])
+    moved = poses.displacement((body,), intent.design.lattice.aperture, place.lens_2[:2], height, True)
+    body = slab_body(
+        lenses,
+        (Pose(np.zeros(3), intent.turn), Pose(place.lens_2 - np.array([*moved, 0.0]), intent.turn)),
+        intent.shape, intent.index,
+    )  # fmt: skip
+    return _finish(intent, (body,), moved, lenses, offset, separation)
+
+
+def _plano(intent: Intent) -> Window:
+    pair = intent.design.pair
+    separation = _separation(intent)
+    thickness = pair.thicknesses or _plano_auto(intent, separation)
+    lenses = single_surface(intent.eta, separation, thickness, intent.index)
+    offset = intent.offset(lenses.focal_length[0])
+    if pair.curved == "inside":
+        place = poses.plano_inside_placement(intent.law, offset, separation, intent.index)
+        return _plano_placed(intent, lenses, place.lens_2, place.rotation, offset)
+    gap = separation - (thickness[0] + thickness[1]) / intent.index
+    if gap <= 0.0:
+        raise NoSuchLens(
+            f"the plane faces would meet: the air gap separation - (T1 + T2)/n is {gap:.6g}",
+            hint=f"T1 + T2 < {intent.index * separation:.6g}, separation > "
+            f"{(thickness[0] + thickness[1]) / intent.index:.6g}, or curved = 'inside'",
+        )
+
+    def built(trial: float) -> tuple[tuple[Body, ...], tuple[Pair2, Pair2]]:
+        # without the offset: off its axis lens 2 adds aberration that is no matter of the gap
+        lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, trial)
+        window = _plano_placed(intent, lenses, lens_2, intent.turn, offset)
+        return window.bodies, window.shifts
+
+    if intent.law.theta != 0.0:
+        gap = poses.best_gap(built, intent.turn, gap, 1e-4 * intent.lattice.circumradius)
+    lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, gap)
+    lens_2 = lens_2 + intent.turn @ np.array([*offset, 0.0])
+    return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
+
+
+def _plano_auto(intent: Intent, separation: float) -> Pair2:
+    """Smallest vertex-to-plane thickness that leaves the neck under the whole lens, and the land when there is one."""
+    trial = single_surface(intent.eta, separation, (0.0, 0.0), intent.index)
+    window = _plano_placed(
+        intent, trial, np.array([0.0, 0.0, separation]),
+        intent.turn if intent.design.pair.curved == "outside" else poses.shallower(intent.law, intent.index),
+        np.zeros(2),
+    )  # fmt: skip
+    found = []
+    for body in window.bodies:
+        curved = body.front if body.front.array is not None else body.back
+        low, high = face_range(window, curved)
+        deepest = (high if curved.side > 0 else -low) - curved.side * curved.vertex[2]
+        if curved.land is not None:
+            deepest = max(deepest, curved.side * (curved.land - curved.vertex[2]))
+        found.append(max(deepest, 0.0) + intent.neck)
+    return found[0], found[1]
+
+
+def _plano_placed(intent: Intent, lenses: Lenses, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
+    outside = intent.design.pair.curved == "outside"
+    t1, t2 = lenses.thickness
+    planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)
+
+    def bodies(moved: Pair2) -> tuple[Body, ...]:
+        points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
+        return tuple(
+            plano_body(
+                lenses, k, Pose(points[k], turn), intent.shape, intent.index, outside == (k == 0), planes[k]
+            )
+            for k in (0, 1)
+        )
+
+    aperture = intent.design.lattice.aperture
+    moved = poses.displacement(bodies((0.0, 0.0)), aperture, lens_2[:2], float(lens_2[2]), True)
+    return _finish(intent, bodies(moved), moved, lenses, offset, _separation(intent))
+
+
+def _entry(window: Window, intent: Intent) -> Floats:
+    """A point of the axis ray before the window, sheet frame."""
+    pair = intent.design.pair
+    if pair.form == "plano" and pair.curved == "inside":
+        glass = poses.shallower(intent.law, intent.index)[:, 2]
+        plane = window.bodies[0].front.vertex[2]
+        return np.asarray(glass * (plane / glass[2]))
+    return np.zeros(3)
+
+
+# -- what all forms share ---------------------------------------------------------------------------
+
+
+def _finish(
+    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: Lenses, offset: Floats, separation: float
+) -> Window:  # fmt: skip
+    design = intent.design
+    # the ideal pair shares a focal plane exactly, whatever thick lenses need to do the same
+    pairs = [thin_focal_lengths(value, separation) for value in intent.eta]
+    thin_focal = ((pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1]))
+    thin_d = intent.offset(thin_focal[0])
+    thin_offset = intent.turn @ np.array([thin_d[0], thin_d[1], separation])
+    thin_shift = poses.displacement(
+        (), design.lattice.aperture, thin_offset[:2], float(thin_offset[2]), False
+    )
+    land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
+    window = Window(
+        form=design.pair.form,
+        bodies=tuple(replace(body, material=intent.material) for body in bodies),
+        lattice=intent.lattice,
+        shifts=((0.0, 0.0), moved),
+        unit=design.unit_m,
+        z_range=(0.0, 0.0),
+        law=intent.law,
+        thin=ThinPair(thin_focal, _triple(thin_offset), intent.turn, thin_shift),
+        land=land,
+        baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,
+        wavelength=design.pair.wavelength,
+        recipe=_recipe(intent, lenses, offset, separation),
+        name=design.name,
+    )
+    window = replace(window, outline=side_outline(window))
+    if design.pair.form == "slab" and window.lattice.outline is not None and moved != (0.0, 0.0):
+        # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`
+        window = replace(
+            window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved))
+        )
+    return window if design.pair.form == "biconvex" else _with_land(window, intent)
+
+
+def _within(outline: Circle | Rectangle, moved: Pair2) -> Circle | Rectangle:
+    """The outline less a displacement on either side: what lies in it lies in the outline, displaced or not."""
+    if isinstance(outline, Circle):
+        return Circle(max(outline.diameter - 2.0 * hypot(*moved), 0.0))
+    width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
+    return Rectangle(max(width, 0.0), max(height, 0.0))
+
+
+def _triple(v: Floats) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+def _with_land(window: Window, intent: Intent) -> Window:
+    """Give the structured faces of a plano or slab window the land they need (seam, border, outline).
+
+    It lies `seam_depth` below the deepest point of the array's optical zone, so it is never inside the
+    range of the border heights.
+    """
+    if window.land.seam == 0.0 and window.outline is None:
+        return window
+    depth = intent.design.lattice.seam_depth
+    depth = min(window.lattice.pitch) / 50.0 if depth is None else depth
+
+    def landed(body: Body) -> Body:
+        faces = []
+        for face in (body.front, body.back):
+            if face.array is not None:
+                low, high = face_range(window, face)
+                face = replace(face, land=high + depth if face.side > 0 else low - depth)
+            faces.append(face)
+        return replace(body, front=faces[0], back=faces[1])
+
+    return replace(window, bodies=tuple(landed(body) for body in window.bodies))
+
+
+def _recipe(intent: Intent, lenses: Lenses, offset: Floats, separation: float) -> Mapping[str, Any]:
+    pair = intent.design.pair
+    return {
+        "confocal": pair.confocal if pair.form == "biconvex" else "exact",
+        "R": [list(r) for r in lenses.radius],
+        "f": [list(f) for f in lenses.focal_length],
+        "d": [float(d) for d in offset],
+        "T": list(lenses.thickness),
+        "n": intent.index,
+        "s": separation,
+        "surface": pair.surface,
+        "wavelength_nm": pair.wavelength * 1e9,
+        "material": pair.material,
+        "curved": pair.curved if pair.form == "plano" else None,
+        "warnings": [],
+    }

@@ -1,0 +1,134 @@
+"""Heights over a cell that fix thickness, land and the window's extent.
+
+Only sampling of exact heights: borders at 65 points, the cell on a grid, corners always among them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
+
+Floats = NDArray[np.float64]
+BORDER_SAMPLES = 65
+GRID = 33
+
+
+def border_points(window: Window, number: int) -> Floats:
+    """Points along border `number` of the optical zone, cell frame, (65, 2), lengths."""
+    tile = optical_tile(window)
+    start, end = tile[number], tile[(number + 1) % len(tile)]
+    t = np.linspace(0.0, 1.0, BORDER_SAMPLES)[:, None]
+    return np.asarray((1.0 - t) * start + t * end)
+
+
+def zone_points(window: Window) -> Floats:
+    """Points of the optical zone: its border samples, then a grid inside, (n, 2), lengths."""
+    tile = optical_tile(window)
+    borders = [border_points(window, k) for k in range(len(tile))]
+    # a fan of shrunken outlines: a grid that fits any convex cell
+    fan = [np.concatenate(borders)[::2] * scale for scale in np.linspace(0.0, 1.0, GRID)[:-1]]
+    return np.concatenate([*borders, *fan])
+
+
+def border_overlap(window: Window, body: Body) -> float:
+    """Least common height of two neighbouring columns over all borders (length), −inf if a lens is missing.
+
+    Negative: the columns stand apart there by that much.
+    """
+    least = np.inf
+    steps = window.lattice.steps
+    for number in range(len(steps) // 2):
+        here = border_points(window, number)
+        there = here - np.asarray(window.lattice.offset(*steps[number]))
+        low = [_lens_column(body, p) for p in (here, there)]
+        overlap = np.fmin(low[0][1], low[1][1]) - np.fmax(low[0][0], low[1][0])
+        least = min(least, -np.inf if np.isnan(overlap).any() else float(overlap.min()))
+    return least
+
+
+def least_thickness(window: Window, body: Body) -> float:
+    """Least lens thickness along z over the optical zone (length), −inf where a lens is missing."""
+    front, back = _lens_column(body, zone_points(window))
+    thickness = back - front
+    return -np.inf if np.isnan(thickness).any() else float(thickness.min())
+
+
+def proud_of_land(window: Window, body: Body) -> float:
+    """Least height of both lens faces over their land within the optical zone (length); inf without land."""
+    if body.front.land is None or body.back.land is None:
+        return np.inf
+    front, back = _lens_column(body, zone_points(window))
+    proud = np.fmin(body.front.land - front, back - body.back.land)
+    return -np.inf if np.isnan(proud).any() else float(proud.min())
+
+
+def _lens_column(body: Body, points: Floats) -> tuple[Floats, Floats]:
+    x, y = points[:, 0], points[:, 1]
+    return lens_height(body.front, x, y), lens_height(body.back, x, y)
+
+
+def face_range(window: Window, face: Face) -> tuple[float, float]:
+    """Lowest and highest lens point of a structured face over its optical zone (lengths), NaN-free.
+
+    Samples and the point whose normal is the sheet's normal, where it lies in the zone.
+    """
+    points = zone_points(window)
+    z = lens_height(face, points[:, 0], points[:, 1])
+    z = np.append(z[np.isfinite(z)], _level_point(window, face))
+    return float(z.min()), float(z.max())
+
+
+def _level_point(window: Window, face: Face) -> Floats:
+    """Height of the extreme point of the lens if it lies in the zone, else nothing, (0 or 1,)."""
+    if face.untilted:
+        return np.array([face.vertex[2]])
+    # follow the slope: Newton on the height's gradient, which is small and smooth on a lenslet
+    x, y = face.vertex[0], face.vertex[1]
+    from clacad.sheet.window import in_optical_tile, lens_height_and_normal
+
+    step = 1e-5 * window.lattice.circumradius
+    for _ in range(8):
+        px = x + np.array([0.0, step, -step, 0.0, 0.0])
+        py = y + np.array([0.0, 0.0, 0.0, step, -step])
+        _, normal = lens_height_and_normal(face, px, py)
+        slope = -normal[:, :2] / normal[:, 2:]
+        jacobian = np.stack([slope[1] - slope[2], slope[3] - slope[4]], axis=1) / (2.0 * step)
+        if not np.isfinite(jacobian).all() or abs(np.linalg.det(jacobian)) < 1e-300:
+            return np.empty(0)
+        dx, dy = np.linalg.solve(jacobian, -slope[0])
+        x, y = x + float(dx), y + float(dy)
+    at = np.array([x]), np.array([y])
+    if not (np.isfinite([x, y]).all() and in_optical_tile(window, *at)[0]):
+        return np.empty(0)
+    z = lens_height(face, *at)
+    return z[np.isfinite(z)]
+
+
+def window_range(window: Window) -> tuple[float, float]:
+    """Lowest and highest point of any body (lengths), from exact heights at samples."""
+    points = zone_points(window)
+    # where there is a seam, rounding may put a sample of the border outside the zone: a hair inside it stands for it
+    points = np.concatenate([points, points * (1.0 - 1e-12)])
+    heights: list[float] = []
+    for body in window.bodies:
+        if body.columnar:
+            front, back = column(window, body, points[:, 0], points[:, 1])
+            parts = [front, back]
+        else:
+            parts = [
+                face_height(window, face, points[:, 0], points[:, 1]) for face in (body.front, body.back)
+            ]
+        for face, z in zip((body.front, body.back), parts, strict=True):
+            finite = z[np.isfinite(z)]
+            heights += [float(finite.min()), float(finite.max())] if len(finite) else []
+            heights += [] if face.land is None else [face.land]
+            if face.array is not None:
+                level = _level_point(window, face)
+                # a lens sunk below its land does not show its extreme point
+                if face.land is not None and len(level):
+                    sunk = level[0] > face.land if face.side > 0 else level[0] < face.land
+                    level = level[:0] if sunk else level
+                heights += [float(v) for v in level]
+    return min(heights), max(heights)

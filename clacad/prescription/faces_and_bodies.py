@@ -1,0 +1,101 @@
+"""From radii to faces, and from poses to bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign, isinf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.surface import Biconic, Quadric
+from clacad.prescription.radii import Lenses, Pair2
+from clacad.sheet.window import IDENTITY, Body, Face, Surface
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """How a curved face continues beyond its apex radii.
+
+    conic : (K_x, K_y) or None
+        None: the paper's ellipsoid, one κ for both meridians; else a biconic.
+    depth : (1/κ of lens 1, of lens 2) or None, lengths
+        None: κ = sign · sqrt(c_x c_y).
+    """
+
+    conic: Pair2 | None
+    depth: Pair2 | None
+
+    def face(self, radius: Pair2, side: int, lens: int) -> Surface:
+        """Curved face of lens 0 or 1 with apex radii `radius` (lengths) on the given side."""
+        cx, cy = (0.0 if isinf(r) else 1.0 / r for r in radius)
+        if self.conic is not None:
+            return Biconic(cx, cy, self.conic[0], self.conic[1], side)
+        return Quadric(cx, cy, self._kappa(cx, cy, lens), side)
+
+    def _kappa(self, cx: float, cy: float, lens: int) -> float:
+        if self.depth is not None:
+            return copysign(1.0 / self.depth[lens], cx + cy)
+        if cx * cy > 0.0:
+            # carries the curvature's sign, else a concave face would become a hyperboloid
+            return copysign(sqrt(cx) * sqrt(cy) if cx > 0.0 else sqrt(-cx) * sqrt(-cy), cx)
+        return cx + cy if cx == 0.0 or cy == 0.0 else 0.0  # circular cylinder; saddle
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where a lens stands: reference point relative to its own cell's centre (x, y) and in the sheet (z)."""
+
+    point: Floats
+    rotation: Floats
+
+    def vertex(self, along: float) -> tuple[float, float, float]:
+        """Point `along` (length) the lens axis from the reference point."""
+        x, y, z = self.point + along * self.rotation[:, 2]
+        return float(x), float(y), float(z)
+
+
+def biconvex_body(
+    lenses: Lenses, number: int, pose: Pose, shape: Shape, index: float, land: tuple[float, float] | None
+) -> Body:
+    """Lens `number` (0, 1) of a biconvex pair, apexes T/2 either side of its centre.
+
+    land : (front z, back z) of the web, or None
+    """
+    half = 0.5 * lenses.thickness[number]
+    radius = lenses.radius[number]
+    front_land, back_land = (None, None) if land is None else land
+    return Body(
+        Face(shape.face(radius, +1, number), pose.vertex(-half), _shared(pose.rotation), number, front_land),
+        Face(shape.face(radius, -1, number), pose.vertex(+half), _shared(pose.rotation), number, back_land),
+        index,
+        f"array{number + 1}",
+    )
+
+
+def plano_body(
+    lenses: Lenses, number: int, pose: Pose, shape: Shape, index: float, curved_front: bool, plane_z: float
+) -> Body:
+    """Lens `number` of a plano pair: one curved face at the reference point, one plane parallel to the sheet."""
+    side = +1 if curved_front else -1
+    curved = Face(
+        shape.face(lenses.radius[number], side, number), pose.vertex(0.0), _shared(pose.rotation), number
+    )
+    plane = Face(Quadric(0.0, 0.0, 0.0, -side), (0.0, 0.0, plane_z))
+    front, back = (curved, plane) if curved_front else (plane, curved)
+    return Body(front, back, index, f"array{number + 1}")
+
+
+def slab_body(lenses: Lenses, poses: tuple[Pose, Pose], shape: Shape, index: float) -> Body:
+    """One body with both arrays on its faces."""
+    front, back = (
+        Face(shape.face(lenses.radius[k], side, k), poses[k].vertex(0.0), _shared(poses[k].rotation), k)
+        for k, side in ((0, +1), (1, -1))
+    )
+    return Body(front, back, index, "sheet")
+
+
+def _shared(rotation: Floats) -> Floats:
+    return IDENTITY if np.array_equal(rotation, IDENTITY) else rotation

@@ -1,0 +1,20 @@
+"""The view through the sheet: pictures and movies of scene files, and what they measure.
+
+`render` gives the linear light of a still as an array; `render_movie` yields frames. Files are written by
+`clacad.rendering.picture_files`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["Picture", "render", "render_movie", "view_through"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: the package alone loads nothing."""
+    if name in __all__:
+        from clacad.rendering import picture
+
+        return getattr(picture, name)
+    raise AttributeError(f"module 'clacad.rendering' has no attribute {name!r}")

@@ -1,0 +1,1 @@
+"""The paper's figures and movies, drawn anew and measured."""

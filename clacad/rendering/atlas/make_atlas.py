@@ -1,0 +1,263 @@
+"""The atlas: every figure and movie of the paper, labelled, with its row measured; an index page of it all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from clacad.design.law_in_words import law_words
+from clacad.rendering.atlas.figure1 import section_findings, solid_findings
+from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.index_page import page_of
+from clacad.rendering.atlas.paper_figures import FIGURES, MOVIES, Figure
+from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
+from clacad.rendering.picture_files import Bytes, animate, facts, label_lines, labelled, pixels_of, save
+from clacad.scene import Scene, load_scene
+from clacad.storage.atomic import Stage, canonical_json, file_hash
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """What was made.
+
+    Attributes
+    ----------
+    folder : Path
+    findings : mapping from row to findings
+    files : tuple of str
+    """
+
+    folder: Path
+    findings: dict[str, tuple[Finding, ...]]
+    files: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every measured number lies within its tolerance."""
+        return all(one.passed for found in self.findings.values() for one in found)
+
+
+@dataclass(frozen=True, slots=True)
+class AtlasRequest:
+    """What to make.
+
+    Parameters
+    ----------
+    scenes : Path
+        Folder of the scene files.
+    out : Path
+    size : int
+        Pixels across a picture.
+    samples : int
+        Rays a pixel.
+    movies : bool
+    movie_size : int
+    rows : tuple of str
+        Rows to make ("F3"); empty: all.
+    measured : bool
+        Whether rows are measured.
+    overwrite : bool
+    """
+
+    scenes: Path
+    out: Path
+    size: int = 440
+    samples: int = 16
+    movies: bool = True
+    movie_size: int = 220
+    rows: tuple[str, ...] = ()
+    measured: bool = True
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Movie:
+    """A movie to make: scene file stem, title, frames a second and the still of each frame."""
+
+    stem: str
+    title: str
+    fps: float
+    frames: tuple[Scene, ...]
+
+    def labels(self) -> list[str]:
+        """What each frame shows; all name the same parameters."""
+        turned = any(any(still.design().law_spec.euler) for still in self.frames)
+        return [f"{self.title.split(':')[0]}: {parameters(still, turned)}" for still in self.frames]
+
+
+@dataclass(frozen=True, eq=False)
+class AtlasJob:
+    """Everything that an atlas is made of, read and checked.
+
+    Attributes
+    ----------
+    request : AtlasRequest
+    figures : tuple of Figure
+    stills : mapping from scene file stem to Scene, sized as asked
+    movies : tuple of Movie, frames sized as asked
+    first : (Scene, Scene) or None
+        Of Fig. 1(a) and 1(b).
+    """
+
+    request: AtlasRequest
+    figures: tuple[Figure, ...]
+    stills: dict[str, Scene]
+    movies: tuple[Movie, ...]
+    first: tuple[Scene, Scene] | None
+
+    def load(self, stem: str) -> Scene:
+        """A scene as its file has it."""
+        return load_scene(self.request.scenes / f"{stem}.toml")
+
+
+class NoSuchRow(ValueError):
+    """A row that is none of the paper's figures; exit status 2."""
+
+    exit_status = 2
+
+
+def prepare(request: AtlasRequest) -> AtlasJob:
+    """Read every scene that an atlas needs and check every frame of its movies.
+
+    Raises
+    ------
+    NoSuchRow
+    SceneError
+        A scene is missing or wrong.
+    """
+    known = ("F1", *(figure.row for figure in FIGURES))
+    for row in request.rows:
+        if row not in known:
+            raise NoSuchRow(f"there is no row {row}; rows are {', '.join(known)}")
+
+    def load(stem: str) -> Scene:
+        return load_scene(request.scenes / f"{stem}.toml")
+
+    chosen = tuple(f for f in FIGURES if not request.rows or f.row in request.rows)
+    stills = {stem: _sized(load(stem), request.size, request.samples) for f in chosen for stem, _ in f.scenes}
+    movies = []
+    for stem, title in MOVIES:
+        if request.movies and any(figure.owns(title) for figure in chosen):
+            scene = load(stem)
+            frames = tuple(
+                _sized(still, request.movie_size, request.samples) for still in checked_frames(scene)
+            )
+            assert scene.animation is not None  # it has frames
+            movies.append(Movie(stem, title, scene.animation.fps, frames))
+    first = None
+    if not request.rows or "F1" in request.rows:
+        first = load("fig1a"), _sized(load("fig1b"), request.size, max(4, request.samples // 4))
+    return AtlasJob(request, chosen, stills, tuple(movies), first)
+
+
+def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
+    """Make the figures, movies, measurements and the index page.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+    tell = progress or (lambda stage, share: None)
+    findings: dict[str, tuple[Finding, ...]] = {}
+    with Stage(job.request.out, overwrite=job.request.overwrite) as stage:
+        if job.first is not None:
+            tell("F1", None)
+            findings |= _first_figure(stage, *job.first, measured=job.request.measured)
+        for figure in job.figures:
+            for stem, label in figure.scenes:
+                tell(f"{figure.row}: {label}", None)
+                picture = view_through(job.stills[stem], compiled=True)
+                text = f"{figure.row}: {parameters(job.stills[stem])}"
+                save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), facts(picture))
+            if job.request.measured:
+                tell(f"{figure.row}: measuring", None)
+                findings[figure.row] = tuple(figure.check(job.load))
+        for movie in job.movies:
+            _movie(stage, movie, tell)
+        names = _names(stage)
+        page = page_of(job.figures, findings, [(movie.stem, movie.title) for movie in job.movies], names)
+        stage.path("index.html").write_text(page, encoding="utf-8")
+        stage.path("atlas.json").write_text(canonical_json(_record(findings)), encoding="utf-8")
+        stage.publish(manifest_of(stage, "atlas"))
+    return Atlas(stage.folder, findings, (*names, "index.html", "atlas.json"))
+
+
+def _sized(scene: Scene, size: int, samples: int) -> Scene:
+    width, height = scene.camera.pixels
+    pixels = (size, max(1, round(size * height / width)))
+    return replace(scene, camera=replace(scene.camera, pixels=pixels, samples=samples))
+
+
+def parameters(scene: Scene, turned: bool = False) -> str:
+    """What a still shows, read from the scene itself: "eta = (-0.25, -1), z = 10".
+
+    Parameters
+    ----------
+    scene : Scene
+    turned : bool
+        Name the three angles even where all are 0.
+    """
+    said = [law_words(scene.design().law_spec, turned)]
+    said += [f"z = {thing.at[2]:.4g}" for thing in scene.objects if thing.id == "knight"]
+    return ", ".join(said)
+
+
+def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]) -> None:
+    """Draw a movie, each frame with what its own scene shows."""
+    labels = movie.labels()
+    width = movie.frames[0].camera.pixels[0]
+    lines = max(len(label_lines(label, width)) for label in labels)
+    pixels: list[Bytes] = []
+    notes: dict[str, str] = {}
+    for k, still in enumerate(movie.frames):
+        tell(f"movie {movie.title}", k / len(movie.frames))
+        picture: Picture = view_through(still, compiled=True)
+        pixels.append(labelled(pixels_of(picture), labels[k], lines))
+        notes = facts(picture)
+    animate(stage.path(f"{movie.stem}.webp"), iter(pixels), movie.fps, notes)
+
+
+def _first_figure(
+    stage: Stage, section: Scene, solids: Scene, *, measured: bool
+) -> dict[str, tuple[Finding, ...]]:
+    """Figure 1: the section with rays as SVG, and the sheet itself as a picture; what both measure."""
+    from clacad.rendering.atlas.figure1_section import section_svg
+    from clacad.rendering.atlas.figure1_solids import solid_picture
+
+    stage.path("fig1a.svg").write_text(section_svg(section.design()), encoding="utf-8")
+    text = (
+        f"F1b: {parameters(solids)}, separation = {solids.design().pair.separation}, "
+        "drawn as tinted solids without refraction"
+    )
+    save(
+        labelled(solid_picture(solids), text),
+        stage.path("fig1b.png"),
+        {"Title": solids.name, "clacad:design": solids.design().name},
+    )
+    return {"F1": (*section_findings(section), *solid_findings(solids))} if measured else {}
+
+
+def _names(stage: Stage) -> tuple[str, ...]:
+    folder = stage.path("x").parent
+    return tuple(sorted(path.name for path in folder.iterdir()))
+
+
+def manifest_of(stage: Stage, kind: str) -> dict[str, Any]:
+    """The manifest of all files of a stage."""
+    folder = stage.path("x").parent
+    files = [
+        {"name": path.name, "sha256": file_hash(path), "bytes": os.path.getsize(path)}
+        for path in sorted(folder.iterdir())
+    ]
+    return {"format": 1, "kind": kind, "files": files}
+
+
+def _record(findings: dict[str, tuple[Finding, ...]]) -> dict[str, Any]:
+    passed = all(one.passed for found in findings.values() for one in found)
+    return {
+        "passed": passed,
+        "rows": {row: [one.to_dict() for one in found] for row, found in findings.items()},
+    }

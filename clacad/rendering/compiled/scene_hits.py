@@ -1,0 +1,288 @@
+"""What rays meet in the scene and the light they find there, compiled: the twin of `reference.scene_hits`.
+
+Blocks of rays in columns: sky, floors and bounds in passes over the block; the rays that come near an object
+are gathered and held against its primitives in passes of their own. Distances are in lengths of the given
+direction. Imported inside functions only.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.compiled import exact, owning
+from clacad.rendering.compiled.primitives import distances, to_frame
+from clacad.rendering.compiled.scene_light import background, painted
+from clacad.rendering.compiled.scene_tables import (
+    BLOCK,
+    BOUND,
+    COLOUR,
+    FLOOR,
+    KIND,
+    MESH,
+    ORIGIN,
+    PAINT,
+    PATTERN,
+    PIECE,
+    SIZE,
+)
+from clacad.rendering.compiled.triangle_tree import DEPTH, in_tree
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Pad(NamedTuple):
+    """Scratch of a block of rays.
+
+    Attributes
+    ----------
+    ray : (6, BLOCK)
+        Starts and directions.
+    best : (BLOCK,), which : (BLOCK,) ints
+        Distance of what was met, as given before anything was; its primitive, −1 for none.
+    colour : (3, BLOCK)
+        Light found.
+    near : (BLOCK,)
+    some : (4, BLOCK) ints
+        Rays near an object; what each of them met, its triangle; nodes of a tree that wait.
+    part : (16, BLOCK)
+        Those rays: starts, directions, the same in a primitive's frame, distances, scratch.
+    """
+
+    ray: Floats
+    best: Floats
+    which: Ints
+    colour: Floats
+    near: Floats
+    some: Ints
+    part: Floats
+
+
+@owning
+def new_pad() -> Pad:
+    """Scratch for one thread."""
+    return Pad(
+        np.empty((6, BLOCK)), np.empty(BLOCK), np.empty(BLOCK, np.int64), np.empty((3, BLOCK)), np.empty(BLOCK),
+        np.empty((4, max(BLOCK, DEPTH)), np.int64), np.empty((16, BLOCK)),
+    )  # fmt: skip
+
+
+@owning
+def look_all(
+    world: Floats, cluster: Floats, prim: Floats, store: Floats, origin: Floats, direction: Floats,
+    limit: Floats, light: Floats, met: NDArray[np.bool_], distance: Floats,
+) -> None:  # fmt: skip
+    """Write the light each ray finds, whether it met an object and how far (its limit if not); see `reference.scene_hits.look`."""
+    pad = new_pad()
+    for start in range(0, len(origin), BLOCK):
+        m = min(BLOCK, len(origin) - start)
+        o, d = origin[start : start + m], direction[start : start + m]
+        for i in range(m):
+            for c in range(3):
+                pad.ray[c, i], pad.ray[c + 3, i] = o[i, c], d[i, c]
+            pad.best[i] = limit[start + i]
+        look_block(world, cluster, prim, store, m, pad)
+        for i in range(m):
+            for c in range(3):
+                light[start + i, c] = pad.colour[c, i]
+            met[start + i], distance[start + i] = pad.which[i] >= 0, pad.best[i]
+
+
+@exact
+def look_block(world: Floats, cluster: Floats, prim: Floats, store: Floats, m: int, pad: Pad) -> None:
+    """Light of the pad's m rays."""
+    _behind(world, m, pad.ray, pad.which, pad.colour)
+    for c in range(len(cluster)):
+        k = int(cluster[c, 0])
+        if prim[k, KIND] == FLOOR and cluster[c, 1] == k + 1:
+            _floor(world, prim, k, m, pad.ray, pad.best, pad.which, pad.colour)
+            continue
+        bound(cluster, c, m, pad.ray, pad.near)
+        count = _gather(m, pad)
+        if count:
+            _object(world, cluster, c, prim, store, count, pad)
+    _zenith(world, m, pad.ray, pad.which, pad.colour)
+
+
+@exact
+def _behind(world: Floats, m: int, ray: Floats, which: Any, colour: Floats) -> None:
+    """Horizon and ground for every ray of the block."""
+    v, red, green, blue = ray[4, :m], colour[0, :m], colour[1, :m], colour[2, :m]
+    for i in range(m):
+        which[i] = -1
+    for i in range(m):
+        down = v[i] < 0.0
+        red[i] = world[11] if down else world[8]
+        green[i] = world[12] if down else world[9]
+        blue[i] = world[13] if down else world[10]
+
+
+@exact
+def _zenith(world: Floats, m: int, ray: Floats, which: Any, colour: Floats) -> None:
+    """Sky that changes with elevation, for rays that met nothing: an angle each, so it comes last."""
+    if world[5] == world[8] and world[6] == world[9] and world[7] == world[10]:
+        return
+    for i in range(m):
+        if which[i] < 0 and ray[4, i] >= 0.0:
+            colour[0, i], colour[1, i], colour[2, i] = background(world, ray[3, i], ray[4, i], ray[5, i])
+
+
+@exact
+def _floor(
+    world: Floats, prim: Floats, k: int, m: int, ray: Floats, best: Floats, which: Any, colour: Floats
+) -> None:
+    """A chequered floor, without a branch in the ray loop."""
+    x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
+    red, green, blue, left, index = colour[0, :m], colour[1, :m], colour[2, :m], best[:m], which[:m]
+    height, side, reach = prim[k, ORIGIN + 1], prim[k, PATTERN], prim[k, SIZE]
+    towards = 0
+    for i in range(m):
+        towards += 1 if (height - y[i]) * v[i] > 0.0 else 0
+    if towards == 0:  # a block of sky, as half of most views is
+        return
+    above, below = world[0] + world[1] * max(0.0, world[3]), world[0] + world[1] * max(0.0, -world[3])
+    per_side, square = 1.0 / side, reach * reach
+    odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
+    even0, even1, even2 = prim[k, COLOUR + 3], prim[k, COLOUR + 4], prim[k, COLOUR + 5]
+    for i in range(m):
+        s = (height - y[i]) / v[i]
+        far = s * s * (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+        hit = (s > 0.0) & (s < left[i]) & (far <= square)
+        tile = np.floor((x[i] + s * u[i]) * per_side) + np.floor((z[i] + s * w[i]) * per_side)
+        odd = tile - 2.0 * np.floor(0.5 * tile) == 1.0
+        lit = above if v[i] < 0.0 else below
+        red[i] = (odd0 if odd else even0) * lit if hit else red[i]
+        green[i] = (odd1 if odd else even1) * lit if hit else green[i]
+        blue[i] = (odd2 if odd else even2) * lit if hit else blue[i]
+        left[i] = s if hit else left[i]
+        index[i] = k if hit else index[i]
+
+
+@exact
+def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
+    """Write a number below 0 where a ray certainly keeps off the box round object c.
+
+    In the middle plane of the box a ray that comes through it lies within the box's extent and what the
+    ray leans over half the box's depth; one division, for objects are seen along z.
+    """
+    x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
+    out = near[:m]
+    mx, my, mz, hx, hy, hz = (
+        cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], cluster[c, 6], cluster[c, 7],
+    )  # fmt: skip
+    for i in range(m):
+        inverse = 1.0 / w[i]
+        s, along, aside = (mz - z[i]) * inverse, u[i] * inverse, v[i] * inverse
+        off_x = abs(x[i] + s * u[i] - mx) - (hx + abs(along) * hz)
+        off_y = abs(y[i] + s * v[i] - my) - (hy + abs(aside) * hz)
+        out[i] = -1.0 if (off_x > 0.0) | (off_y > 0.0) else 1.0
+
+
+@exact
+def _gather(m: int, pad: Pad) -> int:
+    """Put the rays with `near` ≥ 0 into the pad's part; return their number."""
+    count, near, chosen = 0, pad.near, pad.some[0]
+    for i in range(m):
+        count += 1 if near[i] >= 0.0 else 0
+    if count == 0:
+        return 0
+    count = 0
+    for i in range(m):
+        chosen[count] = i
+        count += 1 if near[i] >= 0.0 else 0
+    for c in range(6):
+        column, out = pad.ray[c], pad.part[c]
+        for q in range(count):
+            out[q] = column[chosen[q]]
+    best, out = pad.best, pad.part[12]
+    for q in range(count):
+        out[q] = best[chosen[q]]
+        pad.some[1, q] = -1
+    return count
+
+
+@exact
+def _object(
+    world: Floats, cluster: Floats, c: int, prim: Floats, store: Floats, count: int, pad: Pad
+) -> None:
+    """Hold the gathered rays against an object's primitives and paint those that meet one."""
+    part, which, facet = pad.part, pad.some[1], pad.some[2]
+    local, least, s = part[6:12], part[12], part[13]
+    x0, x1, y0, y1 = _window(cluster, c, count, part)
+    for k in range(int(cluster[c, 0]), int(cluster[c, 1])):
+        if (
+            prim[k, BOUND] > x1
+            or prim[k, BOUND + 3] < x0
+            or prim[k, BOUND + 1] > y1
+            or prim[k, BOUND + 4] < y0
+        ):
+            continue
+        to_frame(prim, k, count, part, local)
+        if prim[k, KIND] == MESH:
+            for q in range(count):
+                t, f = in_tree(
+                    store, int(prim[k, PIECE]), local[0, q], local[1, q], local[2, q], local[3, q], local[4, q],
+                    local[5, q], least[q], pad.some[3],
+                )  # fmt: skip
+                if f >= 0:
+                    least[q], which[q], facet[q] = t, k, f
+            continue
+        if prim[k, KIND] == FLOOR:
+            _level(count, local, prim[k, SIZE], s)
+        else:
+            distances(prim, store, k, count, local, s, part[14:])
+        for q in range(count):
+            closer = (s[q] > 0.0) & (s[q] < least[q])
+            least[q] = s[q] if closer else least[q]
+            which[q] = k if closer else which[q]
+    best, met, red, green, blue = pad.best, pad.which, pad.colour[0], pad.colour[1], pad.colour[2]
+    luminous, own = world[1] == 0.0, world[0]
+    for q in range(count):
+        k = which[q]
+        if k < 0:
+            continue
+        i = pad.some[0, q]
+        best[i], met[i] = least[q], k
+        if luminous and prim[k, PAINT] == 0.0:  # the same light everywhere: no call
+            red[i], green[i], blue[i] = (
+                prim[k, COLOUR] * own,
+                prim[k, COLOUR + 1] * own,
+                prim[k, COLOUR + 2] * own,
+            )
+        else:
+            red[i], green[i], blue[i] = painted(
+                world, prim, store, k, facet[q], part[0, q], part[1, q], part[2, q], part[3, q], part[4, q],
+                part[5, q], least[q],
+            )  # fmt: skip
+
+
+@exact
+def _window(cluster: Floats, c: int, count: int, part: Floats) -> tuple[float, float, float, float]:
+    """Range of x and y that the gathered rays take while they are between an object's lowest and highest z."""
+    x, y, z, u, v, w = part[0], part[1], part[2], part[3], part[4], part[5]
+    level, half = cluster[c, 4], cluster[c, 7]
+    x0, x1, y0, y1, steep = np.inf, -np.inf, np.inf, -np.inf, np.inf
+    for q in range(count):
+        inverse = 1.0 / w[q]
+        s = (level - z[q]) * inverse
+        px, py = x[q] + s * u[q], y[q] + s * v[q]
+        lean, rise = abs(u[q] * inverse) * half, abs(v[q] * inverse) * half
+        x0, x1 = min(x0, px - lean), max(x1, px + lean)
+        y0, y1 = min(y0, py - rise), max(y1, py + rise)
+        steep = min(steep, abs(w[q]))
+    if not steep > 0.0 or half == np.inf:
+        return -np.inf, np.inf, -np.inf, np.inf
+    return x0, x1, y0, y1
+
+
+@exact
+def _level(m: int, local: Floats, reach: float, out: Floats) -> None:
+    """Distance to a floor that is part of a group."""
+    for q in range(m):
+        s = -local[1, q] / local[4, q]
+        u, v, w = local[3, q], local[4, q], local[5, q]
+        out[q] = s if s * math.sqrt(u * u + v * v + w * w) <= reach else np.nan

@@ -1,0 +1,115 @@
+"""What will I see? A photograph behind a design's sheet, from where an eye is, with and without the sheet."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clacad.config import overrides as override
+from clacad.config.mistakes import Mistake
+from clacad.design import load
+from clacad.prescription.prescribe import prescribe
+from clacad.rendering.picture import Picture, Progress, view_through
+from clacad.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class EyeRequest:
+    """Where the eye and the photograph are.
+
+    Parameters
+    ----------
+    design, photo : Path
+    eye : float or None
+        Distance of the eye before the sheet, design units; None: four times the sheet's width.
+    distance : float or None
+        Distance of the photograph behind the sheet; None: twice the sheet's width.
+    height : float or None
+        Height of the photograph; None: it fills the view without the sheet.
+    aside : (float, float)
+        How far the eye stands to the right and up of the sheet's middle.
+    pixels : int
+        Across the picture.
+    samples : int
+    """
+
+    design: Path
+    photo: Path
+    eye: float | None = None
+    distance: float | None = None
+    height: float | None = None
+    aside: tuple[float, float] = (0.0, 0.0)
+    pixels: int = 480
+    samples: int = 16
+
+
+MARGIN = 1.25
+"""Width of the picture over the width of the sheet."""
+
+
+def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
+    """The scene through the sheet.
+
+    Parameters
+    ----------
+    request : EyeRequest
+    overrides : tuple of str
+        "key=value" each, of the design.
+
+    Raises
+    ------
+    DesignError, SceneError, OSError
+    """
+    from PIL import Image
+
+    design = load(request.design, overrides)
+    window = prescribe(design)
+    x0, x1, y0, y1 = window.lattice.extent()
+    side = max(x1 - x0, y1 - y0)
+    eye = 4.0 * side if request.eye is None else request.eye
+    distance = 2.0 * side if request.distance is None else request.distance
+    with Image.open(request.photo) as picture:
+        ratio = picture.width / picture.height
+    frame = MARGIN * side
+    height = (
+        frame * (eye + distance) / eye / min(1.0, ratio) * 1.02 if request.height is None else request.height
+    )
+    folder = os.path.commonpath([request.design.resolve().parent, request.photo.resolve().parent])
+    right, up = request.aside
+    behind = window.z_range[1] + distance
+    data: dict[str, Any] = {
+        "format": 1,
+        "name": f"{design.name} - {request.photo.stem}"[:80].replace("'", "").replace('"', ""),
+        "unit": design.unit,
+        "sheet": {
+            "design": os.path.relpath(request.design.resolve(), folder),
+            "set": dict(_read(text) for text in overrides),
+        },
+        "camera": {
+            "position": [-right, up, -eye], "frame": frame, "pixels": [request.pixels, request.pixels],
+            "samples": request.samples,
+        },
+        "light": {"ambient": 1.0, "key": 0.0},
+        "background": {"sky": [[0.02, 0.02, 0.02]] * 2, "ground": [0.02, 0.02, 0.02]},
+        "object": [
+            {
+                "id": "photo", "kind": "screen", "at": [0.0, 0.0, behind], "size": [height * ratio, height],
+                "pattern": "image", "file": os.path.relpath(request.photo.resolve(), folder),
+            }
+        ],
+    }  # fmt: skip
+    return Scene.from_dict(data, folder=folder)
+
+
+def _read(text: str) -> tuple[str, Any]:
+    found = override.parse(text)
+    assert not isinstance(found, Mistake)  # the design was read with the same overrides
+    return found
+
+
+def before_and_after(scene: Scene, progress: Progress | None = None) -> tuple[Picture, Picture]:
+    """Pictures without and with the sheet."""
+    after = view_through(scene, progress=progress)
+    return view_through(scene, sheet=False), after

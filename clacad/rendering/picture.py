@@ -1,0 +1,283 @@
+"""Pictures: tiles over the cores, samples until the noise is met, one array of linear light.
+
+A tile is computed whole by one thread and depends on nothing else, so the picture is the same on any number
+of cores; memory is that of a tile a thread, and of the picture.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.prescription.prescribe import prescribe
+from clacad.rendering.camera import View, aim, offsets, rays
+from clacad.rendering.sheet_passage import Passage
+from clacad.rendering.view import Viewing, radiance, set_up
+from clacad.scene import Scene, SceneError, load_scene
+from clacad.sheet.window import Window
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Progress = Callable[[str, float | None], None]
+
+TILES = (64, 256)
+"""Side of a tile, pixels: as many as make a block of rays, but within these."""
+
+BLOCK = 1 << 16
+"""Rays traced at a time: about 20 MB of columns."""
+
+SMALL_PICTURE = 2_000_000
+"""Camera rays below which numpy alone is faster than loading compiled code."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A rendered still.
+
+    Attributes
+    ----------
+    light : (h, w, 3)
+        Linear light, sRGB primaries; row 0 is the top.
+    samples : (h, w) ints
+        Rays each pixel got.
+    error : (h, w)
+        Standard error of the pixel's mean, the largest of three colours; 0 with one sample.
+    scene : Scene
+    passage : Passage
+        Rung, effects and why.
+    window : Window
+    """
+
+    light: Floats
+    samples: Ints
+    error: Floats
+    scene: Scene
+    passage: Passage
+    window: Window
+
+
+def render(scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None,
+           compiled: bool | None = None) -> Floats:  # fmt: skip
+    """Render a still: what the camera sees past and through the sheet.
+
+    Parameters
+    ----------
+    scene : Scene or path of a scene file
+        Of an animated scene, the first frame.
+    threads : int or None
+        None: the environment variable CLACAD_THREADS, else every core. The picture does not depend on it.
+    progress : callable(stage, fraction) or None
+    compiled : bool or None
+        Compiled code or numpy; None takes numpy for small pictures.
+
+    Returns
+    -------
+    (h, w, 3) array
+        Linear light, sRGB primaries, before exposure.
+
+    Raises
+    ------
+    SceneError, DesignError
+    """
+    made = scene if isinstance(scene, Scene) else load_scene(scene)
+    return view_through(made, threads=threads, progress=progress, compiled=compiled).light
+
+
+def render_movie(scene: Scene | str | os.PathLike[str], *, threads: int | None = None,
+                 progress: Progress | None = None) -> Iterator[Picture]:  # fmt: skip
+    """Render the frames of an animation, one at a time.
+
+    Raises
+    ------
+    SceneError
+        Before the first frame is drawn: every mistake of every frame.
+    ValueError
+        The scene has no animation.
+    """
+    made = scene if isinstance(scene, Scene) else load_scene(scene)
+    if made.animation is None:
+        raise ValueError(f"the scene {made.name} has no animation")
+    stills = checked_frames(made)
+    width, height = made.camera.pixels
+    fast = len(stills) * width * height * made.camera.samples > SMALL_PICTURE
+    for k, still in enumerate(stills):
+
+        def tell(stage: str, share: float | None, k: int = k) -> None:
+            if progress is not None:
+                progress("rendering frames", (k + (share or 0.0)) / len(stills))
+
+        yield view_through(still, threads=threads, progress=tell, compiled=fast)
+
+
+def checked_frames(scene: Scene) -> list[Scene]:
+    """The still of every frame, each with a sheet that can be built.
+
+    Raises
+    ------
+    SceneError
+        With the mistakes of all frames.
+    """
+    from clacad.design import DesignError
+
+    assert scene.animation is not None
+    stills, mistakes = [], []
+    for frame in range(scene.animation.frames):
+        try:
+            still = scene.at(frame)
+            prescribe(still.design())
+            stills.append(still)
+        except DesignError as error:
+            mistakes += [mistake for mistake in error.mistakes if mistake not in mistakes]
+    if mistakes:
+        raise SceneError(mistakes)
+    return stills
+
+
+def view_through(scene: Scene, *, threads: int | None = None, progress: Progress | None = None,
+                 compiled: bool | None = None, passage: Passage | None = None, sheet: bool = True) -> Picture:  # fmt: skip
+    """Render a still and tell how; parameters as in `render`.
+
+    With `passage` the plan is the caller's; with ``sheet=False`` the view is that without the sheet.
+    """
+    from clacad.tracing.compiled.surfaces import thread_count
+
+    still = scene.at(0) if scene.animation is not None else scene
+    window = prescribe(still.design())
+    view = aim(still.camera)
+    count = view.width * view.height * still.camera.samples
+    fast = count > SMALL_PICTURE if compiled is None else compiled
+    viewing = set_up(still, window, fast, passage, sheet)
+    shape = view.height, view.width
+    single = still.camera.samples == 1 and not still.camera.noise > 0.0
+    light, error = np.zeros((*shape, 3)), np.zeros(shape)
+    samples = np.broadcast_to(np.int64(1), shape) if single else np.empty(shape, dtype=np.int64)
+    height, width = _tile_shape(view, still.camera.samples, single)
+    corners = [(y, x) for y in range(0, view.height, height) for x in range(0, view.width, width)]
+
+    def one(corner: tuple[int, int]) -> None:
+        rows = slice(corner[0], min(corner[0] + height, view.height))
+        columns = slice(corner[1], min(corner[1] + width, view.width))
+        if single:
+            pixels = np.arange(rows.start * view.width, rows.stop * view.width)
+            total = light[rows].reshape(-1, 3)  # whole rows: no copy
+            _sample(viewing, view, pixels, np.arange(len(pixels)), 0, 1, 1, total, np.zeros((0, 3)))
+            return
+        light[rows, columns], samples[rows, columns], error[rows, columns] = tile(
+            viewing, still, view, rows, columns
+        )
+
+    _each(one, corners, thread_count(threads), progress)
+    return Picture(light, samples, error, still, viewing.passage, window)
+
+
+def _tile_shape(view: View, samples: int, single: bool) -> tuple[int, int]:
+    """Height and width of a tile: whole rows of single samples, else a square of about a block of rays."""
+    if single:
+        return max(1, BLOCK // view.width), view.width
+    side = min(TILES[1], max(TILES[0], math.isqrt(BLOCK // samples)))
+    return side, side
+
+
+def _each(
+    work: Callable[[tuple[int, int]], None], corners: Sequence[tuple[int, int]], threads: int, progress: Progress | None
+) -> None:  # fmt: skip
+    """Do all tiles, telling how far it is."""
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress("rendering", done / len(corners))
+
+    if threads == 1:
+        for k, corner in enumerate(corners):
+            work(corner)
+            tell(k + 1)
+        return
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for k, _ in enumerate(pool.map(work, corners)):
+            tell(k + 1)
+    finally:  # an interrupted picture does not finish its other tiles first
+        pool.shutdown(cancel_futures=True)
+
+
+def tile(
+    viewing: Viewing, scene: Scene, view: View, rows: slice, columns: slice
+) -> tuple[Floats, Ints, Floats]:
+    """Mean light, samples and standard error of the pixels of a tile, each (h, w, ...).
+
+    With a noise target, pixels that miss it (or whose neighbours do) get as many samples again as they
+    have, until they meet it or have `most_samples`.
+    """
+    y, x = np.mgrid[rows, columns]
+    pixels = (y * view.width + x).ravel().astype(np.int64)
+    camera = scene.camera
+    total, active = np.zeros((len(pixels), 3)), np.arange(len(pixels))
+    square = np.zeros((len(pixels), 3))
+    count = np.zeros(len(pixels), dtype=np.int64)
+    most = max(camera.samples, camera.most_samples) if camera.noise > 0.0 else camera.samples
+    first, more = 0, camera.samples
+    while len(active):
+        _sample(viewing, view, pixels, active, first, more, most, total, square)
+        count[active] += more
+        first += more
+        noisy = (
+            _noisy(total, square, count, camera.noise, y.shape)
+            if camera.noise > 0.0
+            else np.zeros(0, dtype=bool)
+        )
+        active = active[noisy[active]] if len(noisy) and first < most else active[:0]
+        more = min(first, most - first)
+    mean = total / count[:, None]
+    error = np.zeros(len(pixels)) if most == 1 else _standard_error(total, square, count)
+    return mean.reshape(*y.shape, 3), count.reshape(y.shape), error.reshape(y.shape)
+
+
+def _sample(
+    viewing: Viewing, view: View, pixels: Ints, active: Ints, first: int, more: int, most: int, total: Floats,
+    square: Floats,
+) -> None:  # fmt: skip
+    """Add `more` samples to the sums of the active pixels; `square` has no rows where nothing asks for it."""
+    if viewing.pane is not None and view.aperture == 0.0:
+        from clacad.rendering.pixel_input import sample
+
+        sample(viewing, view, pixels[active], active, 1 + first, more, most, total, square)
+        return
+    batch = max(1, min(more, BLOCK))
+    at_once = max(1, BLOCK // batch)
+    for start in range(0, len(active), at_once):
+        some = active[start : start + at_once]
+        for done in range(0, more, batch):
+            step = min(batch, more - done)
+            points = offsets(pixels[some], 1 + first + done, step, most)
+            position, direction = rays(view, pixels[some], points)
+            light = radiance(viewing, position, direction).reshape(len(some), step, 3)
+            total[some] += light.sum(axis=1)
+            if len(square):
+                square[some] += (light * light).sum(axis=1)
+
+
+def _standard_error(total: Floats, square: Floats, count: Ints) -> Floats:
+    """Standard error of the mean of independent samples, the largest of three colours, (n,)."""
+    n = count[:, None]
+    variance = np.maximum(0.0, square - total * total / n) / np.maximum(1, n - 1)
+    return np.asarray(np.sqrt(variance / n).max(axis=1))
+
+
+def _noisy(
+    total: Floats, square: Floats, count: Ints, target: float, shape: tuple[int, ...]
+) -> NDArray[np.bool_]:
+    """Pixels that miss the target or touch one that does: few samples may by chance all agree."""
+    bad = (_standard_error(total, square, count) > target).reshape(shape)
+    padded = np.pad(bad, 1)
+    h, w = shape
+    near = np.zeros_like(bad)
+    for dy in range(3):
+        for dx in range(3):
+            near |= padded[dy : dy + h, dx : dx + w]
+    return near.ravel()

@@ -1,0 +1,279 @@
+"""Picture and movie files: sRGB encoding, metadata that says what the picture is, atomic writing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.rendering.picture import Picture
+from clacad.storage.atomic import write_file
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+STILLS = (".png", ".webp", ".tiff", ".tif")
+MOVIES = (".webp", ".png", ".apng", ".gif", ".mp4")
+LARGEST_PICTURE = 1 << 28
+"""Pixels of a picture that is read at most."""
+
+MIRRORED = "mirror image: the part made from this design shows the view flipped left-right"
+NOT_SIMULATED = (
+    "coherence between telescopelets, vector diffraction, stress birefringence, index of air: not simulated"
+)
+
+
+class UnknownPicture(ValueError):
+    """A file name whose ending names no format that is written here; exit status 2."""
+
+    exit_status = 2
+
+
+def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Bytes:
+    """Bytes of linear light: times exposure, cut to 0 … 1, sRGB-encoded (IEC 61966-2-1) unless "linear"."""
+    value = np.clip(light * exposure, 0.0, 1.0)
+    if encoding == "srgb":
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
+    return np.rint(255.0 * value).astype(np.uint8)
+
+
+def decode(pixels: NDArray[Any]) -> Floats:
+    """Linear light of sRGB-encoded bytes."""
+    table = np.arange(256) / 255.0
+    table = np.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4)
+    return np.asarray(table[pixels])
+
+
+def read_picture(path: str | os.PathLike[str]) -> Floats:
+    """Linear light (h, w, 3) of a picture file; transparent pixels are laid over black.
+
+    Raises
+    ------
+    OSError
+        No such file, no picture, or one of more than 2²⁸ pixels.
+    """
+    from PIL import Image, ImageOps
+
+    with Image.open(path) as picture:
+        if picture.width * picture.height > LARGEST_PICTURE:
+            raise OSError(f"{path}: {picture.width} x {picture.height} pixels are too many")
+        upright = ImageOps.exif_transpose(picture) or picture
+        rgba = np.asarray(upright.convert("RGBA"))
+    return decode(rgba[..., :3]) * (rgba[..., 3:] / 255.0)
+
+
+def facts(picture: Picture) -> dict[str, str]:
+    """What a picture's metadata say, by key."""
+    scene, passage = picture.scene, picture.passage
+    found = {
+        "Title": scene.name,
+        "Software": _version(),
+        "clacad:design": f"{scene.design().name} sha256 {scene.design().sha256}",
+        "clacad:rung": passage.rung if passage.plan is None else f"{passage.rung} ({passage.plan.rung_why})",
+        "clacad:effects": _effect_text(picture),
+        "clacad:samples": f"{int(picture.samples.min())} to {int(picture.samples.max())} rays a pixel",
+        "clacad:encoding": scene.camera.encoding,
+        "clacad:handedness": MIRRORED if scene.camera.mirror else "as seen by a camera before the part",
+        "clacad:left-out": NOT_SIMULATED,
+    }
+    return found
+
+
+def _effect_text(picture: Picture) -> str:
+    plan = picture.passage.plan
+    return "none" if plan is None else plan.summary()
+
+
+def _version() -> str:
+    from clacad import __version__
+
+    return f"clacad {__version__}"
+
+
+def pixels_of(picture: Picture) -> Bytes:
+    """Encoded bytes (h, w, 3) as the scene's camera asks."""
+    camera = picture.scene.camera
+    return encode(picture.light, camera.exposure, camera.encoding)
+
+
+def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a still as PNG, WebP (lossless) or TIFF, by the name's ending, with its metadata.
+
+    Raises
+    ------
+    UnknownPicture, CannotWrite, ExportRefused
+    """
+    target = Path(path)
+    if target.suffix.lower() not in STILLS:
+        raise UnknownPicture(f"{target.name}: a picture is one of {' '.join(STILLS)}")
+    write_file(target, lambda private: save(pixels_of(picture), private, facts(picture)), overwrite=overwrite)
+
+
+def save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:
+    """Write encoded pixels with metadata, format by the name's ending."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    image = Image.fromarray(pixels)
+    kind = path.suffix.lower()
+    if kind == ".png":
+        info = PngInfo()
+        for key, value in notes.items():
+            info.add_itxt(key, value) if not value.isascii() else info.add_text(key, value)
+        image.save(path, pnginfo=info, optimize=True)
+    elif kind == ".webp":
+        image.save(path, lossless=True, quality=100, method=6, exif=_exif(notes))
+    else:
+        image.save(path, compression="tiff_adobe_deflate", description=_one_text(notes))
+
+
+def _exif(notes: dict[str, str]) -> Any:
+    from PIL import Image
+
+    made = Image.Exif()
+    made[0x010E] = _one_text(notes)  # ImageDescription
+    made[0x0131] = notes.get("Software", "")
+    return made
+
+
+def _one_text(notes: dict[str, str]) -> str:
+    return "\n".join(f"{key}: {value}" for key, value in notes.items())
+
+
+def labelled(pixels: Bytes, text: str, lines: int = 1) -> Bytes:
+    """A picture with its label on a strip below it, broken into lines that fit.
+
+    Parameters
+    ----------
+    pixels : (h, w, 3) bytes
+    text : str
+    lines : int
+        Lines that the strip has room for at least: frames of a movie must all be as high.
+    """
+    from PIL import Image, ImageDraw
+
+    size, font = _label_font(pixels.shape[1])
+    broken = label_lines(text, pixels.shape[1])
+    pitch = 2 * size - 2 if max(lines, len(broken)) == 1 else round(1.3 * size)
+    height = max(lines, len(broken)) * pitch + (0 if pitch == 2 * size - 2 else size // 2)
+    strip = Image.new("RGB", (pixels.shape[1], height), (255, 255, 255))
+    draw = ImageDraw.Draw(strip)
+    for k, line in enumerate(broken):
+        draw.text((size // 2, size // 4 + k * pitch), line, fill=(40, 40, 40), font=font)
+    return np.concatenate([pixels, np.asarray(strip)])
+
+
+def label_lines(text: str, width: int) -> list[str]:
+    """A label broken between words, but not at " = ", so that each line fits below a picture so many pixels wide."""
+    size, font = _label_font(width)
+    lines = [""]
+    for word in text.replace(" = ", "\0=\0").split():
+        longer = f"{lines[-1]} {word}".strip().replace("\0", " ")
+        if lines[-1] and font.getlength(longer) > width - size:
+            lines.append(word.replace("\0", " "))
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _label_font(width: int) -> tuple[int, Any]:
+    """Size and font of a label below a picture so many pixels wide."""
+    from PIL import ImageFont
+
+    size = max(10, min(14, width // 32))
+    return size, ImageFont.load_default(size)
+
+
+def write_movie(
+    frames: Iterable[Picture], path: str | os.PathLike[str], fps: float, *, overwrite: bool = False
+) -> list[dict[str, Any]]:
+    """Write frames as an animation: WebP, PNG, GIF, or MP4 where the encoder is installed.
+
+    Returns
+    -------
+    list of dict
+        For each frame: rung and rays traced.
+
+    Raises
+    ------
+    UnknownPicture
+        Another ending, or MP4 without an encoder.
+    CannotWrite, ExportRefused
+    """
+    target = Path(path)
+    kind = target.suffix.lower()
+    if kind not in MOVIES:
+        raise UnknownPicture(f"{target.name}: a movie is one of {' '.join(MOVIES)}")
+    writer = _mp4_writer() if kind == ".mp4" else None
+    told: list[dict[str, Any]] = []
+    notes: dict[str, str] = {}
+
+    def pixels() -> Iterator[Bytes]:
+        for picture in frames:
+            told.append({"rung": picture.passage.rung, "rays": int(picture.samples.sum())})
+            notes.update(facts(picture))
+            yield pixels_of(picture)
+
+    def write(private: Path) -> None:
+        if writer is not None:
+            writer(private, pixels(), fps)
+        else:
+            animate(private, pixels(), fps, notes)
+
+    write_file(target, write, overwrite=overwrite)
+    return told
+
+
+def animate(path: Path, frames: Iterator[Bytes], fps: float, notes: dict[str, str]) -> None:
+    """Write encoded frames as WebP, GIF or PNG."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    images = [Image.fromarray(pixels) for pixels in frames]
+    first, rest = images[0], images[1:]
+    common: dict[str, Any] = {"save_all": True, "append_images": rest, "duration": 1000.0 / fps, "loop": 0}
+    kind = path.suffix.lower()
+    if kind == ".webp":
+        common["duration"] = round(1000.0 / fps)
+        first.save(path, **common, quality=80, method=4, exif=_exif(notes))
+    elif kind == ".gif":
+        first.save(path, **common, disposal=1)
+    else:
+        info = PngInfo()
+        for key, value in notes.items():
+            info.add_itxt(key, value)
+        first.save(path, format="PNG", **common, pnginfo=info)
+
+
+def _mp4_writer() -> Any:
+    """A function (path, frames, fps) that writes H.264, from the optional extra.
+
+    Raises
+    ------
+    UnknownPicture
+        The encoder is not installed.
+    """
+    from importlib import import_module
+
+    try:
+        write_frames = import_module("imageio_ffmpeg").write_frames
+    except ImportError:
+        raise UnknownPicture(
+            "MP4 needs an encoder: pip install 'clacad[movies]', or write .webp, .png or .gif"
+        ) from None
+
+    def write(path: Path, frames: Iterator[Bytes], fps: float) -> None:
+        first = next(frames)
+        height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+        stream = write_frames(str(path), (width, height), fps=fps, quality=7, macro_block_size=2)
+        stream.send(None)
+        stream.send(np.ascontiguousarray(first[:height, :width]))
+        for pixels in frames:
+            stream.send(np.ascontiguousarray(pixels[:height, :width]))
+        stream.close()
+
+    return write

@@ -1,0 +1,102 @@
+"""A viewing laid out for the kernel that does everything, where that can be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.rendering.camera import View, digits
+from clacad.rendering.sheet_passage import Passage
+from clacad.rendering.spectrum import Line
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.rendering.compiled.pixels import Pane
+    from clacad.rendering.view import Viewing
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ROOM = 1e-9
+"""Part of a cell by which the box round the first body is widened against rounding."""
+
+
+def pane_of(
+    window: Window, passage: Passage, lines: tuple[Line, ...], scale: float, front: float, opaque: bool, present: bool,
+    before: bool,
+) -> Pane | None:  # fmt: skip
+    """The sheet for `compiled.pixels.sample_all`; None where a picture needs more than that kernel does.
+
+    Parameters
+    ----------
+    window, passage, lines, scale, front, opaque, present, before
+        As in `view.Viewing`.
+    """
+    lattice = window.lattice
+    plane = passage.homogeneous and not lattice.hexagonal and lattice.outline is None
+    exact = passage.rung == "surfaces" and passage.plain
+    if len(lines) != 1 or not lines[0].whole or (present and not (plane or exact)):
+        return None
+    from clacad.rendering.compiled import pixels as kernel
+    from clacad.rendering.compiled.hole_beside_lens import suits
+    from clacad.tracing.compiled.packing import pack
+    from clacad.tracing.layout import lay_out
+    from clacad.tracing.triangles.tiles import NO_TILES
+
+    packed = pack(lay_out(window))
+    numbers = np.zeros(kernel.PANE_NUMBERS)
+    if not present:
+        kind = kernel.NO_SHEET
+    elif plane:
+        kind = kernel.LAW
+        edges = np.array(lattice.extent()) / scale
+        numbers[:16] = np.concatenate([window.law.matrix().ravel(), window.law.optical_axis, edges])
+    else:
+        kind = kernel.SURFACES
+        numbers[:6] = _first_box(window) / scale
+    numbers[kernel.SCALE], numbers[kernel.FRONT] = scale, front
+    shining = np.zeros(256, dtype=np.uint8)
+    shining[list(passage.shining)] = 1
+    wave = lines[0].wavelength
+    indices = np.array([body.index if wave is None else body.index_at(wave) for body in window.bodies])
+    quick = suits(packed.faces, packed.bodies, packed.lattice)
+    return kernel.Pane(
+        kind, numbers, opaque, before, packed.faces, packed.bodies, packed.lattice, packed.rows, indices, NO_TILES,
+        shining, quick,
+    )  # fmt: skip
+
+
+def _first_box(window: Window) -> Floats:
+    """Low and high corner of the first body, window units: a ray that misses it misses the sheet."""
+    from clacad.tracing.layout import lay_out
+
+    body = lay_out(window).bodies[0]
+    x0, x1, y0, y1 = body.box
+    low, high = np.array([x0, y0, body.level + body.low]), np.array([x1, y1, body.level + body.high])
+    room = ROOM * window.lattice.circumradius + 4.0 * np.spacing(np.maximum(np.abs(low), np.abs(high)))
+    return np.concatenate([low - room, high + room])
+
+
+def sample(
+    viewing: Viewing, view: View, pixels: Ints, slots: Ints, first: int, more: int, most: int, total: Floats,
+    square: Floats,
+) -> None:  # fmt: skip
+    """Add samples first, first + 1, … of some pixels to the sums in the rows `slots`, by the one kernel.
+
+    Parameters
+    ----------
+    pixels, slots : (n,) ints
+    first, more, most : int
+        Which samples of the sequence, of how many a pixel may get in all.
+    total, square : (m, 3)
+        Changed in place; `square` with no rows where nothing asks for it.
+    """
+    from clacad.rendering.compiled.pixels import Eye, sample_all
+
+    frame = np.stack([view.position, view.ahead, view.right, view.down])
+    words = np.zeros((0, 2), np.uint64) if most == 1 else digits(first, more)[:, :2].copy()
+    eye: Any = Eye(np.ascontiguousarray(frame, dtype=np.float64), view.width, view.height, words)
+    t = viewing.tables
+    sample_all(eye, viewing.pane, t.world, t.cluster, t.prim, t.store, pixels, slots, more, total, square)

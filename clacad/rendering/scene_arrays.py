@@ -1,0 +1,292 @@
+"""The scene's objects as arrays that a ray can be held against: primitives, paints, bounds.
+
+Lengths in the scene's unit. A primitive lives in its own frame: local = Rᵀ (point − origin). Primitives of
+one object stand together in a cluster with one bounding sphere, so that a ray that misses the object
+costs one test.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.rendering.reference.triangle_tree import Tree, behind_one_another, grow
+from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
+from clacad.scene.object_rotation import turned
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
+"""Kinds of primitive."""
+
+LIT, CHECKER, COORDINATES, STRIPES, IMAGE = range(5)
+"""Kinds of paint; coordinates and image shine by themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """One primitive before it is put into the arrays; fields as in `Stage`."""
+
+    kind: int
+    rotation: Floats
+    origin: Floats
+    size: tuple[float, float, float, float]
+    colours: tuple[tuple[float, float, float], tuple[float, float, float]]
+    paint: int = LIT
+    pattern: float = 1.0
+    outline: Floats | None = None
+    image: Floats | None = None
+    tree: Tree | None = None
+
+    @property
+    def bound(self) -> tuple[float, float, float, float]:
+        """Centre and radius of a sphere round it."""
+        a, b, c, _ = self.size
+        middle = np.zeros(3)
+        if self.kind == FLOOR:
+            return 0.0, 0.0, 0.0, math.inf
+        if self.kind == SPHERE:
+            radius = a
+        elif self.kind == CONE:
+            middle, radius = np.array([0.0, 0.5 * c, 0.0]), math.hypot(max(a, b), 0.5 * c)
+        elif self.kind in (PRISM, MESH):
+            assert self.outline is not None or self.tree is not None
+            if self.outline is not None:
+                low, high = (
+                    np.array([*f(self.outline, axis=0), s * a]) for f, s in ((np.min, -1), (np.max, 1))
+                )
+            else:
+                assert self.tree is not None
+                low, high = self.tree.low[0], self.tree.high[0]
+            middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        else:
+            radius = math.hypot(a, b, c)
+        x, y, z = self.rotation @ middle + self.origin
+        return float(x), float(y), float(z), radius * (1.0 + 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """All objects of a scene.
+
+    Attributes
+    ----------
+    kind : (n,) ints
+    rotation : (n, 3, 3), local → scene
+    origin : (n, 3)
+    size : (n, 4)
+        Sphere: radius. Box, screen: half extents. Cone: bottom radius, top radius, height. Prism: half
+        thickness. Floor: reach.
+    bound : (n, 4)
+        Centre and radius of a sphere round the primitive (radius infinite for a floor).
+    paint : (n,) ints
+    colours : (n, 2, 3)
+    pattern : (n,)
+        Side of a tile, width of a pair of stripes.
+    piece : (n, 2) ints
+        First and end row of what the primitive owns: corners in `outline`, pixels, or triangles of the forest.
+    outline : (k, 2)
+        Corners of prisms.
+    pixels : (k, 3), picture : (n, 2) ints
+        Linear light of pictures, row by row; height and width.
+    forest : Tree, root : (n,) ints
+        All meshes behind one another; where each begins.
+    cluster : (m, 2) ints, cluster_bound : (m, 4)
+        First and end primitive of each object, and a sphere round it.
+    ambient, key : float
+    towards_light : (3,) unit
+    sky : (2, 3), ground : (3,)
+    """
+
+    kind: Ints
+    rotation: Floats
+    origin: Floats
+    size: Floats
+    bound: Floats
+    paint: Ints
+    colours: Floats
+    pattern: Floats
+    piece: Ints
+    outline: Floats
+    pixels: Floats
+    picture: Ints
+    forest: Tree
+    root: Ints
+    cluster: Ints
+    cluster_bound: Floats
+    ambient: float
+    key: float
+    towards_light: Floats
+    sky: Floats
+    ground: Floats
+
+
+def set_stage(scene: Scene) -> Stage:
+    """Lay out the objects of a scene.
+
+    Raises
+    ------
+    SceneError
+        A file is missing.
+    UnreadableFile
+        A mesh is damaged; a picture raises OSError.
+    """
+    return stage_of(
+        [list(_primitives(scene, thing)) for thing in scene.objects], scene.light, scene.background
+    )
+
+
+def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> Stage:
+    """Lay out primitives, those of one object together."""
+    clusters = [cluster for cluster in clusters if cluster]
+    flat = [one for cluster in clusters for one in cluster]
+    towards = np.array(light.direction) / math.hypot(*light.direction)
+    outlines = [one.outline if one.outline is not None else np.zeros((0, 2)) for one in flat]
+    images = [one.image if one.image is not None else np.zeros((0, 0, 3)) for one in flat]
+    trees = tuple(one.tree for one in flat if one.tree is not None)
+    ends = np.cumsum([len(cluster) for cluster in clusters], dtype=np.int64)
+    starts = np.concatenate([[0], ends[:-1]]).astype(np.int64) if len(ends) else np.zeros(0, np.int64)
+    forest, roots, facets = behind_one_another(trees)
+    which = np.cumsum([one.tree is not None for one in flat]) - 1
+    bounds = np.array([one.bound for one in flat]).reshape(-1, 4)
+    return Stage(
+        kind=np.array([one.kind for one in flat], dtype=np.int64),
+        rotation=np.array([one.rotation for one in flat]).reshape(-1, 3, 3),
+        origin=np.array([one.origin for one in flat], dtype=np.float64).reshape(-1, 3),
+        size=np.array([one.size for one in flat], dtype=np.float64).reshape(-1, 4),
+        bound=bounds,
+        paint=np.array([one.paint for one in flat], dtype=np.int64),
+        colours=np.array([one.colours for one in flat], dtype=np.float64).reshape(-1, 2, 3),
+        pattern=np.array([one.pattern for one in flat], dtype=np.float64),
+        piece=_pieces(flat, outlines, images, facets),
+        outline=np.concatenate(outlines) if flat else np.zeros((0, 2)),
+        pixels=np.concatenate([i.reshape(-1, 3) for i in images]) if flat else np.zeros((0, 3)),
+        picture=np.array([i.shape[:2] for i in images], dtype=np.int64).reshape(-1, 2),
+        forest=forest,
+        root=np.array([0 if one.tree is None else roots[k] for one, k in zip(flat, which)], dtype=np.int64),
+        cluster=np.stack([starts, ends], axis=-1) if len(ends) else np.zeros((0, 2), np.int64),
+        cluster_bound=np.array([_around(bounds[a:b]) for a, b in zip(starts, ends)]).reshape(-1, 4),
+        ambient=light.ambient,
+        key=light.key,
+        towards_light=towards,
+        sky=np.array(sky.sky),
+        ground=np.array(sky.ground),
+    )
+
+
+def _pieces(
+    flat: list[Primitive], outlines: list[Floats], images: list[Floats], facets: tuple[int, ...]
+) -> Ints:
+    found, corner, pixel, mesh = [], 0, 0, iter(facets)
+    for one, outline, image in zip(flat, outlines, images, strict=True):
+        rows = image.shape[0] * image.shape[1]
+        if one.tree is not None:
+            first = next(mesh)
+            found.append((first, first + len(one.tree.corners)))
+        else:
+            found.append((corner, corner + len(outline)) if len(outline) else (pixel, pixel + rows))
+        corner, pixel = corner + len(outline), pixel + rows
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def _around(bounds: Floats) -> tuple[float, float, float, float]:
+    """A sphere round spheres (k, 4)."""
+    if not np.isfinite(bounds[:, 3]).all():
+        return 0.0, 0.0, 0.0, math.inf
+    low = (bounds[:, :3] - bounds[:, 3:]).min(axis=0)
+    high = (bounds[:, :3] + bounds[:, 3:]).max(axis=0)
+    centre = 0.5 * (low + high)
+    radius = float((np.linalg.norm(bounds[:, :3] - centre, axis=1) + bounds[:, 3]).max())
+    return float(centre[0]), float(centre[1]), float(centre[2]), radius
+
+
+def _primitives(scene: Scene, thing: SceneObject) -> Iterator[Primitive]:
+    """The primitives of one object, placed in the scene."""
+    frame, at = turned(thing.turn), np.array(thing.at, dtype=np.float64)
+    if thing.kind == "group":
+        for part in thing.parts:
+            for one in _primitives(scene, part):
+                yield replace(one, rotation=frame @ one.rotation, origin=frame @ one.origin + at)
+        return
+    both = (thing.colour, thing.colour)
+    size = thing.size
+    if thing.kind == "checker":
+        reach = math.inf if thing.reach is None else thing.reach
+        origin = np.array([0.0, thing.height, 0.0])
+        yield Primitive(FLOOR, np.eye(3), origin, (reach, 0, 0, 0), thing.colours, CHECKER, thing.tile)
+    elif thing.kind == "sphere":
+        yield Primitive(SPHERE, frame, at, (0.5 * size[0], 0, 0, 0), both)
+    elif thing.kind == "box":
+        yield Primitive(BOX, frame, at, (0.5 * size[0], 0.5 * size[1], 0.5 * size[2], 0), both)
+    elif thing.kind == "cone":
+        yield Primitive(CONE, frame, at, (0.5 * size[0], 0.5 * size[1], size[2], 0), both)
+    elif thing.kind == "screen":
+        yield _screen(scene, thing, frame, at)
+    elif thing.kind == "knight":
+        yield from _knight(thing, frame, at)
+    else:
+        yield Primitive(MESH, frame, at, (0, 0, 0, 0), both, tree=_mesh(scene, thing))
+
+
+def _knight(thing: SceneObject, frame: Floats, at: Floats) -> Iterator[Primitive]:
+    s, both = thing.size[0], (thing.colour, thing.colour)
+    for y0, y1, r0, r1 in chess_knight.PLINTH:
+        origin = frame @ np.array([0.0, s * y0, 0.0]) + at
+        yield Primitive(CONE, frame, origin, (s * r0, s * r1, s * (y1 - y0), 0), both)
+    half = s * chess_knight.HALF_THICKNESS
+    yield Primitive(PRISM, frame, at, (half, 0, 0, 0), both, outline=s * chess_knight.PROFILE)
+    x, y, radius = chess_knight.EYE
+    red, green, blue = (chess_knight.EYE_SHADE * part for part in thing.colour)
+    dark = ((red, green, blue), (red, green, blue))
+    lying = frame @ turned((90.0, 0.0, 0.0))  # the rod's axis y along the head's z
+    origin = frame @ np.array([s * x, s * y, -1.02 * half]) + at
+    yield Primitive(CONE, lying, origin, (s * radius, s * radius, 2.04 * half, 0), dark)
+
+
+def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Primitive:
+    w, h = thing.size
+    size = (0.5 * w, 0.5 * h, 0.0, 0.0)
+    both = (thing.colour, thing.colour)
+    if thing.pattern == "image":
+        from clacad.rendering.picture_files import read_picture
+
+        assert thing.file is not None  # the scene's rules ask for it
+        return Primitive(SCREEN, frame, at, size, both, IMAGE, image=read_picture(scene.file(thing.file)))
+    if thing.pattern == "stripes":
+        return Primitive(SCREEN, frame, at, size, thing.colours, STRIPES, thing.period or 1.0)
+    paint = COORDINATES if thing.pattern == "coordinates" else LIT
+    return Primitive(SCREEN, frame, at, size, both, paint)
+
+
+def _mesh(scene: Scene, thing: SceneObject) -> Tree:
+    """The tree of a mesh object; kept, since every frame of a movie asks for the same."""
+    assert thing.file is not None  # the scene's rules ask for it
+    path = scene.file(thing.file)
+    try:
+        facts = os.stat(path)
+    except OSError:  # told by the reader
+        return _grown(scene, thing)
+    key = (str(path), facts.st_mtime_ns, facts.st_size, thing.size, thing.up)
+    if key not in _TREES:
+        if len(_TREES) >= KEPT_TREES:
+            _TREES.pop(next(iter(_TREES)), None)
+        _TREES[key] = _grown(scene, thing)
+    return _TREES[key]
+
+
+def _grown(scene: Scene, thing: SceneObject) -> Tree:
+    from clacad.formats.mesh.scene_object import standing_corners
+
+    return grow(standing_corners(scene, thing))
+
+
+KEPT_TREES = 4
+"""Trees kept at most."""
+
+_TREES: dict[tuple[str, int, int, tuple[float, ...], str], Tree] = {}

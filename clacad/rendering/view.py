@@ -1,0 +1,235 @@
+"""From camera rays to light: past the sheet or through it, and on into the scene.
+
+A ray that crosses the sheet meets, in this order: objects before the sheet, the sheet (rung and effects as
+planned), objects behind it. A ray that misses the sheet goes straight on. Nothing is divided by an image
+distance, so objects at, in or near the sheet and at poles of the stretch need no care.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import Fate, Rays
+from clacad.rendering.reference.scene_hits import background, look
+from clacad.rendering.scene_arrays import FLOOR, Stage, set_stage
+from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
+from clacad.rendering.spectrum import Line, lines
+from clacad.scene import Camera, Scene
+from clacad.sheet.window import Window
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Viewing:
+    """Everything a block of camera rays needs.
+
+    Attributes
+    ----------
+    stage : Stage
+    window : Window
+    passage : Passage
+        How rays pass the sheet: rung, effects, which fates shine.
+    lines : tuple of Line
+        Wavelengths to trace and what each adds to the picture.
+    scale : float
+        Window lengths in one scene length.
+    box : (2, 3) lengths, scene frame
+        Around the sheet, with room to spare: rays that miss it miss the sheet.
+    front : float, length
+        Scene z up to which objects stand before the sheet.
+    opaque : bool
+        Whether nothing is seen beside the sheet.
+    present : bool
+        Whether there is a sheet at all.
+    before : bool
+        Whether anything may stand between camera and sheet.
+    compiled : bool
+        Compiled code or numpy.
+    tables : Tables
+        The stage for compiled code.
+    pane : Pane or None
+        The sheet for the kernel that does everything, where that can be.
+    """
+
+    stage: Stage
+    window: Window
+    passage: Passage
+    lines: tuple[Line, ...]
+    scale: float
+    box: Floats
+    front: float
+    opaque: bool
+    present: bool
+    before: bool
+    compiled: bool
+    tables: Any
+    pane: Any = None
+
+
+def set_up(
+    scene: Scene, window: Window, compiled: bool, passage: Passage | None = None, sheet: bool = True
+) -> Viewing:
+    """Prepare a still scene for looking at.
+
+    Parameters
+    ----------
+    scene : Scene
+    window : Window
+        Prescribed from the scene's design.
+    compiled : bool
+    passage : Passage or None
+        None: planned from the scene.
+    sheet : bool
+        False: the view without the sheet.
+    """
+    stage = set_stage(scene)
+    planned = plan_passage(scene, window) if passage is None else passage
+    scale = scene.unit_m / window.unit
+    front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
+    box = sheet_box(window) / scale
+    colours = lines(scene.light, window, "dispersion" in planned.names)
+    opaque, before = (
+        sheet and scene.sheet.surround == "opaque",
+        may_stand_before(stage, front, scene.camera, box),
+    )
+    made = pane = None
+    if compiled:
+        from clacad.rendering.compiled.scene_tables import tables
+        from clacad.rendering.pixel_input import pane_of
+
+        made = tables(stage)
+        pane = pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
+    return Viewing(
+        stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, pane
+    )
+
+
+def sheet_box(window: Window) -> Floats:
+    """Box (low, high) round all bodies, a cell wider on every side, window units."""
+    x0, x1, y0, y1 = window.lattice.extent()
+    boxes = []
+    for shift in window.shifts:
+        boxes.append((x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1]))
+    outline = getattr(window.outline, "diameter", None)
+    half = (outline, outline) if outline else (
+        getattr(window.outline, "width", 0.0), getattr(window.outline, "height", 0.0)
+    )  # fmt: skip
+    edges = np.array(boxes + [(sx - half[0] / 2, sx + half[0] / 2, sy - half[1] / 2, sy + half[1] / 2)
+                              for sx, sy in window.shifts])  # fmt: skip
+    pad = 2.0 * window.lattice.circumradius + window.land.border
+    z0, z1 = min(window.z_range[0], 0.0), max(window.z_range[1], 0.0)
+    low = (edges[:, 0].min() - pad, edges[:, 2].min() - pad, z0)
+    return np.array([low, (edges[:, 1].max() + pad, edges[:, 3].max() + pad, z1)])
+
+
+def radiance(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
+    """Light (n, 3), linear sRGB primaries, that camera rays bring back.
+
+    Parameters
+    ----------
+    position, direction : (n, 3) arrays, scene frame
+        Directions of any length.
+    """
+    if len(viewing.lines) == 1 and viewing.lines[0].whole:
+        return _one_line(viewing, position, direction, viewing.lines[0].wavelength)
+    light = np.zeros((len(position), 3))
+    for line in viewing.lines:
+        colour = _one_line(viewing, position, direction, line.wavelength)
+        light += (colour @ line.basis)[:, None] * line.weight
+    return light
+
+
+def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength: float | None) -> Floats:
+    light = np.zeros((len(position), 3))
+    rows = np.flatnonzero(may_cross(viewing.box, position, direction))
+    beside = np.ones(len(position), dtype=bool)
+    if len(rows) and viewing.present:
+        start = position[rows] * viewing.scale
+        waves = None if wavelength is None else np.full(len(rows), wavelength)
+        beyond, result = viewing.passage.light(
+            viewing.window, Rays(start, direction[rows], waves), viewing.compiled
+        )
+        beside[rows] = result.fate == Fate.MISSED
+        light[rows] = _through(viewing, position[rows], direction[rows], beyond, ~beside[rows])
+    rows = np.flatnonzero(beside)
+    if len(rows) and not viewing.opaque:
+        light[rows], _ = seen(viewing, position[rows], direction[rows], np.inf)
+    elif len(rows):
+        light[rows] = _before(viewing, position[rows], direction[rows])[0]
+    return light
+
+
+def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Mask) -> Floats:
+    """Light of rays that met the sheet: what stands before it, else what is seen through it, else black."""
+    light = np.zeros((len(position), 3))
+    rows = np.flatnonzero(met)
+    hidden = np.zeros(len(position), dtype=bool)
+    light[rows], hidden[rows] = _before(viewing, position[rows], direction[rows])
+    shines = np.flatnonzero((met & ~hidden)[beyond.parent])
+    parent = beyond.parent[shines]
+    found, _ = seen(viewing, beyond.position[shines] / viewing.scale, beyond.direction[shines], np.inf)
+    if viewing.passage.plain:  # one ray beyond the sheet for each before it, its flux 1
+        light[parent] = found
+        return light
+    found *= beyond.flux[shines, None]
+    for colour in range(3):
+        light[:, colour] += np.bincount(parent, found[:, colour], minlength=len(light))
+    return light
+
+
+def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floats, Mask]:
+    """Light of objects before the sheet, black elsewhere, and where there are any."""
+    if not (viewing.before or viewing.opaque):
+        return np.zeros((len(position), 3)), np.zeros(len(position), dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limit = (viewing.front - position[:, 2]) / direction[:, 2]
+    light, hidden = seen(viewing, position, direction, limit)
+    return np.where(hidden[:, None], light, 0.0), hidden
+
+
+def may_stand_before(stage: Stage, front: float, camera: Camera, box: Floats) -> bool:
+    """Whether any object may be met between the camera and the sheet (box, scene lengths).
+
+    A floor below both, or above both, is not: rays are straight.
+    """
+    reach = camera.position[1] - 0.5 * camera.aperture, camera.position[1] + 0.5 * camera.aperture
+    low, high = min(box[0, 1], reach[0]), max(box[1, 1], reach[1])
+    for kind, bound, origin in zip(stage.kind, stage.bound, stage.origin, strict=True):
+        if kind == FLOOR:
+            if low <= origin[1] <= high:
+                return True
+        elif bound[2] - bound[3] < front:
+            return True
+    return False
+
+
+def seen(viewing: Viewing, position: Floats, direction: Floats, limit: Floats | float) -> tuple[Floats, Mask]:
+    """Light and hits of rays in the scene, by whichever path is chosen; see `reference.scene_hits.look`."""
+    if not viewing.compiled:
+        return look(viewing.stage, position, direction, limit)
+    from clacad.rendering.compiled.scene_hits import look_all
+
+    light, met = np.empty((len(position), 3)), np.empty(len(position), dtype=np.bool_)
+    bound = np.full(len(position), limit) if np.isscalar(limit) else np.ascontiguousarray(limit)
+    start, ray = np.ascontiguousarray(position), np.ascontiguousarray(direction)
+    t = viewing.tables
+    look_all(t.world, t.cluster, t.prim, t.store, start, ray, bound, light, met, np.empty(len(position)))
+    return light, met
+
+
+def may_cross(box: Floats, position: Floats, direction: Floats) -> Mask:
+    """Which rays (n,) come through a box (low, high)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (box[0] - position) / direction, (box[1] - position) / direction
+        near = np.fmax.reduce(np.fmin(a, b), axis=1)
+        far = np.fmin.reduce(np.fmax(a, b), axis=1)
+    return np.asarray((near <= far * (1.0 + 1e-12)) & (far > 0.0))
+
+
+__all__ = ["Viewing", "background", "radiance", "set_up"]

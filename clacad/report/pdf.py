@@ -1,0 +1,286 @@
+"""The report as PDF: the rows and drawings of the page, set by Typst, an extra package that pip alone installs."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from clacad.report import drawing, figures, plots
+from clacad.report.content import Content
+
+Block = dict[str, Any]
+
+
+class PdfMissing(RuntimeError):
+    """The package that sets the PDF is not installed; exit status 2."""
+
+    exit_status = 2
+
+
+def typesetter() -> Any:
+    """The module that sets the PDF.
+
+    Raises
+    ------
+    PdfMissing
+    """
+    try:
+        import typst
+    except ImportError as error:
+        raise PdfMissing(
+            "report.pdf needs the package typst: pip install 'clacad[pdf]'; report.html prints well, too"
+        ) from error
+    return typst
+
+
+def pdf_bytes(content: Content) -> bytes:
+    """Set the report; the same content gives the same bytes.
+
+    Raises
+    ------
+    PdfMissing
+    """
+    typst = typesetter()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        made = _document(content, _Shelf(place))
+        (place / "content.json").write_text(json.dumps(made), encoding="utf-8")
+        (place / "main.typ").write_bytes((Path(__file__).parent / "pdf.typ").read_bytes())
+        return bytes(typst.compile(str(place / "main.typ"), root=str(place), ignore_system_fonts=True))
+
+
+class _Shelf:
+    """Drawings and pictures as files beside the text."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def put(self, name: str, data: str | bytes) -> str:
+        """Keep a drawing (text) or a picture (bytes) and give its file name."""
+        raw = data.encode("utf-8") if isinstance(data, str) else data
+        path = self.folder / f"{name}.{'svg' if isinstance(data, str) else 'png'}"
+        path.write_bytes(_with_namespaces(raw) if isinstance(data, str) else raw)
+        return path.name
+
+
+def _with_namespaces(svg: bytes) -> bytes:
+    head, rest = svg.split(b">", 1)
+    for name, address in (
+        (b"xmlns", b"http://www.w3.org/2000/svg"),
+        (b"xmlns:xlink", b"http://www.w3.org/1999/xlink"),
+    ):
+        if name + b"=" not in head:
+            head += b" " + name + b'="' + address + b'"'
+    return head + b">" + rest
+
+
+def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
+    report = content.report
+    counts = report.counts()
+    n1, n2 = report.window.lattice.count
+    return {
+        "title": report.design.name,
+        "about": f"confocal lenslet array pair, {report.window.form}, {n1} × {n2} cells; verification",
+        "state": report.word,
+        "verdict": {
+            "state": {"passed": "pass", "shape": "warn"}.get(content.head[1], "fail"), "word": content.head[0],
+            "sentence": report.verdict(),
+            "failures": [f"{c['id']} {c['subject']}: {c['sentence']}" for c in content.failures],
+        },
+        "tally": ", ".join(f"{n} {state}" for state, n in counts.items()),
+        "blocks": [
+            *_verdicts(content), *_fabrication(content, shelf), *_checks(content), *_asked(content), *_light(content, shelf),
+            *_errors(content, shelf), *_rest(content, shelf),
+        ],
+    }  # fmt: skip
+
+
+def _verdicts(content: Content) -> list[Block]:
+    """One line a file: what it is for, what is said of it, light through it."""
+    if not content.verdicts:
+        return []
+    head = ["verdict", "file", "role", "rms / mrad", "limit"]
+    rows = [
+        [
+            {"text": f["word"], "state": f["css"]},
+            f"{f['name']}: {f['sentence']}",
+            f["role"],
+            f["rms"],
+            f["limit"],
+        ]
+        for f in content.verdicts
+    ]
+    return [{"kind": "table", "widths": [2, 6, 2, 0, 0], "head": head, "rows": rows, "numbers": [3, 4]}]
+
+
+def _heading(text: str, level: int = 1) -> Block:
+    return {"kind": "heading", "level": level, "text": text}
+
+
+def _figure(shelf: _Shelf, name: str, data: str | bytes, caption: str, width: int = 88) -> Block:
+    return {
+        "kind": "figure",
+        "file": shelf.put(name, data),
+        "caption": caption,
+        "alt": caption,
+        "width": width,
+    }
+
+
+def _table(
+    head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int] = (), wide: int = -1
+) -> Block:
+    """A table; columns in `numbers` are set flush right, the one called `wide` takes the room that is left."""
+    wide = wide % len(head)
+    return {
+        "kind": "table", "head": list(head), "rows": [list(r) for r in rows], "numbers": list(numbers),
+        "widths": [1 if k == wide else 0 for k in range(len(head))],
+    }  # fmt: skip
+
+
+def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
+    report = content.report
+    rows = [
+        (about, line.name, line.text, line.unit) for about, lines in content.fabrication for line in lines
+    ]
+    blocks: list[Block] = [_heading("Fabrication"), _table(("", "", "", "unit"), rows, (2,), 1)]
+    if content.files:
+        files = [(f["name"], f["bytes"], f["size"], f["sha256"]) for f in content.files]
+        blocks += [_heading("Files", 2), _table(("file", "bytes", "holds", "sha256"), files, (1, 2))]
+    blocks += [
+        _heading("Orientation", 2),
+        {"kind": "list", "lines": content.orientation},
+        _heading("Drawings", 2),
+    ]
+    blocks.append(
+        _figure(shelf, "assembly", drawing.assembly(report), "Assembly, cut along x, to scale; millimetres.")
+    )
+    blocks.append(
+        _figure(shelf, "pair", drawing.telescopelet(report), "One telescopelet, cut along x; millimetres.")
+    )
+    lenses = [
+        {"file": shelf.put(f"lens{k}", drawing.lens_detail(report, k)), "caption": f"Lens {k + 1} over its cell.",
+         "alt": f"lens {k + 1}"} for k in (0, 1)
+    ]  # fmt: skip
+    from clacad.report.parts_in_3d import picture
+
+    plan = {
+        "file": shelf.put("plan", drawing.plan(report)),
+        "caption": "The sheet as light sees it.",
+        "alt": "plan",
+    }
+    solid = {"file": shelf.put("solid", picture(content.parts)), "alt": "the part",
+             "caption": f"{content.parts.cells} × {content.parts.cells} cells, from the side of lens 2."}  # fmt: skip
+    return [*blocks, {"kind": "pair", "items": lenses}, {"kind": "pair", "items": [plan, solid]}]
+
+
+def _checks(content: Content) -> list[Block]:
+    blocks = [_heading("Checks")]
+    for title, rows in content.groups:
+        lines = [
+            ({"state": c["state"], "text": c["word"]}, f"{c['id']} {c['subject'] if c['subject'] != title else ''}".strip(),
+             c["value"], c["limit"], c["unit"], f"{c['sentence']} [{c['where']}; {c['bundle'] + '; ' if c['bundle'] else ''}"
+             f"limit: {c['source']}]")
+            for c in rows
+        ]  # fmt: skip
+        blocks += [
+            _heading(title, 2),
+            _table(("", "check", "value", "limit", "unit", "what it says"), lines, (2, 3)),
+        ]
+    return blocks + ([{"kind": "text", "text": f"{content.process}."}] if content.process else [])
+
+
+def _asked(content: Content) -> list[Block]:
+    derived = [(about, *row) for about, rows in content.derived for row in rows]
+    return [
+        _heading("Asked and built"),
+        _table(("", "asked", "built or measured"), content.asked),
+        _table(("", "", "", "unit", "what it means"), derived, (2,)),
+    ]
+
+
+def _light(content: Content, shelf: _Shelf) -> list[Block]:
+    report, evidence = content.report, content.evidence
+    views: Mapping[str, tuple[bytes, str]] = {
+        "without": (content.look.without, "Without the sheet."), "through": (content.look.through, f"Through it: {content.look.how}.")
+    }  # fmt: skip
+    pair = [{"file": shelf.put(k, data), "caption": text, "alt": text} for k, (data, text) in views.items()]
+    blocks = [
+        _heading("What light does"),
+        {"kind": "pair", "items": pair},
+        _figure(
+            shelf, "transfer", figures.transfer(report), "Slope after the window against slope before it."
+        ),
+        _figure(
+            shelf,
+            "transmission",
+            figures.transmission(report),
+            "Share of light through corresponding lenslets.",
+        ),
+        _figure(
+            shelf, "ghosts", plots.ghosts(report, evidence), "The same over both slopes, and the ghosts."
+        ),
+        _figure(shelf, "residual", figures.residual_map(report), "Angle to the law over aperture and field."),
+        _figure(shelf, "spots", figures.spots(report), "Spots about the law's direction over the field.", 66),
+    ]
+    if content.foci:
+        head = (
+            "meridian",
+            "focus of lens 1 (mm)",
+            "focus of lens 2 (mm)",
+            "apart (mm)",
+            "relative",
+            "caustics (mm)",
+        )
+        blocks += [
+            _figure(
+                shelf, "foci", plots.foci(report, evidence), "Both foci in both meridians, and the caustics."
+            ),
+            _table(head, content.foci, (1, 2, 3, 4, 5)),
+        ]
+    return blocks
+
+
+def _errors(content: Content, shelf: _Shelf) -> list[Block]:
+    report = content.report
+    blocks = [_heading("Where errors come from")]
+    head = ("part", "rms (mrad)", "half below", "largest", "share", "what it is")
+    for k, (one, found) in enumerate(zip(content.attributions, content.evidence.attributions, strict=True)):
+        drawn = plots.parts_of_error(found, report.design.check.law_rms)
+        rows = [
+            *one["parts"],
+            ("whole", one["rms"], "", "", one["rms"], f"cell {one['cell']}, {one['used']} rays compared"),
+        ]
+        blocks += [_heading(one["about"], 2), _figure(shelf, f"parts{k}", drawn, "Five parts of the error."),
+                   _table(head, rows, (1, 2, 3, 4))]  # fmt: skip
+    return [
+        *blocks, _heading("Budget", 2), _table(("contribution", "mrad", "measured as"), content.budget, (1,)),
+    ]  # fmt: skip
+
+
+def _rest(content: Content, shelf: _Shelf) -> list[Block]:
+    report = content.report
+    rungs = ("rung", "setting", "model error (mrad)", "law error (mrad)", "other fate (%)", "µs a ray")
+    effects = ("effect", "in a picture", "mrad", "% of light", "time", "why")
+    drawn = plots.accuracy(report, content.evidence, content.timings)
+    blocks: list[Block] = [
+        _heading("Accuracy against time"), _figure(shelf, "accuracy", drawn, "What each rung leaves out, and what it costs."),
+        _table(rungs, content.ladder, (2, 3, 4, 5), 1),
+        _heading("Effects"), {"kind": "text", "text": content.effects_sentence},
+        *([_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.effects], (2, 3, 4))] if content.effects else []),
+    ]  # fmt: skip
+    if report.design.notes:
+        blocks += [
+            _heading("What the source text says that cannot hold"),
+            {"kind": "list", "lines": list(report.design.notes)},
+        ]
+    again = f"Versions: {content.versions}. Design sha256 {report.design.sha256}."
+    return [
+        *blocks,
+        _heading("How to reproduce"),
+        {"kind": "code", "text": content.command},
+        {"kind": "text", "text": again},
+    ]

@@ -1,0 +1,134 @@
+"""Write report.json, report.html, run.json and, when asked for, report.pdf: each whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.storage.atomic import write_file
+
+if TYPE_CHECKING:
+    from clacad.report.content import Content
+    from clacad.report.page import Section
+    from clacad.verification import Report
+    from clacad.verification.files.cell_triangles import Progress
+
+MARK = "<!-- clacad report -->"
+"""In every page, so that a later run may replace its own report and nothing else."""
+
+RUN_MARK = "run facts of a clacad report"
+PDF_MARK = b"%PDF"
+
+
+def write_report(
+    report: Report | Content,
+    folder: str | os.PathLike[str],
+    overwrite: bool = False,
+    *,
+    progress: Progress | None = None,
+    more: Sequence[Section] = (),
+    pdf: bool = False,
+    timings: bool = False,
+) -> tuple[Path, ...]:
+    """Write the page and its numbers.
+
+    Parameters
+    ----------
+    report : Report, or Content made from one
+        What is measured and pictured for the page alone is done here unless it was done before.
+    folder : path
+        Made if missing.
+    overwrite : bool
+        Replace files of these names that are no reports, too.
+    progress : callable or None
+        Called with a stage's name and the part done, 0 … 1.
+    more : sequence of Section
+        Further sections of the page, after its own.
+    pdf : bool
+        Write report.pdf as well.
+    timings : bool
+        Show seconds of this run in page and numbers; they go to run.json anyway. A Content has its own say.
+
+    Returns
+    -------
+    (report.html, report.json[, report.pdf]) : paths
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    PdfMissing
+        The extra package that sets the PDF is not installed.
+    """
+    from clacad.report import content as contents
+    from clacad.report.page import page
+
+    tell = progress if progress is not None else _silent
+    if pdf:
+        from clacad.report.pdf import typesetter
+
+        typesetter()  # said before the work is done, not after it
+    began = time.monotonic()
+    made = report if isinstance(report, contents.Content) else contents.content(report, tell, timings)
+    place = Path(folder)
+    html, numbers = place / "report.html", place / "report.json"
+    written: list[Path] = [html, numbers]
+    texts = ((numbers, _json(made.numbers())), (html, page(made, MARK, more, tell)))
+    for path, text in texts:
+        write_file(path, partial(_put, text=text), overwrite=overwrite or is_report(path))
+    if pdf:
+        from clacad.report.pdf import pdf_bytes
+
+        tell("setting the PDF", 0.0)
+        paper, data = place / "report.pdf", pdf_bytes(made)
+        write_file(paper, partial(_put_bytes, data=data), overwrite=overwrite or is_report(paper))
+        written.append(paper)
+    _write_run(place / "run.json", made.evidence.ladder.measured(), time.monotonic() - began)
+    return tuple(written)
+
+
+def _silent(_stage: str, _done: float) -> None:
+    return
+
+
+def _json(numbers: dict[str, Any]) -> str:
+    return json.dumps(numbers, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _put(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _put_bytes(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+
+
+def _write_run(path: Path, measured: list[dict[str, Any]], seconds: float) -> None:
+    """Seconds of this run; run facts of an export in the same folder are left alone."""
+    if path.exists() and not is_report(path):
+        return
+    facts = {"what": RUN_MARK, "seconds": round(seconds, 3), "accuracy": measured}
+    write_file(path, partial(_put, text=_json(facts)), overwrite=True)
+
+
+def is_report(path: Path) -> bool:
+    """Tell whether a file is one that was written here."""
+    if path.suffix == ".pdf":
+        try:
+            data = path.read_bytes()
+        except OSError:
+            return False
+        return data.startswith(PDF_MARK) and b"clacad report" in data
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    if path.name == "run.json":
+        return RUN_MARK in text
+    if path.suffix == ".html":
+        return MARK in text[:4096]
+    return text.startswith("{\n") and all(f'"{key}"' in text for key in ("checks", "verdict", "sha256"))

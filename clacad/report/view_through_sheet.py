@@ -1,0 +1,117 @@
+"""A small picture through the sheet, and the same view without it: what the numbers look like."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.scene import Scene
+    from clacad.verification.files.cell_triangles import Progress
+
+PIXELS = 260
+SAMPLES = 4
+EFFECTS = ("ghosts",)
+"""Shown here; what the others would change is said by the plan of the report."""
+
+INSIDE = 0.35
+"""Part of the half field of view that the sheet fills as the eye sees it, if that can be had from 4 to 60 widths."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Two pictures as PNG, and how they were made.
+
+    without, through : bytes
+    how : str
+        Rung and effects, as planned.
+    scene : str
+        What is seen.
+    """
+
+    without: bytes
+    through: bytes
+    how: str
+    scene: str
+    pixels: int = PIXELS
+
+
+def look(design: Design, window: Window, progress: Progress) -> Look:
+    """Render a figure on a chequered floor, seen past and through the sheet."""
+    from clacad.rendering.picture import view_through
+    from clacad.rendering.picture_files import pixels_of
+
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
+        scene = _scene(design, window, folder)
+        progress("looking through the sheet", 0.0)
+        without = view_through(scene, sheet=False)
+        through = view_through(
+            scene, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
+        )
+    eye, behind, high = _distances(window)
+    mm = window.unit * 1e3
+    said = (
+        f"a chess knight {high * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
+        f"{eye * mm:.4g} mm before it"
+    )
+    how = f"rung {through.passage.rung}; shown beyond refraction: {', '.join(through.passage.names) or 'nothing'}"
+    return Look(_png(pixels_of(without)), _png(pixels_of(through)), how, said)
+
+
+def _distances(window: Window) -> tuple[float, float, float]:
+    """Eye before the sheet, figure behind it, height of the figure; lengths."""
+    wide = _width(window)
+    half = min(half_field(thin_cells(window)))
+    eye = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide
+    behind = 0.2 * eye
+    return eye, behind, 0.75 * wide * (eye + behind) / eye
+
+
+def _png(pixels: Any) -> bytes:
+    from PIL import Image
+
+    out = io.BytesIO()
+    # 256 colours of one palette are enough for a picture of this size, and a third of the bytes
+    Image.fromarray(pixels).quantize(256, method=Image.Quantize.MEDIANCUT).save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def _width(window: Window) -> float:
+    x0, x1, y0, y1 = window.lattice.extent()
+    return max(x1 - x0, y1 - y0)
+
+
+def _scene(design: Design, window: Window, folder: str) -> Scene:
+    from clacad.scene import Scene
+
+    wide = _width(window)
+    eye, behind, high = _distances(window)
+    floor = -0.5 * high
+    ax, ay = aperture_slope(window)  # from the middle of the field of view, wherever that is
+    data: dict[str, Any] = {
+        "format": 1,
+        "name": "look",
+        "unit": design.unit,
+        "sheet": {"design": "design.toml", "rung": "surfaces"},
+        "effects": {"mode": "list", "list": list(EFFECTS)},
+        "camera": {
+            "position": [-eye * ax, -eye * ay, -eye], "target": [0, 0, 0], "frame": 1.25 * wide,
+            "pixels": [PIXELS, PIXELS], "samples": SAMPLES,
+        },
+        "object": [
+            {"id": "floor", "kind": "checker", "height": floor, "tile": high, "colours": ["#d8c29a", "#5b3f26"]},
+            {"id": "knight", "kind": "knight", "at": [behind * ax, floor, window.z_range[1] + behind], "size": high,
+             "colour": "#3a3f52", "turn": [0, 35, 0]},
+        ],
+    }  # fmt: skip
+    return Scene.from_dict(data, folder=folder)

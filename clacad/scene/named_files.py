@@ -1,0 +1,64 @@
+"""Files a scene names, and the design of its sheet."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from clacad.config.key_positions import located
+from clacad.config.mistakes import DesignError, Mistake
+from clacad.scene.model import Scene
+from clacad.scene.scene_error import SceneError
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+def outside(folder: str, name: str, levels: int = 1) -> str:
+    """Return why a name may not be used ("" if it may): relative, inside the folder or `levels` above it.
+
+    Links are followed first, so that none leads out.
+    """
+    if os.path.isabs(name) or "\0" in name or (len(name) > 1 and name[1] == ":"):
+        return "is not a relative path"
+    home = os.path.realpath(os.path.join(folder, *[os.pardir] * levels))
+    real = os.path.realpath(os.path.join(folder, name))
+    if os.path.commonpath([home, real]) != home:
+        return "lies outside the scene's folder and its parent" + (" folders" if levels > 1 else "")
+    return ""
+
+
+def file_of(scene: Scene, name: str) -> str:
+    """Path of a file the scene names; see `Scene.file`."""
+    levels = 2 if name == scene.sheet.mesh else 1
+    why = outside(scene.folder, name, levels)
+    path = os.path.join(scene.folder, name)
+    if not why and not os.path.isfile(path):
+        why = "does not exist"
+    if why:
+        raise SceneError([Mistake("CL100", f"the file {name} {why}", path=scene.path)])
+    return path
+
+
+def design_of(scene: Scene) -> Design:
+    """Read the sheet's design; see `Scene.design`."""
+    from clacad.design import load
+
+    path = file_of(scene, scene.sheet.design)
+    try:
+        design = load(path)
+    except DesignError as error:
+        raise SceneError(error.mistakes) from None
+    if not scene.sheet.set:
+        return design
+    try:
+        return design.replace(scene.sheet.set)
+    except DesignError as error:
+        mistakes = [_in_scene(mistake) for mistake in error.mistakes]
+        raise SceneError(located(mistakes, scene.source, scene.path, ())) from None
+
+
+def _in_scene(mistake: Mistake) -> Mistake:
+    """A mistake of the changed design, at home in the scene's [sheet] set."""
+    return replace(mistake, key=f"sheet.set.{mistake.key}", path="", line=None, column=None, source_line="")

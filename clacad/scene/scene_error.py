@@ -1,0 +1,11 @@
+"""What is wrong with a scene file; the same mistakes, codes and places as for designs."""
+
+from __future__ import annotations
+
+from clacad.config.mistakes import DesignError
+
+
+class SceneError(DesignError):
+    """A scene that cannot be accepted; holds every mistake that was found, those of its design included."""
+
+    exit_status = 2

@@ -1,0 +1,137 @@
+"""The bundles of rays that checks use: Sobol points over one cell and a cone, the same every time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, degrees, pi, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.sobol import sobol
+from clacad.optics.rays import Rays
+from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.window import Window
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Rays over one cell of array 0.
+
+    middle : (3,) unit direction at the middle of the field
+    field : float, radians
+        Half angle of the cone about it; 0 is one direction.
+    aperture : float
+        Part of the cell that is lit (1: all of it), linear.
+    cell : (i, j)
+    rays : Rays
+    points : (n, 2) lengths
+        Where each ray crosses z = 0, from the centre of the cell.
+    """
+
+    middle: Floats
+    field: float
+    aperture: float
+    cell: tuple[int, int]
+    rays: Rays
+    points: Floats
+
+    def __str__(self) -> str:
+        return (
+            f"{len(self.rays)} Sobol rays, seed 0, cone of {degrees(self.field):.4g} deg, "
+            f"{self.aperture:g} of the cell"
+        )
+
+
+def central_cell(window: Window) -> tuple[int, int]:
+    """Kept cell nearest the middle of the sheet, so that a ray meets neighbours on all sides."""
+    lattice = window.lattice
+    n1, n2 = lattice.count
+    middle = np.array([[0.0], [0.0]])
+    index, _, _ = lattice.locate(middle[0], middle[1])
+    if lattice.contains(index)[0]:
+        return int(index[0, 0]), int(index[0, 1])
+    cells = lattice.cells()
+    centres = lattice.centres(cells)
+    near = cells[int(np.argmin((centres**2).sum(axis=1)))]
+    return int(near[0]), int(near[1])
+
+
+def middle_direction(window: Window, centre: str = "axis") -> Floats:
+    """Direction (3,) at the middle of the field: the aperture slope, or the sheet's normal."""
+    ax, ay = (0.0, 0.0) if centre == "normal" else aperture_slope(window)
+    return np.array([ax, ay, 1.0]) / sqrt(ax * ax + ay * ay + 1.0)
+
+
+def over_cell(window: Window, unit_square: Floats) -> Floats:
+    """Points (n, 2) spread evenly over a cell of the window; see `Lattice.over_cell`."""
+    return window.lattice.over_cell(unit_square)
+
+
+def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
+    """Unit directions (n, 3) spread evenly in solid angle over a cone about `middle`, from (n, 2) points."""
+    u, v = _frame(middle)
+    # 1 − cos without cancellation, so that a cone of a microradian is still a cone
+    lift = 2.0 * sin(0.5 * half_angle) ** 2 * unit_square[:, 0]
+    radius = np.sqrt(lift * (2.0 - lift))
+    azimuth = 2.0 * pi * unit_square[:, 1]
+    side = (radius * np.cos(azimuth))[:, None] * u + (radius * np.sin(azimuth))[:, None] * v
+    return np.asarray(side + (1.0 - lift)[:, None] * middle)
+
+
+def _frame(middle: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors across `middle`, the first as near to +x as can be."""
+    u = np.array([1.0, 0.0, 0.0]) - middle[0] * middle
+    u = u / np.linalg.norm(u)
+    return u, np.cross(middle, u)
+
+
+def bundle(
+    window: Window, count: int, field: float, centre: str = "axis", aperture: float = 1.0,
+    middle: Floats | None = None, cell: tuple[int, int] | None = None,
+) -> Bundle:  # fmt: skip
+    """Launch rays over a cell of array 0 and a cone.
+
+    Parameters
+    ----------
+    window : Window
+    count : int
+    field : float, radians
+        Half angle of the cone; 0 for parallel light.
+    centre : "axis" or "normal"
+    aperture : float
+        Linear part of the cell that is lit, about its middle.
+    middle : (3,) or None
+        Middle of the cone instead of `centre`.
+    cell : (i, j) or None
+        Default: the central one.
+    """
+    chosen = central_cell(window) if cell is None else cell
+    axis = middle_direction(window, centre) if middle is None else middle / np.linalg.norm(middle)
+    points = sobol(count, 4)
+    local = aperture * over_cell(window, points[:, :2])
+    direction = cone(axis, field, points[:, 2:]) if field > 0.0 else np.broadcast_to(axis, (count, 3)).copy()
+    return launched(window, local, direction, chosen, axis, field, aperture)
+
+
+def launched(
+    window: Window, local: Floats, direction: Floats, cell: tuple[int, int], middle: Floats, field: float = 0.0,
+    aperture: float = 1.0,
+) -> Bundle:  # fmt: skip
+    """Bundle that crosses z = 0 at `local` (n, 2) from the centre of `cell`, started below the window."""
+    place = window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(window.shifts[0])
+    at = np.column_stack([local + place, np.zeros(len(local))])
+    below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
+    start = at + direction * (below / direction[:, 2:])
+    return Bundle(middle, field, aperture, cell, Rays(start, direction), local)
+
+
+def field_points(window: Window, field: float, centre: str = "axis") -> Floats:
+    """Nine directions (9, 3): the middle of the field, eight on its rim, 45 degrees apart, the first towards +x."""
+    middle = middle_direction(window, centre)
+    u, v = _frame(middle)
+    rim = [cos(field) * middle + sin(field) * (cos(k * pi / 4) * u + sin(k * pi / 4) * v) for k in range(8)]
+    return np.array([middle, *rim])

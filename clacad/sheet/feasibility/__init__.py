@@ -1,0 +1,69 @@
+"""What a window is made of, in the numbers a maker and a user ask for: derived, never assumed.
+
+Everything is measured on the window's own faces, so it is true of the part that is written. Lengths in
+the window's unit unless a name ends in `_m` (metres); angles in radians; slopes are tangents.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.optics.aperture import equivalent_widths, first_zeros
+from clacad.sheet.feasibility.as_rows import Row, describe
+from clacad.sheet.feasibility.bodies import body_facts, body_range, components, connectedness
+from clacad.sheet.feasibility.facts import (
+    DEFAULT_WAVELENGTH,
+    VIEWING_DISTANCE,
+    BodyFacts,
+    BorderFacts,
+    Feasibility,
+    LensFacts,
+    two,
+)
+from clacad.sheet.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
+from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, lit_zone, thin_cells
+from clacad.sheet.window import Window
+
+__all__ = [
+    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "body_range", "components",
+    "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
+]  # fmt: skip
+
+
+def feasibility(window: Window) -> Feasibility:
+    """Derive all numbers of a window (one cell of each array is enough: all cells are alike)."""
+    cells = thin_cells(window)
+    wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
+    ratio = [abs(m) for m in focal_ratio(window.thin)]
+    width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
+    zone = lit_zone(cells)
+    lit = equivalent_widths(zone)
+    offset = window.thin.offset
+    bodies = tuple(body_facts(window, body) for body in window.bodies)
+    second = window.thin.focal_length[1]
+    fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) for w, f in zip(lit, second, strict=True) if np.isfinite(f)]
+    back = min(
+        1.0, *(1.0 / m for m in ratio)
+    )  # light that comes back leaves lens 1 this much narrower than a cell
+    return Feasibility(
+        lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width)),
+        bodies=bodies,
+        clearance=bodies[1].low - bodies[0].high if len(bodies) == 2 else np.inf,
+        separation=window.thin.separation,
+        aperture=aperture_slope(window),
+        undeviated=(offset[0] / offset[2], offset[1] / offset[2]),
+        half_field=half_field(cells),
+        ghost_onset=ghost_onset(cells),
+        offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
+        diffraction_blur=two(wave / lit),
+        first_zero=two(wave * first_zeros(zone)),
+        fresnel_number=float(min(fresnel)),
+        pixel=float(np.sqrt(wave * VIEWING_DISTANCE / window.unit / back)),
+        wavelength=wave * window.unit,
+    )
+
+
+def _offset(window: Window, axis: int) -> float:
+    """Range of the ray offset on the sheet over the width of the zone: |1 − m| min(1, 1/|m|)."""
+    m = focal_ratio(window.thin)[axis]
+    return abs(1.0 - m) * min(1.0, 1.0 / abs(m))

@@ -1,0 +1,189 @@
+"""Numbers of one body: necks, steps, pieces and holes, edge, height range."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.feasibility.convex_extremes import Heights, border, least
+from clacad.sheet.feasibility.facts import BodyFacts, BorderFacts, two
+from clacad.sheet.feasibility.lenses import thickness_over_cell
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.window import Body, Window, column, face_height, lens_height
+
+
+def _heights(window: Window, body: Body) -> tuple[Heights, Heights]:
+    """Front and back height of a body as functions of the cell frame of each face's own array."""
+    if body.columnar:
+        return (lambda x, y: column(window, body, x, y)[0]), (lambda x, y: column(window, body, x, y)[1])
+    return (lambda x, y: face_height(window, body.front, x, y)), (
+        lambda x, y: face_height(window, body.back, x, y)
+    )
+
+
+def body_facts(window: Window, body: Body) -> BodyFacts:
+    """Derive the numbers of one body."""
+    borders = tuple(_border_facts(window, body, k) for k in range(len(window.lattice.steps) // 2))
+    pieces, holes = connectedness(window, body, borders)
+    low, high = body_range(window, body)
+    inner = borders if window.lattice.cell_count > 1 else ()
+    return BodyFacts(
+        name=body.name,
+        borders=borders,
+        edge=_edge(window, body),
+        neck=min((b.neck for b in inner), default=np.inf),
+        step=max((max(b.rise) for b in inner), default=0.0),
+        pieces=pieces,
+        holes=holes,
+        low=low,
+        high=high,
+    )
+
+
+def body_range(window: Window, body: Body) -> tuple[float, float]:
+    """Lowest and highest point (lengths) of a body, land included."""
+    front, back = _heights(window, body)
+    tile = window.lattice.tile()
+    low, _ = least(lambda x, y: np.nan_to_num(front(x, y), nan=np.inf), tile)
+    high, _ = least(lambda x, y: np.nan_to_num(-back(x, y), nan=np.inf), tile)
+    lands = [f.land for f in (body.front, body.back) if f.land is not None]
+    return min([low, *lands]), max([-high, *lands])
+
+
+def _border_facts(window: Window, body: Body, number: int) -> BorderFacts:
+    """Compare the two columns that meet along border `number`."""
+    step = window.lattice.steps[number]
+    here = border(window.lattice.tile(), number)
+    there = here - np.asarray(window.lattice.offset(*step))
+    front, back = _heights(window, body)
+    f = np.stack([front(*p.T) for p in (here, there)])
+    b = np.stack([back(*p.T) for p in (here, there)])
+    rounding = 1e-12 * window.lattice.circumradius  # two roots of one height differ by less: no step
+    rise = [np.nan_to_num(np.abs(z[0] - z[1]), nan=0.0) for z in (f, b)]
+    rise = [np.where(r <= rounding, 0.0, r) for r in rise]
+    if body.columnar:  # a lens that has ended: by how much it misses its neighbour
+        f, b = (
+            np.where(np.isnan(z), [lens_height(face, *p.T) for p in (here, there)], z)
+            for z, face in ((f, body.front), (b, body.back))
+        )
+    if not body.columnar and body.front.array is not None and body.back.array is not None:
+        # slab: the other face's cells lie elsewhere; its extreme height is the safe bound
+        tile = window.lattice.tile()
+        b_low, _ = least(back, tile)
+        f_high = -least(lambda x, y: -front(x, y), tile)[0]
+        common = np.minimum(b_low - f.max(axis=0), b.min(axis=0) - f_high)
+    else:
+        common = b.min(axis=0) - f.max(axis=0)
+    common = np.nan_to_num(common, nan=-np.inf)
+    return BorderFacts(
+        step=step,
+        neck=float(common.min()),
+        joint=float(common.max()),
+        joints=int(common[0] > 0.0) + int(((common[1:] > 0.0) & (common[:-1] <= 0.0)).sum()),
+        corners=(bool(common[0] > 0.0), bool(common[-1] > 0.0)),
+        rise=two(r.max() for r in rise),
+        mean_rise=two(r.mean() for r in rise),
+    )
+
+
+def _edge(window: Window, body: Body) -> float:
+    """Least thickness along the body's outer side: the land's if there is an outline, else the cells'."""
+    tile = window.lattice.tile()
+    fronts, backs = _heights(window, body)
+    flat = window.outline is not None
+    if flat and body.front.land is not None and body.back.land is not None:
+        return body.back.land - body.front.land
+    if body.columnar or body.front.array is None or body.back.array is None:
+        if flat:
+            front = body.front.vertex[2] if body.front.land is None else body.front.land
+            back = body.back.vertex[2] if body.back.land is None else body.back.land
+            return back - front
+        rim = np.concatenate([border(tile, k) for k in range(len(tile))])
+        # where the lens has ended before the border the column is missing: its shortfall, not its absence
+        lens = thickness_over_cell(
+            window, next(a for a in (body.front.array, body.back.array) if a is not None)
+        )
+        thickness = backs(*rim.T) - fronts(*rim.T)
+        thickness = np.where(np.isnan(thickness), np.fmin(lens(*rim.T), 0.0), thickness)
+        return float(np.nan_to_num(thickness, nan=-np.inf).min())
+    return least(backs, tile)[0] + least(lambda x, y: -fronts(x, y), tile)[0]
+
+
+def connectedness(window: Window, body: Body, borders: tuple[BorderFacts, ...]) -> tuple[int, int]:
+    """Count connected pieces of a body and the holes through it, in closed form.
+
+    Every cell is one disc. Two neighbours that share height along part of their border are glued there; a
+    node is filled if the borders that end in it are glued up to it. Then discs − glued borders + filled
+    nodes = pieces − holes (Euler), and pieces follow from which directions are glued.
+    """
+    plate = body.front.land is not None and body.back.land is not None
+    if plate or window.form == "slab":
+        return 1, 0  # one plate under all cells
+    kept = _kept(window.lattice)
+    glued = [b for b in borders if b.joint > 0.0]
+    edges = sum(b.joints * int(_together(kept, [(0, 0), b.step]).sum()) for b in glued)
+    pieces = _pieces(kept, [b.step for b in glued], window.lattice)
+    euler = int(kept.sum()) - edges + _filled_nodes(kept, borders)
+    return pieces, pieces - euler
+
+
+def _kept(lattice: Lattice) -> NDArray[np.bool_]:
+    """Kept cells as a (rows i, columns j) mask with one empty line all round."""
+    n1, n2 = lattice.count
+    if not lattice.hexagonal and lattice.outline is None:
+        return np.pad(np.ones((n1, n2), dtype=bool), 1)
+    first = -(n2 // 2) if lattice.hexagonal else 0
+    i, j = np.meshgrid(np.arange(first, n1), np.arange(n2), indexing="ij")
+    return np.pad(lattice.contains(np.stack([i, j], axis=-1)), 1)
+
+
+def _together(kept: NDArray[np.bool_], cells: list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Where all of a cell's relatives (index steps, the cell itself being (0, 0)) are kept."""
+    everywhere = np.ones_like(kept)
+    for di, dj in cells:
+        everywhere &= np.roll(kept, (-di, -dj), axis=(0, 1))
+    return everywhere
+
+
+def _filled_nodes(kept: NDArray[np.bool_], borders: tuple[BorderFacts, ...]) -> int:
+    """Inner nodes at which all borders that end there are glued; START and END of a border as it runs."""
+    if len(borders) == 2:
+        whole = all(borders[0].corners) and all(borders[1].corners)
+        return int(_together(kept, [(0, 0), (1, 0), (0, 1), (1, 1)]).sum()) if whole else 0
+    (right_start, right_end), (up_start, up_end), (left_start, left_end) = (b.corners for b in borders)
+    found = 0
+    if right_end and up_start and left_end:  # corner 1 of the cell
+        found += int(_together(kept, [(0, 0), (1, 0), (0, 1)]).sum())
+    if up_end and left_start and right_start:  # corner 2
+        found += int(_together(kept, [(0, 0), (0, 1), (-1, 1)]).sum())
+    return found
+
+
+def _pieces(kept: NDArray[np.bool_], steps: list[tuple[int, int]], lattice: Lattice) -> int:
+    """Connected pieces of the kept cells when neighbours along `steps` are joined."""
+    if not steps:
+        return int(kept.sum())
+    if lattice.outline is None and (1, 0) in steps and len(steps) > 1:
+        return 1  # whole rows, joined to one another
+    number = np.cumsum(kept.ravel()).reshape(kept.shape) - 1
+    pairs = []
+    for step in steps:
+        both = _together(kept, [(0, 0), step])
+        other = np.roll(number, (-step[0], -step[1]), axis=(0, 1))
+        pairs.append(np.stack([number[both], other[both]]))
+    first, second = np.concatenate(pairs, axis=1)
+    return components(int(kept.sum()), first, second)
+
+
+def components(count: int, first: NDArray[np.int64], second: NDArray[np.int64]) -> int:
+    """Number of connected components of `count` things of which first[k] and second[k] are joined."""
+    root = np.arange(count)
+    while True:
+        a, b = root[first], root[second]
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        apart = low < high
+        if not apart.any():
+            return int((root == np.arange(count)).sum())
+        np.minimum.at(root, high[apart], low[apart])
+        while (root[root] != root).any():  # follow to the root: path lengths halve each time
+            root = root[root]

@@ -1,0 +1,167 @@
+"""The derived numbers as nouns.
+
+Lengths in the window's unit unless a name says metres; angles in radians; slopes are tangents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+DEFAULT_WAVELENGTH = 550e-9
+"""Metres; for windows whose index was given bare."""
+
+VIEWING_DISTANCE = 1.0
+"""Metres; where pixel advice is given for."""
+
+Two = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LensFacts:
+    """One lens of a telescopelet.
+
+    radius : (R_x, R_y), lengths
+        Apex radii, negative where concave, infinite where flat.
+    conic : (K_x, K_y) or None each
+    kappa : float or None, 1/length
+        Coefficient of z² of a quadric; None for a biconic.
+    focal_length, built_focal_length : (f_x, f_y), lengths
+        Of the thin lens it stands for; of the lens as built about its own axis (in air; slab: R/(n − 1)).
+    sag : float, length
+        Height range of the face over its optical zone.
+    thickness : float, length
+        Along the axis, apex to apex (plano: apex to plane face; slab: apex to apex of the two lenses).
+    least_thickness : float, length
+        Smallest thickness at these radii that covers the optical zone; infinite if none does, 0 where
+        thickness does not matter (slab).
+    corner : float, length
+        Least thickness of the lens over its optical zone, along z; negative where it does not reach.
+    cover : float
+        Share of the optical zone where the lens exists and stands proud of its land.
+    rim : (x, y), lengths
+        Half width of the lens along its own axes, were it not cut by the cell; infinite if it has no rim.
+    rim_at : (2,) lengths
+        Point of the zone where the lens is thinnest, cell frame.
+    least_normal_z : float
+        Smallest z component of the unit normal over the zone; 0 or less is undercut.
+    f_number : (x, y)
+        Focal length over the full width of the zone along the lens axes.
+    """
+
+    array: int
+    radius: Two
+    conic: tuple[float | None, float | None]
+    kappa: float | None
+    focal_length: Two
+    built_focal_length: Two
+    sag: float
+    thickness: float
+    least_thickness: float
+    corner: float
+    cover: float
+    rim: Two
+    rim_at: Two
+    least_normal_z: float
+    f_number: Two
+
+
+@dataclass(frozen=True)
+class BorderFacts:
+    """One direction of inner borders of one body (all of that direction are congruent).
+
+    step : (i, j)
+        Index step across the border.
+    neck : float, length
+        Least common height of the two columns along the border; negative: they stand apart.
+    joint : float, length
+        Greatest common height; the two are joined if it is positive.
+    joints : int
+        Separate stretches of the border along which they are joined.
+    corners : (bool, bool)
+        Whether they are joined at the two ends of the border.
+    rise : (front, back), lengths
+        Greatest step between the two faces.
+    mean_rise : (front, back), lengths
+    """
+
+    step: tuple[int, int]
+    neck: float
+    joint: float
+    joints: int
+    corners: tuple[bool, bool]
+    rise: Two
+    mean_rise: Two
+
+
+@dataclass(frozen=True)
+class BodyFacts:
+    """One body.
+
+    edge : float, length
+        Least thickness along the true outer side of the body.
+    neck : float, length
+        Least common height over all inner borders; infinite for a single cell.
+    step : float, length
+        Highest step at any inner border.
+    pieces, holes : int
+        Connected pieces, and holes through them.
+    low, high : float, lengths
+        Height range.
+    """
+
+    name: str
+    borders: tuple[BorderFacts, ...]
+    edge: float
+    neck: float
+    step: float
+    pieces: int
+    holes: int
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """All derived numbers of a window.
+
+    clearance : float, length
+        Lowest of body 2 less highest of body 1; infinite for a slab.
+    aperture, undeviated : (x, y), slopes
+        Middle of the field of view; direction through both lens centres. Sheet frame.
+    half_field, ghost_onset : (x, y), slopes along lens x, y
+    offset_blur : (x, y), lengths
+        Full range of the ray offset on the sheet.
+    diffraction_blur : (x, y), radians
+        λ/w along the lens axes, w the equivalent width of what is lit of lens 2 in the middle of the field: the slit
+        whose pattern has the same core (see `clacad.optics.aperture`).
+    first_zero : (x, y), radians
+        Of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a rectangle along them.
+    fresnel_number : float
+        (w/2)²/(λ |f2|), the least over the lens axes, with the same widths.
+    pixel : float, length
+        Pitch that balances diffraction and pixel size seen from `VIEWING_DISTANCE` before array 1: the beam that comes
+        back is p·min(1, 1/|η|) wide where it leaves lens 1.
+    wavelength : float, metres
+    """
+
+    lenses: tuple[LensFacts, LensFacts]
+    bodies: tuple[BodyFacts, ...]
+    clearance: float
+    separation: float
+    aperture: Two
+    undeviated: Two
+    half_field: Two
+    ghost_onset: Two
+    offset_blur: Two
+    diffraction_blur: Two
+    first_zero: Two
+    fresnel_number: float
+    pixel: float
+    wavelength: float
+
+
+def two(values: Iterable[float]) -> Two:
+    """Two floats from any iterable of two."""
+    x, y = values
+    return float(x), float(y)

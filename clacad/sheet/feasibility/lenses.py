@@ -1,0 +1,195 @@
+"""Numbers of one lens: cover, rim, thickness, slope, measured on its own faces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.surface import conic_constants, principal_radii
+from clacad.sheet.feasibility.convex_extremes import Floats, Heights, least, reach, share_covered
+from clacad.sheet.feasibility.facts import LensFacts, Two, two
+from clacad.sheet.window import Body, Face, Window, lens_height, lens_height_and_normal, optical_tile
+
+
+def body_of(window: Window, array: int) -> tuple[Body, Face]:
+    """Body that carries the lenses of an array, and the first of their faces."""
+    for body in window.bodies:
+        for face in (body.front, body.back):
+            if face.array == array:
+                return body, face
+    raise ValueError(f"the window has no array {array}")
+
+
+def lens_margin(window: Window, array: int) -> Heights:
+    """How far the lens of an array is from ending: a function of cell-frame x, y (lengths).
+
+    The least of its thickness along z and the heights of its faces over their land; NaN where a face has no
+    point. The lens is the face wherever it is positive. A slab's lens has no thickness of its own.
+    """
+    body, _ = body_of(window, array)
+
+    def margin(x: Floats, y: Floats) -> Floats:
+        front, back = (_height(face, array, x, y) for face in (body.front, body.back))
+        parts = [np.full(x.shape, np.inf)]
+        if front is not None and back is not None:
+            parts.append(back - front)
+        for face, z in ((body.front, front), (body.back, back)):
+            if face.array == array and z is not None:
+                parts.append(np.where(np.isnan(z), np.nan, np.inf))
+                if face.land is not None:
+                    parts.append(face.side * (face.land - z))
+        stack = np.stack(parts)
+        return np.where(np.isnan(stack).any(axis=0), np.nan, stack.min(axis=0))
+
+    return margin
+
+
+def _height(face: Face, array: int, x: Floats, y: Floats) -> Floats | None:
+    """Height of a face that belongs to an array's lens: its lens or a plane; None for another array's."""
+    if face.array is None:
+        return np.full(x.shape, face.vertex[2])
+    return lens_height(face, x, y) if face.array == array else None
+
+
+def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
+    """Derive the numbers of one array's lens; `width` (x, y) of its zone in the lens frame, lengths."""
+    body, face = body_of(window, array)
+    zone = optical_tile(window)
+    margin = lens_margin(window, array)
+    corner, at = least(thickness_over_cell(window, array), zone)
+    kappa = getattr(face.surface, "kappa", None)
+    focal = window.thin.focal_length[array]
+    return LensFacts(
+        array=array,
+        radius=principal_radii(face.surface),
+        conic=conic_constants(face.surface),
+        kappa=kappa,
+        focal_length=focal,
+        built_focal_length=_built_focal_length(body, array),
+        sag=_sag(face, zone),
+        thickness=_centre_thickness(body, face),
+        least_thickness=least_thickness(window, array),
+        corner=corner,
+        cover=_cover(margin, zone),
+        rim=_rim(window, face, margin),
+        rim_at=at,
+        least_normal_z=_least_normal_z(face, margin, zone),
+        f_number=two(abs(f) / w for f, w in zip(focal, width, strict=True)),
+    )
+
+
+def thickness_over_cell(window: Window, array: int) -> Heights:
+    """Thickness of an array's lens along z, a function of cell-frame x, y; infinite for a slab's."""
+    body, _ = body_of(window, array)
+
+    def thickness(x: Floats, y: Floats) -> Floats:
+        front, back = (_height(face, array, x, y) for face in (body.front, body.back))
+        return np.full(x.shape, np.inf) if front is None or back is None else back - front
+
+    return thickness
+
+
+def _sag(face: Face, zone: Floats) -> float:
+    def height(x: Floats, y: Floats) -> Floats:
+        return lens_height(face, x, y)
+
+    lowest, _ = least(height, zone)
+    highest, _ = least(lambda x, y: -height(x, y), zone)
+    return -highest - lowest
+
+
+def _centre_thickness(body: Body, face: Face) -> float:
+    """Apex to apex along the lens axis, or apex to plane face along z."""
+    if body.front.array is None or body.back.array is None:
+        return body.back.vertex[2] - body.front.vertex[2]
+    if body.columnar:
+        return float(np.linalg.norm(np.subtract(body.back.vertex, body.front.vertex)))
+    return (body.back.vertex[2] - body.front.vertex[2]) / float(face.rotation[2, 2])
+
+
+def _built_focal_length(body: Body, array: int) -> Two:
+    """Thick lensmaker per meridian: φ = (n − 1)(c + c' − (n − 1) T c c'/n), convex positive."""
+    n, found = body.index, []
+    for meridian in ("curvature_x", "curvature_y"):
+        front, back = (
+            getattr(f.surface, meridian) if f.array == array else 0.0 for f in (body.front, body.back)
+        )
+        thickness = _centre_thickness(body, body.front)
+        power = (n - 1.0) * (front + back - (n - 1.0) * thickness * front * back / n)
+        found.append(1.0 / power if power else np.inf)
+    return two(found)
+
+
+def _cover(margin: Heights, zone: Floats) -> float:
+    """Share of the zone where the lens is the face; the lens region is star-shaped about its thickest point."""
+
+    def inside(x: Floats, y: Floats) -> NDArray[np.bool_]:
+        return np.asarray(margin(x, y) >= 0.0)
+
+    _, pole = least(lambda x, y: np.nan_to_num(-np.minimum(margin(x, y), 1e300), nan=1e300), zone)
+    return share_covered(inside, zone, np.array(pole))
+
+
+def _rim(window: Window, face: Face, margin: Heights) -> Two:
+    """Half width of the whole lens along its own axes from its axis, not cut by the cell."""
+    far = 8.0 * window.lattice.circumradius
+    cx, cy = face.vertex[:2]
+
+    def inside(x: Floats, y: Floats) -> NDArray[np.bool_]:
+        return np.asarray(margin(x + cx, y + cy) > 0.0)
+
+    lateral = face.rotation[:2, :2].T
+    directions = lateral / np.linalg.norm(lateral, axis=1, keepdims=True)
+    ends = reach(inside, np.concatenate([directions, -directions]), far)
+    return two(np.minimum(ends[:2], ends[2:]))
+
+
+def _least_normal_z(face: Face, margin: Heights, zone: Floats) -> float:
+    def normal_z(x: Floats, y: Floats) -> Floats:
+        _, normal = lens_height_and_normal(face, x, y)
+        # where the lens has ended the face is not built; where the face has no graph it is undercut
+        return np.where(margin(x, y) < 0.0, 1.0, np.nan_to_num(normal[:, 2], nan=0.0))
+
+    return least(normal_z, zone)[0]
+
+
+def least_thickness(window: Window, array: int) -> float:
+    """Smallest centre thickness (length) at the radii as built that covers the whole optical zone.
+
+    Untilted biconvex ellipsoids: 2ρ/(1 + sqrt(1 − κρ)), ρ = c_x x² + c_y y² at the worst corner, to which
+    the solve reduces. Infinite where the radii are too small for any thickness; 0 for a slab.
+    """
+    body, face = body_of(window, array)
+    if window.form == "slab":
+        return 0.0
+    thickness = _centre_thickness(body, face)
+    zone, change = optical_tile(window), 0.0
+    for _ in range(40):  # Newton: thickness along z grows by 1/n_z or so, a tilt apart, per unit of T
+        moved = replace(window, bodies=tuple(thicker(b, change) if b is body else b for b in window.bodies))
+        missing, _ = least(lens_margin(moved, array), zone)
+        if missing == -np.inf:
+            return np.inf
+        if missing == np.inf:
+            return 0.0
+        step = -missing
+        change += step
+        if abs(step) <= 1e-15 * thickness:
+            break
+    return thickness + change
+
+
+def thicker(body: Body, change: float) -> Body:
+    """Body whose lens faces stand `change` farther apart along the lens axis (plano: its plane face moves)."""
+
+    def moved(face: Face, sign: float) -> Face:
+        if face.array is None:
+            x, y, z = face.vertex
+            return replace(face, vertex=(x, y, z + sign * change))
+        if not body.columnar:
+            return face
+        x, y, z = np.asarray(face.vertex) + sign * 0.5 * change * face.rotation[:, 2]
+        return replace(face, vertex=(float(x), float(y), float(z)))
+
+    return replace(body, front=moved(body.front, -1.0), back=moved(body.back, 1.0))

@@ -1,0 +1,292 @@
+"""The pattern of cells: which cell holds a point, and where in it the point lies.
+
+The one home of cell-of-point. Mesh, B-Rep, tracer and renderer all ask here. Positions inside a
+cell are relative to the cell's centre and are formed with an exact product (Dekker's TwoProduct),
+so a cell a billion pitches away loses nothing but what its coordinate had already lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.pairs import two_product, two_sum
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Kind = Literal["square", "rectangular", "hexagonal"]
+
+
+def polygon_area(points: Floats) -> float:
+    """Signed area of a polygon (m, 2), length²; counter-clockwise is positive."""
+    if len(points) < 3:
+        return 0.0
+    x, y = (points - points[0]).T  # shoelace about a corner: no cancellation far from the origin
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A round outline of the given diameter (length), centred on the origin."""
+
+    diameter: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rectangle:
+    """A rectangular outline of the given width and height (lengths), centred on the origin."""
+
+    width: float
+    height: float
+
+
+Outline = Circle | Rectangle
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """A finite pattern of identical cells whose mean centre is the origin.
+
+    Parameters
+    ----------
+    kind : "square", "rectangular" or "hexagonal"
+    pitch : (p_x, p_y), lengths
+        Hexagonal: p_x is centre to centre = flat to flat, p_y is ignored; cells point up.
+    count : (n1, n2)
+        Hexagonal: n2 rows of n1 cells, odd rows moved by +p/2; indices are axial (i, j).
+    outline : Circle, Rectangle or None
+        Only cells whose whole footprint lies inside are kept.
+    """
+
+    kind: Kind
+    pitch: tuple[float, float]
+    count: tuple[int, int]
+    outline: Outline | None = None
+
+    @property
+    def a1(self) -> tuple[float, float]:
+        """First lattice vector (length)."""
+        return (self.pitch[0], 0.0)
+
+    @property
+    def a2(self) -> tuple[float, float]:
+        """Second lattice vector (length)."""
+        if self.kind == "hexagonal":
+            return (0.5 * self.pitch[0], 0.5 * sqrt(3.0) * self.pitch[0])
+        return (0.0, self.pitch[1])
+
+    @property
+    def hexagonal(self) -> bool:
+        """Whether cells are hexagons."""
+        return self.kind == "hexagonal"
+
+    @property
+    def steps(self) -> tuple[tuple[int, int], ...]:
+        """Index steps (di, dj) across each border of a cell, counter-clockwise from +x."""
+        if self.hexagonal:
+            return ((1, 0), (0, 1), (-1, 1), (-1, 0), (0, -1), (1, -1))
+        return ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+    @property
+    def cell_area(self) -> float:
+        """Area of one cell, length²."""
+        (ax, ay), (bx, by) = self.a1, self.a2
+        return ax * by - ay * bx
+
+    @property
+    def half_widths(self) -> tuple[float, ...]:
+        """Distance of each border of a cell from its centre (lengths), in the order of `steps`."""
+        return tuple(0.5 * hypot(*self.offset(di, dj)) for di, dj in self.steps)
+
+    @property
+    def circumradius(self) -> float:
+        """Distance of the farthest corner of a cell from its centre (length)."""
+        return float(np.max(np.hypot(*self.tile().T)))
+
+    def offset(self, di: int, dj: int) -> tuple[float, float]:
+        """Displacement (x, y) of a cell `di`, `dj` index steps away (lengths)."""
+        (ax, ay), (bx, by) = self.a1, self.a2
+        return (di * ax + dj * bx, di * ay + dj * by)
+
+    def tile(self) -> Floats:
+        """Corners of one cell relative to its centre, counter-clockwise, (4 or 6, 2), lengths.
+
+        Edge k runs from corner k to corner k + 1 and is crossed by `steps[k]`.
+        """
+        if self.hexagonal:
+            p = self.pitch[0]
+            edge = p / sqrt(3.0)
+            half = 0.5 * p
+            return np.array(
+                [(half, -0.5 * edge), (half, 0.5 * edge), (0.0, edge),
+                 (-half, 0.5 * edge), (-half, -0.5 * edge), (0.0, -edge)]
+            )  # fmt: skip
+        hx, hy = 0.5 * self.pitch[0], 0.5 * self.pitch[1]
+        return np.array([(hx, -hy), (hx, hy), (-hx, hy), (-hx, -hy)])
+
+    def with_count(self, count: tuple[int, int]) -> Lattice:
+        """Give the same lattice with another count and no outline, centred on the origin."""
+        return Lattice(self.kind, self.pitch, count)
+
+    # -- cells that exist -------------------------------------------------------------------
+
+    def contains(self, index: Ints) -> NDArray[np.bool_]:
+        """Tell which (..., 2) indices name a kept cell, (...) bool."""
+        i, j = index[..., 0], index[..., 1]
+        first = -(j // 2) if self.hexagonal else np.zeros_like(j)
+        n1, n2 = self.count
+        inside = (j >= 0) & (j < n2) & (i >= first) & (i < first + n1)
+        if self.outline is None:
+            return np.asarray(inside)
+        return np.asarray(inside & self._footprint_inside(index))
+
+    def _footprint_inside(self, index: Ints) -> NDArray[np.bool_]:
+        corners = self.centres(index)[..., None, :] + self.tile()
+        if isinstance(self.outline, Circle):
+            inside = np.hypot(corners[..., 0], corners[..., 1]) <= 0.5 * self.outline.diameter * (1 + 1e-12)
+        else:
+            assert self.outline is not None
+            inside = (np.abs(corners[..., 0]) <= 0.5 * self.outline.width * (1 + 1e-12)) & (
+                np.abs(corners[..., 1]) <= 0.5 * self.outline.height * (1 + 1e-12)
+            )
+        return np.asarray(inside.all(axis=-1))
+
+    def cells(self) -> Ints:
+        """List the kept cells, row by row, as (n, 2) indices."""
+        rows = [row for j in range(self.count[1]) if len(row := self.row(j))]
+        return np.concatenate(rows) if rows else np.empty((0, 2), dtype=np.int64)
+
+    def row(self, j: int) -> Ints:
+        """List the kept cells of row j as (n, 2) indices; memory is that of one row."""
+        first = -(j // 2) if self.hexagonal else 0
+        i = np.arange(first, first + self.count[0], dtype=np.int64)
+        index = np.stack([i, np.full_like(i, j)], axis=-1)
+        return index[self.contains(index)] if self.outline is not None else index
+
+    @property
+    def cell_count(self) -> int:
+        """Number of kept cells."""
+        if self.outline is None:
+            return self.count[0] * self.count[1]
+        return sum(len(self.row(j)) for j in range(self.count[1]))
+
+    def extent(self) -> tuple[float, float, float, float]:
+        """Bounding box (x_min, x_max, y_min, y_max) of the kept cells' footprints (lengths)."""
+        if self.outline is not None:
+            index = self.cells()
+        elif self.hexagonal:
+            index = np.concatenate([self.row(j) for j in {0, min(1, self.count[1] - 1), self.count[1] - 1}])
+        else:
+            index = np.array([(0, 0), (self.count[0] - 1, self.count[1] - 1)])
+        corners = self.centres(index)[:, None, :] + self.tile()
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+    # -- cell of a point --------------------------------------------------------------------
+
+    @property
+    def first_centre(self) -> tuple[float, float]:
+        """Centre (x, y) of cell (0, 0) (lengths)."""
+        n1, n2 = self.count
+        if self.hexagonal:
+            p = self.pitch[0]
+            odd_rows = n2 // 2
+            return (-0.5 * p * ((n1 - 1) + odd_rows / n2), -0.5 * self.a2[1] * (n2 - 1))
+        return (-0.5 * self.pitch[0] * (n1 - 1), -0.5 * self.pitch[1] * (n2 - 1))
+
+    def centres(self, index: Ints) -> Floats:
+        """Centres of the cells `index` (..., 2), kept or not, as (..., 2) lengths."""
+        i, j = index[..., 0], index[..., 1]
+        n1, n2 = self.count
+        if self.hexagonal:
+            x0, y0 = self.first_centre
+            return np.stack([x0 + (i + 0.5 * j) * self.pitch[0], y0 + j * self.a2[1]], axis=-1)
+        x = (2 * i - (n1 - 1)) * (0.5 * self.pitch[0])
+        y = (2 * j - (n2 - 1)) * (0.5 * self.pitch[1])
+        return np.stack([x, y], axis=-1)
+
+    def locate(self, x: Floats, y: Floats, x_low: Floats | float = 0.0, y_low: Floats | float = 0.0
+               ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
+        """Find the cell that holds each point, and the point relative to the cell's centre.
+
+        Parameters
+        ----------
+        x, y : (n,) arrays, lengths
+            Points in the lattice's frame (subtract an array's displacement first).
+        x_low, y_low : (n,) arrays or 0
+            Low-order parts: the points are x + x_low, y + y_low in double-double.
+
+        Returns
+        -------
+        index : (n, 2) int64
+            Cell indices, kept or not. A point on a wall belongs to the cell above it
+            (greater x or y).
+        local_x, local_y : (n,) arrays, lengths
+            Exact differences from the centre, rounded once; −p/2 ≤ local < p/2.
+        """
+        if self.hexagonal:
+            return self._locate_hexagonal(x, y, x_low, y_low)
+        i, local_x = _locate_axis(x, x_low, self.pitch[0], self.count[0])
+        j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])
+        return np.stack([i, j], axis=-1), local_x, local_y
+
+    def over_cell(self, unit_square: Floats) -> Floats:
+        """Points (n, 2) spread evenly over a cell, from its centre (lengths).
+
+        They come from points of the unit square (n, 2): the parallelogram of the lattice vectors, folded into the cell.
+        """
+        u, v = unit_square[:, 0] - 0.5, unit_square[:, 1] - 0.5
+        (ax, ay), (bx, by) = self.a1, self.a2
+        centre = self.centres(np.zeros((1, 2), dtype=np.int64))[0]
+        _, x, y = self.locate(centre[0] + u * ax + v * bx, centre[1] + u * ay + v * by)
+        return np.column_stack([x, y])
+
+    def _locate_hexagonal(self, x: Floats, y: Floats, x_low: Floats | float, y_low: Floats | float
+                          ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
+        x0, y0 = self.first_centre
+        p, row = self.pitch[0], self.a2[1]
+        j = np.rint((y - y0) / row).astype(np.int64)
+        i = np.rint((x - x0) / p - 0.5 * j).astype(np.int64)
+        half = 0.5 * p
+        for _ in range(4):  # a nearest-row guess is at most one border off; corners settle in two
+            local_x = _minus_multiple(x, x_low, i + 0.5 * j, p, x0)
+            local_y = _minus_multiple(y, y_low, j.astype(np.float64), row, y0)
+            moved = np.zeros(np.shape(i), dtype=bool)
+            for (di, dj), (ux, uy) in zip(self.steps[:3], _HEX_NORMALS):
+                across = ux * local_x + uy * local_y
+                step = np.where(
+                    moved, 0, (across >= half).astype(np.int64) - (across < -half).astype(np.int64)
+                )
+                i, j = i + step * di, j + step * dj
+                moved |= step != 0
+            if not moved.any():
+                break
+        local_x = _minus_multiple(x, x_low, i + 0.5 * j, p, x0)
+        local_y = _minus_multiple(y, y_low, j.astype(np.float64), row, y0)
+        return np.stack([i, j], axis=-1), local_x, local_y
+
+
+_HEX_NORMALS = ((1.0, 0.0), (0.5, 0.5 * sqrt(3.0)), (-0.5, 0.5 * sqrt(3.0)))
+
+
+def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> tuple[Ints, Floats]:
+    """Index and centred coordinate along one axis of a rectangular lattice."""
+    guess = np.floor(x / pitch + 0.5 * count)
+    half = 0.5 * pitch
+    local = _minus_multiple(x, x_low, 2.0 * guess - (count - 1), half, 0.0)
+    # The quotient is rounded: a point within an ulp of a wall may be one cell off. Ask the exact remainder.
+    guess = guess + (local >= half) - (local < -half)
+    local = _minus_multiple(x, x_low, 2.0 * guess - (count - 1), half, 0.0)
+    return guess.astype(np.int64), local
+
+
+def _minus_multiple(x: Floats, x_low: Floats | float, k: Floats, step: float, origin: float) -> Floats:
+    """Give (x + x_low) − k·step − origin with k·step formed exactly, rounded once."""
+    high, low = two_product(k, step)
+    a, lost_a = two_sum(x, -high)
+    b, lost_b = two_sum(a, -origin)
+    return np.asarray(b + ((lost_a + lost_b) + (x_low - low)))

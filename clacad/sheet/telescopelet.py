@@ -1,0 +1,34 @@
+"""One telescopelet as explicit surfaces, cell borders left out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.sequence import Interface
+from clacad.sheet.window import Window
+
+Floats = NDArray[np.float64]
+
+
+def interfaces(window: Window, slide: Floats | None = None) -> list[Interface]:
+    """Faces of one telescopelet as explicit surfaces, the centre of cell 1 at x = y = 0.
+
+    slide : (3,) lengths or None
+        Displacement of lens 2: its faces, and the plane face of its body.
+    """
+    found = []
+    for body in window.bodies:
+        for face, other, before, after in (
+            (body.front, body.back, 1.0, body.index),
+            (body.back, body.front, body.index, 1.0),
+        ):
+            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
+            vertex = np.asarray(face.vertex) + [*shift, 0.0]
+            owner = other.array if face.array is None else face.array
+            if slide is not None and owner == 1:
+                vertex = vertex + slide
+            found.append(
+                Interface(face.surface, vertex, before, after, None if face.untilted else face.rotation)
+            )
+    return found

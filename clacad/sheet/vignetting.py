@@ -1,0 +1,179 @@
+"""Which share of the light stays in its telescopelet, and where ghosts go: exact for thin lenses.
+
+Notation, lens frame, relative to lens 1's centre: a ray of slope t that enters lens 1 at x reaches the
+plane of lens 2 at m x + s t with m = −f2/f1 per meridian (because 1 − s/f1 = m). So the optical zone of
+lens 1 arrives as a copy of itself, scaled by m and moved by s t, and the share that meets a lenslet of
+array 2 is the part of that copy which covers the lenslet's zone. Zones are convex polygons: the zone of a
+lens in its own plane is the cell's column cut by that plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clacad.sheet.lattice import polygon_area
+from clacad.sheet.window import ThinPair, Window, optical_tile
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ThinCells:
+    """One telescopelet as thin lenses with cells, in the lens frame about lens 1's centre.
+
+    zone : (m, 2) lengths
+        Outline of the optical zone of either lens, about its own cell's centre, counter-clockwise.
+    image : (m, 2) lengths
+        The zone of lens 1 as it arrives in the plane of lens 2 for light along the axis.
+    centre : (2,) lengths
+        Where the middle of cell 2 lies in the plane of lens 2.
+    separation : float, length
+    part : float
+        Optical zone over cell area: what the seam leaves.
+    pair : ThinPair
+    window : Window
+    """
+
+    zone: Floats
+    image: Floats
+    centre: Floats
+    separation: float
+    part: float
+    pair: ThinPair
+    window: Window
+
+    def slopes(self, directions: ArrayLike) -> Floats:
+        """Slopes (n, 2) in the lens frame of sheet-frame directions (n, 3)."""
+        turned = np.asarray(directions, dtype=np.float64) @ self.pair.rotation
+        return np.asarray(turned[:, :2] / turned[:, 2:])
+
+    def neighbour(self, order: tuple[int, int]) -> Floats:
+        """Middle (2,) of the cell of array 2 that lies `order` index steps from the partner (lengths)."""
+        step = self.window.lattice.offset(*order)
+        return np.asarray(self.centre + _in_lens_plane(self.pair.rotation, np.array([step]))[0])
+
+
+def focal_ratio(pair: ThinPair) -> tuple[float, float]:
+    """Signed scale m = −f2/f1 of the copy of lens 1 at lens 2, per meridian; 1 where there is no power."""
+    first, second = pair.focal_length
+    x, y = (1.0 if np.isinf(f1) else -f2 / f1 for f1, f2 in zip(first, second, strict=True))
+    return x, y
+
+
+def thin_cells(window: Window) -> ThinCells:
+    """Describe the window's telescopelet as two thin lenses with cells."""
+    pair = window.thin
+    lit = _lit_tile(window)
+    zone = _in_lens_plane(pair.rotation, lit)
+    image = zone * np.array(focal_ratio(pair))
+    if polygon_area(image) < 0.0:
+        image = image[::-1]
+    # the middle of cell 2: above `shift`, in the plane through lens 2's centre across the axis
+    rest = np.array([[pair.shift[0] - pair.offset[0], pair.shift[1] - pair.offset[1]]])
+    centre = np.asarray(pair.offset) @ pair.rotation[:, :2] + _in_lens_plane(pair.rotation, rest)[0]
+    part = abs(polygon_area(lit)) / window.lattice.cell_area
+    return ThinCells(zone, image, centre, pair.separation, part, pair, window)
+
+
+def _lit_tile(window: Window) -> Floats:
+    """Part of a cell that light may use: the optical zone, and the channel of a baffle."""
+    if window.baffle is None:
+        return optical_tile(window)
+    widest = max(window.land.seam, window.baffle.wall)
+    return optical_tile(replace(window, land=replace(window.land, seam=widest)))
+
+
+def _in_lens_plane(rotation: Floats, points: Floats) -> Floats:
+    """Lens-frame coordinates (n, 2) of the points of the plane across the axis that lie over (x, y)."""
+    axis = rotation[:, 2]
+    height = -(points @ axis[:2]) / axis[2]
+    return np.asarray(np.column_stack([points, height]) @ rotation[:, :2])
+
+
+def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 0)) -> Floats:
+    """Share of the light on a cell of array 1 that meets the cell of array 2 `order` steps from its partner.
+
+    Parameters
+    ----------
+    cells : ThinCells
+    directions : (n, 3) array
+        Incident directions, sheet frame, any length.
+    order : (i, j)
+        (0, 0) is the partner: light that obeys the law. Others are ghosts.
+
+    Returns
+    -------
+    (n,) array, 0 … 1
+        Over all orders it sums to the share of the cell that is optical zone (1 without a seam). A baffle
+        stops every ghost, and what meets its walls.
+    """
+    if cells.window.baffle is not None and order != (0, 0):
+        return np.zeros(len(np.asarray(directions)))
+    arrival = cells.separation * cells.slopes(directions)
+    target = cells.zone + cells.neighbour(order)
+    whole = polygon_area(cells.image)
+    return np.array([cells.part * polygon_area(clip(cells.image + a, target)) / whole for a in arrival])
+
+
+def lit_zone(cells: ThinCells) -> Floats:
+    """What is lit of lens 2 (m, 2), about its own middle, by light along the middle of the field, lens frame, lengths.
+
+    The image of lens 1's zone where it lies within lens 2's; for cells along the lens axes p·min(1, |m|) wide.
+    """
+    return clip(cells.image, cells.zone)
+
+
+def ghost_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
+    """Change (2,) of the exit slope, lens frame, that sets ghost order `order` apart from the image."""
+    moved = cells.neighbour(order) - cells.centre
+    second = np.array(cells.pair.focal_length[1])
+    return np.asarray(np.where(np.isinf(second), 0.0, moved / second))
+
+
+def aperture_slope(window: Window) -> tuple[float, float]:
+    """Sheet-frame slope at the middle of the field of view: from cell 1's middle to cell 2's."""
+    height = window.thin.offset[2]
+    return window.thin.shift[0] / height, window.thin.shift[1] / height
+
+
+def half_field(cells: ThinCells) -> tuple[float, float]:
+    """Half width in slope of the field of view along lens x and y: beyond it no light arrives.
+
+    (p/s)(1 + |m|)/2 on a square lattice whose axes are the lens's.
+    """
+    x, y = (_half_width(cells.zone, k) + _half_width(cells.image, k) for k in (0, 1))
+    return x / cells.separation, y / cells.separation
+
+
+def ghost_onset(cells: ThinCells) -> tuple[float, float]:
+    """Slope off the middle of the field at which the first light meets a wrong lenslet, lens x and y.
+
+    (p/s)(1 − |m|)/2; 0 where the copy is larger than the cell, so that ghosts never vanish.
+    """
+    x, y = (max(0.0, _half_width(cells.zone, k) - _half_width(cells.image, k)) for k in (0, 1))
+    return x / cells.separation, y / cells.separation
+
+
+def _half_width(polygon: Floats, axis: int) -> float:
+    return 0.5 * float(np.ptp(polygon[:, axis]))
+
+
+def clip(subject: Floats, window: Floats) -> Floats:
+    """Cut a convex polygon (m, 2) by another one, both counter-clockwise (Sutherland and Hodgman)."""
+    for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
+        if len(subject) == 0:
+            break
+        edge = end - start
+        inside = edge[0] * (subject[:, 1] - start[1]) - edge[1] * (subject[:, 0] - start[0])
+        following, ahead = np.roll(subject, -1, axis=0), np.roll(inside, -1)
+        kept = []
+        for here, there, a, b in zip(subject, following, inside, ahead, strict=True):
+            if a >= 0.0:
+                kept.append(here)
+            if (a < 0.0) != (b < 0.0):
+                kept.append(here + (there - here) * (a / (a - b)))
+        subject = np.array(kept) if kept else np.empty((0, 2))
+    return subject

@@ -1,0 +1,279 @@
+"""What a written file is held against: heights, volumes and extents asked of the design's own surfaces.
+
+Nothing here uses a mesh or a solid; every number comes from `clacad.sheet.window` heights and quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import inf, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+DEPTH = 9
+"""Quarterings at a rim: relative error 1e-8 or less in half a second; 11 give 1e-9 in four."""
+
+EDGE_DEPTH = 5
+
+Height = Callable[[Floats, Floats], Floats]
+
+
+# -- volume --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Integral:
+    """A volume and the error its quadrature owns up to, design units cubed."""
+
+    value: float
+    error: float
+
+
+def body_volume(window: Window, body: Body, depth: int = DEPTH) -> Integral | None:
+    """Volume of a body by quadrature of its columns; None where its outline cuts through lenslets.
+
+    Gauss–Legendre 8 × 8 on parallelograms that tile the optical zone of one cell, halved where two levels
+    differ (rims, webs); land and border are prisms. All cells are the same piece.
+    """
+    cells = window.lattice.cell_count
+    whole = _footprint_area(window, body)
+    if whole is None:
+        return None
+    land_area = whole - cells * window.lattice.cell_area
+    if _in_columns(body):
+        one = _cell_integral(window, partial(_thickness, window, body), depth)
+        land = _land_thickness(body) * max(0.0, land_area)
+        return Integral(cells * one.value + land, cells * one.error)
+    value = error = 0.0
+    for face, sign in ((body.back, 1.0), (body.front, -1.0)):
+        one = _cell_integral(window, partial(_filled, window, face), depth)
+        value += sign * (cells * one.value + (face.land or 0.0) * max(0.0, land_area))
+        error += cells * one.error
+    return Integral(value, error)
+
+
+def volume_sum(integrals: Mapping[str, Integral | None], names: Sequence[str]) -> Integral | None:
+    """Volume of several bodies together; None if one of them is not known."""
+    value = error = 0.0
+    for name in names:
+        part = integrals[name]
+        if part is None:
+            return None
+        value, error = value + part.value, error + part.error
+    return Integral(value, error)
+
+
+def _in_columns(body: Body) -> bool:
+    """Whether one tiling cuts the body into columns: both faces on one array, or one of them a plane."""
+    return body.columnar or None in (body.front.array, body.back.array)
+
+
+def _footprint_area(window: Window, body: Body) -> float | None:
+    """Area of a body seen along z, None if its outline does not hold all of its cells."""
+    outline = window.outline
+    if outline is None:
+        return window.lattice.cell_count * window.lattice.cell_area
+    if len({face.array for face in (body.front, body.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0):
+        x0, x1, y0, y1 = window.lattice.extent()
+        dx, dy = window.shifts[1]
+        corner = (
+            max(abs(x) for x in (x0, x1, x0 + dx, x1 + dx)),
+            max(abs(y) for y in (y0, y1, y0 + dy, y1 + dy)),
+        )
+        if not _holds(outline, *corner):
+            return None
+    if isinstance(outline, Circle):
+        return 0.25 * pi * outline.diameter**2
+    return outline.width * outline.height
+
+
+def _holds(outline: Circle | Rectangle, x: float, y: float) -> bool:
+    if isinstance(outline, Circle):
+        return bool(np.hypot(x, y) <= 0.5 * outline.diameter)
+    return x <= 0.5 * outline.width * (1 + 1e-9) and y <= 0.5 * outline.height * (1 + 1e-9)
+
+
+def _thickness(window: Window, body: Body, x: Floats, y: Floats) -> Floats:
+    front, back = column(window, body, x, y)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(back > front, back - front, 0.0))
+
+
+def _land_thickness(body: Body) -> float:
+    front, back = (face.vertex[2] if face.array is None else face.land for face in (body.front, body.back))
+    return 0.0 if front is None or back is None else max(0.0, back - front)
+
+
+def _filled(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
+    z = face_height(window, face, x, y)
+    return np.asarray(np.where(np.isfinite(z), z, 0.0))
+
+
+def _cell_integral(window: Window, height: Height, depth: int) -> Integral:
+    """Integrate height(x, y) over one cell; the seam around the optical zone is integrated as it is."""
+    value = error = 0.0
+    tile, zone = window.lattice.tile(), optical_tile(window)
+    regions = _parallelograms(zone)
+    if window.land.seam > 0.0:
+        m = len(tile)
+        for k in range(m):  # trapezoids between zone and tile: land, so any rule is exact; two triangles each
+            a, b, c, d = zone[k], zone[(k + 1) % m], tile[(k + 1) % m], tile[k]
+            area = _triangle_area(a, d, c) + _triangle_area(a, c, b)
+            middle = 0.25 * (a + b + c + d)
+            value += area * float(height(middle[:1], middle[1:])[0])
+    for region in regions:
+        part = _adaptive(height, *region, depth)
+        value, error = value + part.value, error + part.error
+    return Integral(value, error)
+
+
+def _triangle_area(a: Floats, b: Floats, c: Floats) -> float:
+    return 0.5 * abs(float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
+
+
+def _parallelograms(polygon: Floats) -> list[tuple[Floats, Floats, Floats]]:
+    """Cut a rectangle (1) or a regular hexagon (3 rhombi) into parallelograms: origin and two sides."""
+    if len(polygon) == 4:
+        return [(polygon[3], polygon[0] - polygon[3], polygon[2] - polygon[3])]
+    centre = np.zeros(2)
+    return [(centre, polygon[k] - centre, polygon[(k + 2) % 6] - centre) for k in (0, 2, 4)]
+
+
+def _adaptive(height: Height, origin: Floats, u: Floats, v: Floats, depth: int) -> Integral:
+    """Integrate over a parallelogram; boxes whose quarters disagree with them are quartered again."""
+    scale = abs(float(u[0] * v[1] - u[1] * v[0]))
+    boxes = np.array([[0.0, 0.0]])
+    coarse = _rule(height, origin, u, v, boxes, 1.0)
+    total, error = 0.0, 0.0
+    size = 1.0
+    reference = float(np.abs(coarse).sum()) or 1.0
+    for level in range(depth):
+        size *= 0.5
+        quarters = (boxes[:, None] + size * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).reshape(-1, 2)
+        fine = _rule(height, origin, u, v, quarters, size).reshape(-1, 4)
+        gap = np.abs(fine.sum(axis=1) - coarse)
+        # A smooth box agrees to rounding; what is given up is at most 1e-13 of the whole each.
+        settled = (gap <= 1e-13 * reference) & ~_suspect(boxes, 2.0 * size, level)
+        if level == depth - 1:
+            total += float(fine.sum())
+            error += float(gap[~settled].sum())
+            break
+        total += float(fine[settled].sum())
+        error += float(gap[settled].sum())
+        if settled.all():
+            break
+        boxes, coarse = quarters.reshape(-1, 4, 2)[~settled].reshape(-1, 2), fine[~settled].reshape(-1)
+    return Integral(total * scale, error * scale)
+
+
+def _suspect(boxes: Floats, size: float, level: int) -> NDArray[np.bool_]:
+    """Boxes that are quartered whatever they seem: a lens may miss a sliver of a border, or the tip of a corner."""
+    touches = (boxes <= 0.0) | (boxes + size >= 1.0 - 1e-12)
+    return np.asarray(touches.all(axis=1) | (touches.any(axis=1) & (level < EDGE_DEPTH)))
+
+
+def _rule(height: Height, origin: Floats, u: Floats, v: Floats, boxes: Floats, size: float) -> Floats:
+    """8 × 8 Gauss integrals over boxes (k, 2) of the given size in the unit square, (k,)."""
+    t = 0.5 * size * (1.0 + _NODES)
+    s, r = np.meshgrid(t, t, indexing="ij")
+    a = boxes[:, 0, None] + s.ravel()
+    b = boxes[:, 1, None] + r.ravel()
+    x = origin[0] + a * u[0] + b * v[0]
+    y = origin[1] + a * u[1] + b * v[1]
+    values = height(x.ravel(), y.ravel()).reshape(a.shape)
+    weight = 0.25 * size * size * np.outer(_WEIGHTS, _WEIGHTS).ravel()
+    return np.asarray(values @ weight)
+
+
+# -- extent and heights --------------------------------------------------------------------------
+
+
+def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]:
+    """Bounding box (x_min, x_max, y_min, y_max) of a body seen along z, design units."""
+    arrays = [face.array for face in (body.front, body.back) if face.array is not None]
+    one = set(arrays)
+    dx, dy = window.shifts[arrays[0]] if len(one) == 1 else (0.0, 0.0)
+    if isinstance(window.outline, Circle):
+        r = 0.5 * window.outline.diameter
+        return dx - r, dx + r, dy - r, dy + r
+    if isinstance(window.outline, Rectangle):
+        w, h = 0.5 * window.outline.width, 0.5 * window.outline.height
+        return dx - w, dx + w, dy - h, dy + h
+    x0, x1, y0, y1 = window.lattice.extent()
+    return x0 + dx, x1 + dx, y0 + dy, y1 + dy
+
+
+def whole_extent(window: Window) -> tuple[float, float, float, float]:
+    """Bounding box of all bodies seen along z, design units."""
+    boxes = np.array([body_extent(window, body) for body in window.bodies])
+    return (
+        float(boxes[:, 0].min()),
+        float(boxes[:, 1].max()),
+        float(boxes[:, 2].min()),
+        float(boxes[:, 3].max()),
+    )
+
+
+def least_extent(window: Window) -> tuple[float, float, float, float]:
+    """A box that all bodies surely reach, seen along z, design units: less than `whole_extent` where lenses without
+    land end inside their cells.
+    """
+    whole = whole_extent(window)
+    if window.outline is not None:
+        return whole
+    tile = window.lattice.tile()
+    low, high = tile.min(axis=0), tile.max(axis=0)
+    x, y = (g.ravel() for g in np.meshgrid(*(np.linspace(low[k], high[k], 129) for k in (0, 1))))
+    ends = np.array([np.inf, -np.inf, np.inf, -np.inf])
+    for body in window.bodies:
+        if not _in_columns(body):
+            return whole
+        front, back = column(window, body, x, y)
+        solid = np.isfinite(front) & (front <= back)
+        if not solid.any():
+            continue
+        cut = np.array([x[solid].min() - low[0], x[solid].max() - high[0],
+                        y[solid].min() - low[1], y[solid].max() - high[1]])  # fmt: skip
+        box = np.array(body_extent(window, body)) + cut
+        ends = np.where([True, False, True, False], np.minimum(ends, box), np.maximum(ends, box))
+    return float(ends[0]), float(ends[1]), float(ends[2]), float(ends[3])
+
+
+def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats) -> Floats:
+    """Vertical distance of points to the surfaces a face consists of: its lens and its land.
+
+    Parameters
+    ----------
+    points : (n, k, 3) array, design units
+        Sheet frame.
+    inside : (n, 2) array
+        A point of each group's own cell; all k points are judged by that cell's lens, so points on a wall
+        are judged by the right neighbour.
+
+    Returns
+    -------
+    (n, k) array
+        Infinite where the face has neither.
+    """
+    if face.array is None:
+        return np.asarray(np.abs(points[..., 2] - face.vertex[2]))
+    lattice: Lattice = window.lattice
+    shift = np.asarray(window.shifts[face.array])
+    index, _, _ = lattice.locate(inside[:, 0] - shift[0], inside[:, 1] - shift[1])
+    kept = lattice.contains(index)
+    centre = lattice.centres(index) + shift
+    local = points[..., :2] - centre[:, None]
+    lens = lens_height(face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:-1])
+    to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
+    to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)
+    return np.asarray(np.minimum(to_lens, to_land))

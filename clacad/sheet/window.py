@@ -1,0 +1,351 @@
+"""The sheet as built: faces, bodies, window. No optics intent lives here, only geometry.
+
+Export and trace read the same `Window`, so a report speaks of the part that was written.
+
+Frames
+------
+*Sheet frame*: right-handed, sheet plane z = 0, light meets body 0 first and travels towards +z.
+*Cell frame* of array k: axes of the sheet, x and y from the centre of the cell, z of the sheet.
+*Lens frame* of a face: origin at the face's apex, axes turned by `Face.rotation` (lens → sheet).
+
+The cells of array k are the lattice's cells displaced by `Window.shifts[k]`. Every cell of an
+array is the same piece, so one cell describes all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.surface import Biconic, Quadric, meet, upright_sag
+from clacad.sheet.lattice import Lattice, Outline, Rectangle
+
+if TYPE_CHECKING:
+    from clacad.optics.law import Law
+    from clacad.optics.material.material import Material
+
+Floats = NDArray[np.float64]
+Surface = Quadric | Biconic
+Form = Literal["biconvex", "plano", "slab"]
+IDENTITY = np.eye(3)
+PLANE = Quadric(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """One optical side of a body: a plane, or one lenslet repeated on the cells of an array.
+
+    Parameters
+    ----------
+    surface : Quadric or Biconic
+        In the lens frame, apex at the origin. A plane face is Quadric(0, 0, 0).
+    vertex : (3,) lengths
+        The apex in the cell frame: x, y from the centre of the array's own cell, z in the sheet frame.
+    rotation : (3, 3)
+        Lens → sheet.
+    array : 0, 1 or None
+        Which lens array's cells the face repeats on; None is an unstructured plane.
+    land : float or None
+        Sheet-frame z of the flat land of this face (web, seam, border); None: there is no land, so
+        where the lenslet does not reach there is no face (a hole).
+    """
+
+    surface: Surface
+    vertex: tuple[float, float, float]
+    rotation: Floats = field(default_factory=lambda: IDENTITY)
+    array: int | None = None
+    land: float | None = None
+
+    @property
+    def untilted(self) -> bool:
+        """Whether lens and sheet axes coincide exactly, so that no rotation need be applied."""
+        return bool(np.array_equal(self.rotation, IDENTITY))
+
+    @property
+    def side(self) -> int:
+        """+1 for a face whose material lies on its +z side (front), −1 for a back face.
+
+        A face keeps the side it was built with; the curvature carries the sign (concave < 0).
+        """
+        return int(self.surface.side)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """The material between two faces, cut into cells by walls along z.
+
+    front : Face
+        The face light meets first; the material is behind it.
+    back : Face
+    index : float
+        Refractive index at the design wavelength (air is 1).
+    name : str
+        "array1", "array2" or "sheet"; names files, labels and solids.
+    material : Material or None
+        For other wavelengths; None is a constant index.
+    """
+
+    front: Face
+    back: Face
+    index: float
+    name: str
+    material: Material | None = None
+
+    @property
+    def columnar(self) -> bool:
+        """Whether both faces share one array, so that the body is a bundle of columns."""
+        return self.front.array is not None and self.front.array == self.back.array
+
+    def index_at(self, wavelength: float | None) -> float:
+        """Refractive index at a wavelength in metres (None: the design wavelength).
+
+        Raises
+        ------
+        ValueError
+            The wavelength lies outside the material's data.
+        """
+        if wavelength is None or self.material is None:
+            return self.index
+        return float(self.material.index(wavelength))
+
+
+@dataclass(frozen=True, eq=False)
+class ThinPair:
+    """The ideal pair the real one stands for: two thin lenses sharing a focal plane.
+
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
+        Infinite in a meridian without power.
+    offset : (3,) lengths
+        Centre of lens 2 minus centre of lens 1, sheet frame, in air: R (d_x, d_y, s).
+    rotation : (3, 3)
+        Lens → sheet, common to both lenses.
+    shift : (2,) lengths
+        Displacement of the cells of array 2 against those of array 1 in the thin model.
+    """
+
+    focal_length: tuple[tuple[float, float], tuple[float, float]]
+    offset: tuple[float, float, float]
+    rotation: Floats
+    shift: tuple[float, float]
+
+    @property
+    def separation(self) -> float:
+        """Distance s between the lens planes along the lens axis (length), equal to f1 + f2."""
+        return float(self.rotation[:, 2] @ np.asarray(self.offset))
+
+
+@dataclass(frozen=True)
+class Land:
+    """What lies between and around the lenslets.
+
+    seam : float
+        Width of the land between two lenslets (length); each cell's lens keeps seam/2 from its border.
+    opaque : bool
+        Whether land stops light (fate VIGNETTED) or lets it pass (fate LAND).
+    border : float
+        Width of plain land around the cells (length).
+    """
+
+    seam: float = 0.0
+    opaque: bool = False
+    border: float = 0.0
+
+
+@dataclass(frozen=True)
+class Baffle:
+    """Opaque honeycomb of sheared prisms between the arrays, from cell 1's border to its partner's."""
+
+    wall: float
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The whole sheet: bodies in the order light meets them, and the lattice they repeat on.
+
+    Attributes
+    ----------
+    form : "biconvex", "plano" or "slab"
+    bodies : tuple of Body
+    lattice : Lattice
+    shifts : ((x, y), (x, y)), lengths
+        Displacement of the cells of array 0 (always 0, 0) and array 1 against the lattice.
+    unit : float
+        One design unit in metres.
+    wavelength : float or None
+        Design wavelength, metres; None when a bare index was given.
+    z_range : (low, high), lengths
+        Lowest and highest point of any body.
+    law : Law
+        What was asked. The tracer calls its `refract` on rung "law" and reads nothing else of it.
+    thin : ThinPair
+    land : Land
+    baffle : Baffle or None
+    outline : Circle, Rectangle or None
+        Side outline of every body where it is not simply the boundary of the cells (a border, a round
+        window, a slab whose arrays are displaced). Centred on the origin for a slab, on its array's
+        displacement for a body that carries one array. Between cells and outline lies land.
+    recipe : mapping
+        How radii and poses were found (kept for reports and the manifest).
+    residual : mapping
+        Parabasal law error and decollimation left by the recipe.
+    name : str
+    """
+
+    form: Form
+    bodies: tuple[Body, ...]
+    lattice: Lattice
+    shifts: tuple[tuple[float, float], tuple[float, float]]
+    unit: float
+    z_range: tuple[float, float]
+    law: Law
+    thin: ThinPair
+    land: Land = Land()
+    baffle: Baffle | None = None
+    outline: Outline | None = None
+    wavelength: float | None = None
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    residual: Mapping[str, float] = field(default_factory=dict)
+    name: str = "sheet"
+
+    @property
+    def faces(self) -> tuple[Face, ...]:
+        """All faces in the order light meets them."""
+        return tuple(face for body in self.bodies for face in (body.front, body.back))
+
+    def with_cells(self, count: tuple[int, int]) -> Window:
+        """Give the same design with another cell count, centred on the origin, without a cut outline."""
+        small = replace(self, lattice=self.lattice.with_count(count))
+        return replace(small, outline=side_outline(small))
+
+
+def side_outline(window: Window) -> Outline | None:
+    """Side outline of the bodies where it is not the boundary of their cells; see `Window.outline`.
+
+    The lattice's own outline; else a rectangle where there is a border, or a slab whose arrays are displaced
+    against one another.
+    """
+    if window.lattice.outline is not None:
+        return window.lattice.outline
+    border, shift = window.land.border, window.shifts[1]
+    displaced = window.form == "slab" and shift != (0.0, 0.0)
+    if border == 0.0 and not displaced:
+        return None
+    x0, x1, y0, y1 = window.lattice.extent()
+    reach_x, reach_y = max(-x0, x1) + border, max(-y0, y1) + border
+    if window.form == "slab":
+        reach_x, reach_y = reach_x + abs(shift[0]), reach_y + abs(shift[1])
+    return Rectangle(2.0 * reach_x, 2.0 * reach_y)
+
+
+def optical_tile(window: Window) -> Floats:
+    """Corners of the optical zone of a cell: the tile less seam/2 along every border, (m, 2), lengths."""
+    tile = window.lattice.tile()
+    half = window.lattice.half_widths
+    seam = window.land.seam
+    if seam == 0.0:
+        return tile
+    if window.lattice.hexagonal:
+        return np.asarray(tile * (1.0 - 0.5 * seam / half[0]))
+    return np.asarray(tile * np.array([1.0 - 0.5 * seam / half[0], 1.0 - 0.5 * seam / half[1]]))
+
+
+def in_optical_tile(window: Window, x: Floats, y: Floats) -> NDArray[np.bool_]:
+    """Tell which points (cell frame, (n,), lengths) lie in the optical zone of their cell, (n,) bool."""
+    margin = 0.5 * window.land.seam
+    inside = np.ones(np.shape(x), dtype=bool)
+    for step, half in zip(window.lattice.steps, window.lattice.half_widths):
+        ox, oy = window.lattice.offset(*step)
+        inside &= (x * ox + y * oy) / (2.0 * half) <= half - margin
+    return inside
+
+
+def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
+    """Sheet-frame height of a lenslet over points of its cell frame.
+
+    Parameters
+    ----------
+    face : Face
+    x, y : (n,) arrays, lengths
+        Cell frame.
+
+    Returns
+    -------
+    (n,) array, lengths
+        NaN where the lenslet has no point above (x, y), or where its graph has passed the equator.
+
+    Notes
+    -----
+    A vertical ray meets the surface in the lens frame; the quadric's cancellation-free root is used,
+    so the height above the apex keeps its relative accuracy however flat the lens is.
+    """
+    if face.untilted and isinstance(face.surface, Quadric):
+        sag = upright_sag(face.surface, np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1])
+        if sag is not None:
+            return np.asarray(face.vertex[2] + sag)
+    z, _ = lens_height_and_normal(face, x, y)
+    return z
+
+
+def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Sheet-frame height (n,) and unit normal towards +z (n, 3) of a lenslet over cell-frame points.
+
+    NaN where `lens_height` is NaN.
+    """
+    x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+    vx, vy, vz = face.vertex
+    start = np.stack([x - vx, y - vy, np.zeros(x.shape)], axis=-1).reshape(-1, 3)
+    up = np.array([0.0, 0.0, 1.0])
+    if not face.untilted:
+        start = start @ face.rotation
+        up = face.rotation[2].copy()
+    direction = np.broadcast_to(up, start.shape)
+    met = meet(face.surface, start, np.ascontiguousarray(direction))
+    normal = met.gradient
+    if not face.untilted:
+        normal = normal @ face.rotation.T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        graph = (normal[:, 2] > 0.0) & np.isfinite(met.distance)
+    z = np.where(graph, vz + met.distance, np.nan)
+    normal = np.where(graph[:, None], normal, np.nan)
+    return z.reshape(x.shape), normal.reshape((*x.shape, 3))
+
+
+def column(window: Window, body: Body, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Front and back height of a columnar body's column over cell-frame points, (n,) each, lengths.
+
+    Lens where the lens stands proud of the land inside its optical zone, land elsewhere, NaN in both
+    where there is no material (outside the rim of a lens without a web).
+    """
+    front, back = face_height(window, body.front, x, y), face_height(window, body.back, x, y)
+    if not body.columnar:
+        return front, back
+    lens_front = _in_zone(window, body.front, x, y)
+    lens_back = _in_zone(window, body.back, x, y)
+    with np.errstate(invalid="ignore"):
+        rimless = ~(lens_front <= lens_back)  # outside the rim, or no lens at all
+    land_front = np.nan if body.front.land is None else body.front.land
+    land_back = np.nan if body.back.land is None else body.back.land
+    return np.where(rimless, land_front, front), np.where(rimless, land_back, back)
+
+
+def face_height(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
+    """Height of one face over cell-frame points (n,): the outermost of lens and land, NaN at a hole."""
+    if face.array is None:
+        return np.full(np.shape(x), face.vertex[2])
+    lens = _in_zone(window, face, x, y)
+    if face.land is None:
+        return lens
+    proud = np.fmin(lens, face.land) if face.side > 0 else np.fmax(lens, face.land)
+    return np.asarray(proud)
+
+
+def _in_zone(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
+    lens = lens_height(face, x, y)
+    if window.land.seam > 0.0:
+        lens = np.where(in_optical_tile(window, np.asarray(x), np.asarray(y)), lens, np.nan)
+    return lens

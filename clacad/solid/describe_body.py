@@ -1,0 +1,225 @@
+"""Describe a whole body of a window: its tilings, the land round them, the outline. Lengths in mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from clacad.sheet.lattice import Circle, Lattice, Outline
+from clacad.sheet.window import Body, Face, Window
+from clacad.solid.face_pattern import SNAP, Floats, Kind
+from clacad.solid.outline_faces import flat_faces, outline_faces
+from clacad.solid.outline_path import outline_path
+from clacad.solid.repeated_cell import Cell, CellFace, make_cell
+from clacad.solid.shells import MERGE, Shells, Writer
+from clacad.solid.tiling_columns import Columns
+from clacad.solid.wall_segments import Column
+from clacad.topology.build_complex import cell_complex
+from clacad.topology.cannot_build import CannotBuild
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Cells of one tiling between two faces: a whole body, or half of a displaced slab.
+
+    Attributes
+    ----------
+    cell : Cell
+    shift : (2,), mm
+    outside : Column or None
+        The land between the cells and the outline.
+    breaks : tuple of (n,) parameters, or None
+        Per class of borders between two cells: where anything changes, from the cell complex.
+    """
+
+    cell: Cell
+    shift: Floats
+    outside: Column | None
+    breaks: tuple[Floats, ...] | None = None
+
+
+def millimetres(window: Window) -> float:
+    """Millimetres per design unit."""
+    return window.unit * 1e3
+
+
+def displaced(window: Window, body: Body) -> bool:
+    """Whether the two faces of a body repeat on grids that do not coincide."""
+    arrays = body.front.array, body.back.array
+    if None in arrays or arrays[0] == arrays[1]:
+        return False
+    return window.shifts[0] != window.shifts[1]
+
+
+def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
+    """Cut a body into layers of columns: one, or two where its faces lie on displaced grids.
+
+    Parameters
+    ----------
+    window : Window
+    body : Body
+    middle : float or None, mm
+        Height of the plane at which the two layers of a displaced slab end; None leaves them open to one another.
+
+    Raises
+    ------
+    ValueError
+        The body cannot be built; see `make_cell`.
+    """
+    scale = millimetres(window)
+    if not displaced(window, body):
+        array = body.front.array if body.front.array is not None else body.back.array
+        if array is None:
+            raise ValueError(f"body {body.name!r} has no lenslets")
+        cell = make_cell(window, body.front, body.back, scale)
+        return (Layer(cell, np.array(window.shifts[array]) * scale, _outside(window, cell)),)
+    made = []
+    for face, front in ((body.front, True), (body.back, False)):
+        assert face.array is not None
+        if front:
+            cell = make_cell(window, face, None, scale, back_level=middle)
+        else:
+            cell = make_cell(window, None, face, scale, front_level=middle)
+        made.append(Layer(cell, np.array(window.shifts[face.array]) * scale, _outside(window, cell)))
+    return tuple(made)
+
+
+def _outside(window: Window, cell: Cell) -> Column | None:
+    if window.outline is None:
+        return None
+    faces, runs = [], []
+    for face in cell.faces:
+        kind: Kind = "open" if face.open else "plane" if face.plane else "land"
+        if kind == "land" and face.level is None:
+            raise CannotBuild(
+                "CL134",
+                "a border round the cells needs land, whose height is not known here: give pair.web (biconvex)",
+            )
+        if kind == "land":
+            face = CellFace(face.side, level=face.level)
+        faces.append(face)
+        runs.append(((0.0, 1.0, kind),))
+    return Column((faces[0], faces[1]), (runs[0], runs[1]), np.zeros(2), outside=True)
+
+
+def describe_body(window: Window, body: Body, writer: Writer, merge: float = MERGE) -> Shells:
+    """Describe one body as closed shells.
+
+    Parameters
+    ----------
+    window : Window
+    body : Body
+    writer : Writer
+    merge : float, mm
+        Heights closer than this at a node, or along a whole border, are one.
+
+    Returns
+    -------
+    Shells
+        Face numbers of every piece, counts.
+
+    Raises
+    ------
+    ValueError
+        The body cannot be built as a solid.
+    """
+    parts = layers(window, body)
+    if len(parts) == 2 and window.outline is None:
+        raise CannotBuild(
+            "CL134",
+            "a slab whose arrays are displaced needs a border round both: give body.border a width, or lattice.outline",
+        )
+    parts = tuple(
+        replace(part, breaks=breaks) for part, breaks in zip(parts, _breaks(window, body, merge), strict=True)
+    )
+    return describe_layers(parts, window.lattice, window.outline, millimetres(window), writer, merge)
+
+
+_known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ...], ...]]] = (
+    WeakKeyDictionary()
+)
+
+
+def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...], ...]:
+    """Where anything changes on the borders of each tiling; kept, for it is the same for any number of cells."""
+    scale = millimetres(window)
+    lattice = window.lattice
+    key = (
+        lattice.kind,
+        lattice.pitch,
+        window.shifts,
+        window.land,
+        window.unit,
+        window.outline is None,
+        merge,
+    )
+    if body not in _known or _known[body][0] != key:
+        complex_ = cell_complex(window, body, merge / scale, SNAP / scale, rims=False)
+        found = tuple(tuple(border.breaks for border in tiling.borders) for tiling in complex_.tilings)
+        _known[body] = (key, found)
+    return _known[body][1]
+
+
+def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline | None, scale: float, writer: Writer,
+                    merge: float = MERGE, hollow: bool = False) -> Shells:  # fmt: skip
+    """Describe layers of columns within an outline; `hollow` leaves the cells out and keeps the land round them."""
+    shells = Shells(writer, merge, split=hollow)
+    rim = -1 if outline is None else shells.owner()
+    centre = parts[0].shift if len(parts) == 1 else np.zeros(2)
+    path = None if outline is None else outline_path(outline, scale, centre)
+    tilings = []
+    for part in parts:
+        if path is not None and outline is not None:
+            _refuse_beyond(part, lattice, outline, scale, centre)
+        tiling = Columns(
+            shells, part.cell, lattice, scale, part.shift, part.outside, rim, hollow, part.breaks, path
+        )  # fmt: skip
+        tiling.describe()
+        tilings.append(tiling)
+    if path is not None:
+        outline_faces(shells, path, tuple(tilings), rim, hollow)
+        return shells
+    for tiling in tilings:
+        for f, face in enumerate(tiling.cell.faces):
+            if face.plane:
+                flat_faces(shells, f, face, "plane")
+    return shells
+
+
+def _refuse_beyond(part: Layer, lattice: Lattice, outline: Outline, scale: float, centre: Floats) -> None:
+    """Refuse a cell that the outline does not hold: the outline would cut through a lenslet.
+
+    Raises
+    ------
+    CannotBuild
+        CL136.
+    """
+    cells = lattice.centres(lattice.cells()) * scale + part.shift - centre
+    x, y = np.moveaxis(cells[:, None] + part.cell.tile, -1, 0)
+    if isinstance(outline, Circle):
+        beyond = np.hypot(x, y) - 0.5 * outline.diameter * scale
+    else:
+        beyond = np.maximum(np.abs(x) - 0.5 * outline.width * scale, np.abs(y) - 0.5 * outline.height * scale)
+    if len(cells) and float(beyond.max()) > SNAP:
+        raise CannotBuild(
+            "CL136",
+            f"a cell reaches {float(beyond.max()) / scale:.3g} beyond the outline {outline}; a larger outline or fewer "
+            "cells would hold it",
+        )
+
+
+def single(window: Window) -> Lattice:
+    """A lattice of one cell, for the parts of an instanced assembly."""
+    return replace(window.lattice, count=(1, 1), outline=None)
+
+
+def middle_plane(body: Body, window: Window) -> float:
+    """Height (mm) of the plane at which a displaced slab is cut into two layers of cells."""
+    scale = millimetres(window)
+    return 0.5 * scale * sum(_reference(face) for face in (body.front, body.back))
+
+
+def _reference(face: Face) -> float:
+    return face.vertex[2]

@@ -1,0 +1,182 @@
+"""Classes of segments with their ends tied to vertices: everything a writer needs, once per class. Lengths in mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.solid.face_pattern import Floats, Kind
+from clacad.solid.rational_conics import Arc, Patch, line, ruled_wall
+from clacad.solid.vertical_lines import Levels, linked_levels
+from clacad.solid.wall_segments import TOLERANCE, Column, SegmentShape, WallShape
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plane:
+    """A plane through `origin` with unit `normal` and reference direction `across`, (3,) each."""
+
+    origin: Floats
+    normal: Floats
+    across: Floats
+
+
+Surface = Patch | Plane
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Use:
+    """A face's use of an edge class: column, face (0 front, 1 back), kind, parameter curve on a lens."""
+
+    column: int
+    face: int
+    kind: Kind
+    parameters: Arc | None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class EdgeClass:
+    """An edge between two stations; levels[0], levels[1] are the vertices at its start and end."""
+
+    arc: Arc
+    levels: tuple[int, int]
+    tolerance: float
+    uses: tuple[Use, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WallEnd:
+    """One vertical side of a wall: vertices from `low` to `high`, which ray it lies on, its parameter curves.
+
+    `curves[i]` belongs to the edge from vertex low + i to low + i + 1; low == high: the side is a point, and
+    `curves[0]` is the parameter line of the degenerate edge.
+    """
+
+    low: int
+    high: int
+    ray: int
+    curves: tuple[Arc, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WallClass:
+    """A wall between edges `low` and `high` of its piece; `along` is the surface normal right of the segment."""
+
+    low: int
+    high: int
+    solid: int
+    surface: Surface
+    ends: tuple[WallEnd, WallEnd]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PieceClass:
+    """Edges and walls between two stations."""
+
+    edges: tuple[EdgeClass, ...]
+    walls: tuple[WallClass, ...]
+    joined: bool
+    merged: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Post:
+    """A segment's station seen from it: its levels, and the sector of each column there."""
+
+    levels: Levels
+    sectors: tuple[int, int]
+    rays: tuple[int, int]
+    """Ray of the piece that ends here, ray of the piece that begins here."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SegmentClass:
+    """A class of congruent segments: posts at its stations, pieces between them."""
+
+    shape: SegmentShape
+    posts: tuple[Post, ...]
+    pieces: tuple[PieceClass, ...]
+    outside: tuple[bool, bool]
+
+
+def segment_class(shape: SegmentShape, columns: Sequence[Column | None], start: Post, end: Post, merge: float
+                  ) -> SegmentClass:  # fmt: skip
+    """Tie the curves of a segment's shape to the vertices at its stations.
+
+    Parameters
+    ----------
+    shape : SegmentShape
+    columns : (left, right)
+    start, end : Post
+        The nodes at the segment's ends.
+    merge : float, mm
+    """
+    inner = [Post(linked_levels(heights, merge), (0, 1), (0, 1)) for heights in shape.heights[1:-1]]
+    posts = (start, *inner, end)
+    pieces = []
+    for i, piece in enumerate(shape.pieces):
+        edges = tuple(
+            _edge(shape, i, curve_index, posts[i], posts[i + 1], columns)
+            for curve_index in range(len(piece.curves))
+        )
+        walls = tuple(_wall(shape, i, wall, edges, posts[i], posts[i + 1]) for wall in piece.walls)
+        merged = sum(curve.apart > 1e-12 and len(curve.strands) > 1 for curve in piece.curves)
+        pieces.append(PieceClass(edges, walls, piece.joined, merged))
+    outside = tuple(column is not None and column.outside for column in columns)
+    return SegmentClass(shape, posts, tuple(pieces), (outside[0], outside[1]))
+
+
+def _edge(
+    shape: SegmentShape, i: int, n: int, first: Post, last: Post, columns: Sequence[Column | None]
+) -> EdgeClass:
+    curve = shape.pieces[i].curves[n]
+    lead = curve.strands[0]
+    levels = tuple(_place(post, lead.column, lead.face) for post in (first, last))
+    arc = curve.arcs[0]
+    meets = arc.with_ends(first.levels.z[levels[0]], last.levels.z[levels[1]])
+    deviation = max(curve.apart, float(np.max(np.abs(meets.poles - arc.poles))))
+    uses = []
+    for strand, own in zip(curve.strands, curve.arcs):
+        column = columns[strand.column]
+        assert column is not None
+        parameters = None
+        if strand.kind == "lens":
+            lens = column.faces[strand.face].lens
+            assert lens is not None
+            parameters = lens.parameters(own.moved(-np.append(column.offset, 0.0)))
+        uses.append(Use(strand.column, strand.face, strand.kind, parameters))
+    return EdgeClass(meets, (levels[0], levels[1]), 1.2 * deviation + TOLERANCE, tuple(uses))
+
+
+def _place(post: Post, column: int, face: int) -> int:
+    level = post.levels.place[post.sectors[column]][face]
+    assert level is not None
+    return level
+
+
+def _wall(shape: SegmentShape, i: int, wall: WallShape, edges: Sequence[EdgeClass], first: Post, last: Post
+          ) -> WallClass:  # fmt: skip
+    low, high = edges[wall.low], edges[wall.high]
+    a, b = shape.points[i], shape.points[i + 1]
+    along = np.append((b - a) / np.hypot(*(b - a)), 0.0)
+    right = np.array([along[1], -along[0], 0.0])
+    surface: Surface = Plane(low.arc.poles[0].copy(), right, along)
+    if wall.ruled:
+        surface = ruled_wall(low.arc, high.arc)
+    ends = tuple(
+        _wall_end(post, low.levels[e], high.levels[e], post.rays[1 - e], float(e), wall.ruled)
+        for e, post in enumerate((first, last))
+    )
+    return WallClass(wall.low, wall.high, wall.solid, surface, (ends[0], ends[1]))
+
+
+def _wall_end(post: Post, low: int, high: int, ray: int, u: float, ruled: bool) -> WallEnd:
+    if not ruled:
+        return WallEnd(low, high, ray, ())
+    if low == high:
+        return WallEnd(low, high, ray, (line(np.array([u, 0.0]), np.array([u, 1.0])),))
+    z = post.levels.z
+    share = [(z[n] - z[low]) / (z[high] - z[low]) for n in range(low, high + 1)]
+    curves = tuple(line(np.array([u, v]), np.array([u, w])) for v, w in zip(share[:-1], share[1:]))
+    return WallEnd(low, high, ray, curves)

@@ -1,0 +1,237 @@
+"""The corners of the cells of a tiling: which sectors lie round each, and the vertices on its vertical line.
+
+Where a corner lies on the outline, the space round it also holds sectors beyond the outline; a missing cell's
+sector may then be cut in two by the outline. Lengths in mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import atan2, pi, tau
+from typing import Literal
+
+import numpy as np
+
+from clacad.sheet.lattice import Lattice
+from clacad.solid.face_pattern import Floats
+from clacad.solid.outline_path import Path
+from clacad.solid.repeated_cell import Cell
+from clacad.solid.shells import Node, Shells
+from clacad.solid.vertical_lines import Levels, linked_levels
+from clacad.solid.wall_segments import Column, column_of_side
+
+State = Literal["cell", "outside", "empty", "beyond"]
+Index = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """The cells round one corner of a cell, counter-clockwise from the node's canonical first cell.
+
+    Attributes
+    ----------
+    cells : (((di, dj), corner), ...)
+        Relative to the canonical cell.
+    shift : (di, dj)
+        From the cell asked about to the canonical cell.
+    sector : int
+        Which of `cells` the cell asked about is.
+    """
+
+    cells: tuple[tuple[Index, int], ...]
+    shift: Index
+    sector: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sectors:
+    """What lies round a node: states counter-clockwise, and which of them each cell of the ring became.
+
+    `cells[s]` = (first, last) sector of cell s of the ring; ray r lies between sectors r and r + 1.
+    """
+
+    states: tuple[State, ...]
+    corners: tuple[int, ...]
+    cells: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Touch:
+    """A node on the outline.
+
+    Attributes
+    ----------
+    node : Node
+    position : (side, parameter) on the path
+    out, back : rays along the outline, forwards and backwards
+    leaving, arriving : sectors inside the outline next to those rays
+    """
+
+    node: Node
+    position: tuple[int, float]
+    out: int
+    back: int
+    leaving: int
+    arriving: int
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """A node seen from one of its cells."""
+
+    node: Node
+    sectors: Sectors
+    cell: int
+
+    @property
+    def first(self) -> int:
+        """The cell's first sector."""
+        return self.sectors.cells[self.cell][0]
+
+    @property
+    def last(self) -> int:
+        """The cell's last sector."""
+        return self.sectors.cells[self.cell][1]
+
+    @property
+    def before(self) -> int:
+        """The sector clockwise of the cell; also the ray between the two."""
+        return (self.first - 1) % len(self.sectors.states)
+
+    @property
+    def after(self) -> int:
+        """The sector counter-clockwise of the cell."""
+        return (self.last + 1) % len(self.sectors.states)
+
+
+def rings(lattice: Lattice) -> list[Ring]:
+    """Give, for every corner of a tile, the ring of cells that meet there."""
+    tile = lattice.tile()
+    sides = len(tile)
+    near = 1e-6 * lattice.circumradius
+    steps = [(0, 0), *lattice.steps]
+    if not lattice.hexagonal:
+        steps += [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+    found = []
+    for c in range(sides):
+        around: list[tuple[float, Index, int]] = []
+        for step in steps:
+            offset = np.array(lattice.offset(*step))
+            for k in range(sides):
+                if np.hypot(*(offset + tile[k] - tile[c])) < near:
+                    way = offset - tile[c]
+                    around.append((float(np.arctan2(way[1], way[0])), step, k))
+        around.sort()
+        first = min(range(len(around)), key=lambda i: around[i][2])
+        base = around[first][1]
+        order = [around[(first + i) % len(around)] for i in range(len(around))]
+        cells = tuple(((step[0] - base[0], step[1] - base[1]), k) for _, step, k in order)
+        found.append(Ring(cells, base, next(s for s, (_, step, _) in enumerate(order) if step == (0, 0))))
+    return found
+
+
+class Nodes:
+    """All nodes of one tiling, made when first asked for.
+
+    Parameters
+    ----------
+    shells, cell, lattice
+    centre : callable
+        Centre (2,) of the cell with an index, mm.
+    state : callable
+        State of the cell with an index.
+    outside : Column or None
+        The land round the cells.
+    path : Path or None
+        The outline.
+    """
+
+    def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, centre: Callable[[Index], Floats],
+                 state: Callable[[Index], State], outside: Column | None, path: Path | None) -> None:  # fmt: skip
+        self.touches: list[Touch] = []
+        self._shells, self._cell, self._rings = shells, cell, rings(lattice)
+        self._centre, self._state, self._outside, self._path = centre, state, outside, path
+        self._levels: dict[tuple[int, tuple[State, ...]], Levels] = {}
+        self._made: dict[tuple[int, int, int], tuple[Node, Sectors]] = {}
+
+    def at(self, index: Index, corner: int) -> Corner:
+        """The node at a corner of the cell with an index (kept or not)."""
+        ring = self._rings[corner]
+        first = ring.cells[0][1]
+        key = (index[0] + ring.shift[0], index[1] + ring.shift[1], first)
+        if key not in self._made:
+            self._made[key] = self._make((key[0], key[1]), ring)
+        node, sectors = self._made[key]
+        return Corner(node, sectors, ring.sector)
+
+    def _make(self, anchor: Index, ring: Ring) -> tuple[Node, Sectors]:
+        states = tuple(self._state((anchor[0] + a, anchor[1] + b)) for (a, b), _ in ring.cells)
+        corners = tuple(corner for _, corner in ring.cells)
+        place = self._centre(anchor) + self._cell.tile[corners[0]]
+        origin = np.append(place, 0.0)
+        position = None
+        if self._path is not None and "outside" in states:
+            position = self._path.position(place)
+        if position is not None:
+            return self._touch(origin, position, states, corners)
+        sectors = Sectors(states, corners, tuple((s, s) for s in range(len(states))))
+        key = (corners[0], states)
+        if key not in self._levels:
+            self._levels[key] = self._levels_round(sectors)
+        return self._shells.node(origin, self._levels[key]), sectors
+
+    def _touch(self, origin: Floats, position: tuple[int, float], states: tuple[State, ...],
+               corners: tuple[int, ...]) -> tuple[Node, Sectors]:  # fmt: skip
+        assert self._path is not None
+        sectors = self._cut(states, corners, self._path.rays(*position))
+        node = self._shells.node(origin, self._levels_round(sectors))
+        count = len(sectors.states)
+        beyond = [state == "beyond" for state in sectors.states]
+        out = next(r for r in range(count) if beyond[r] and not beyond[(r + 1) % count])
+        back = next(r for r in range(count) if not beyond[r] and beyond[(r + 1) % count])
+        self.touches.append(Touch(node, position, out, back, (out + 1) % count, back))
+        return node, sectors
+
+    def _cut(self, states: tuple[State, ...], corners: tuple[int, ...], rays: tuple[float, float]) -> Sectors:
+        """Cut the sectors of missing cells by the outline's two rays."""
+        tile = self._cell.tile
+        out, back = rays
+        found: list[State] = []
+        sides: list[int] = []
+        cells = []
+        for state, corner in zip(states, corners):
+            first = len(found)
+            if state != "outside":
+                found.append(state)
+            else:
+                ahead, behind = tile[(corner + 1) % len(tile)] - tile[corner], tile[corner - 1] - tile[corner]
+                start = atan2(ahead[1], ahead[0])
+                width = (atan2(behind[1], behind[0]) - start) % tau
+                cuts = sorted(
+                    a for a in ((out - start) % tau, (back - start) % tau) if 1e-6 < a < width - 1e-6
+                )
+                stops = [0.0, *cuts, width]
+                for low, high in zip(stops[:-1], stops[1:]):
+                    way = start + 0.5 * (low + high)
+                    inside = (way - out) % tau < ((back - out) % tau or pi)
+                    found.append("outside" if inside else "beyond")
+            sides += [corner] * (len(found) - first)
+            cells.append((first, len(found) - 1))
+        return Sectors(tuple(found), tuple(sides), tuple(cells))
+
+    def _levels_round(self, sectors: Sectors) -> Levels:
+        heights = np.full((len(sectors.states), 2), np.nan)
+        for s, (state, corner) in enumerate(zip(sectors.states, sectors.corners)):
+            if state in ("empty", "beyond"):
+                continue
+            column = column_of_side(self._cell, corner, np.zeros(2), False)
+            if state == "outside":
+                assert self._outside is not None
+                column = self._outside
+            kinds = [column.kind(f, 0.0) for f in (0, 1)]
+            if "none" in kinds:
+                continue
+            x, y = self._cell.tile[corner][:, None]
+            heights[s] = [float(column.faces[f].height(kinds[f], x, y)[0]) for f in (0, 1)]
+        return linked_levels(heights, self._shells.merge)

@@ -1,0 +1,235 @@
+"""A `Writer` that makes solids of the CAD kernel (OCP), and the kernel's own checks. Lengths in mm."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from OCP.BRep import BRep_Builder
+from OCP.BRepCheck import BRepCheck_Analyzer
+from OCP.BRepGProp import BRepGProp
+from OCP.collections import (
+    Array1_double,
+    Array1_gp_Pnt,
+    Array1_gp_Pnt2d,
+    Array1_int,
+    Array2_double,
+    Array2_gp_Pnt,
+)
+from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Line, Geom_Plane
+from OCP.Geom2d import Geom2d_BSplineCurve
+from OCP.gp import gp_Ax3, gp_Dir, gp_Pnt, gp_Pnt2d, gp_Vec
+from OCP.GProp import GProp_GProps
+from OCP.TopAbs import TopAbs_FORWARD, TopAbs_REVERSED
+from OCP.TopLoc import TopLoc_Location
+from OCP.TopoDS import TopoDS_Edge, TopoDS_Face, TopoDS_Shell, TopoDS_Solid, TopoDS_Vertex, TopoDS_Wire
+
+from clacad.solid.edge_classes import Plane, Surface
+from clacad.solid.face_pattern import Floats
+from clacad.solid.rational_conics import Arc, Patch
+from clacad.solid.shells import Loop, LoopEdge, Role
+
+PARAMETRIC = 1e-7
+"""Tolerance written with parameter curves (mm): they are exact, the kernel wants a number."""
+
+
+@contextmanager
+def unhurried() -> Iterator[None]:
+    """Switch garbage collection off: millions of wrapped kernel objects hold no cycles to look for."""
+    was = gc.isenabled()
+    gc.disable()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if was:
+            gc.enable()
+
+
+class KernelWriter:
+    """Make topology of the CAD kernel; see `clacad.solid.shells.Writer`."""
+
+    def __init__(self) -> None:
+        self._build = BRep_Builder()
+        self.vertices: list[TopoDS_Vertex] = []
+        self.edges: list[TopoDS_Edge] = []
+        self.surfaces: list[Any] = []
+        self.faces: list[Any] = []
+        self.roles: list[Role] = []
+        self._ends: list[float] = []
+        self._prototypes: dict[tuple[int, float], tuple[object, Any]] = {}
+
+    def vertex(self, point: Floats, tolerance: float) -> int:
+        """Make a vertex."""
+        made = TopoDS_Vertex()
+        self._build.MakeVertex(made, gp_Pnt(*map(float, point)), tolerance)
+        self.vertices.append(made)
+        return len(self.vertices) - 1
+
+    def edge(self, first: int, last: int, arc: Arc, offset: Floats, tolerance: float) -> int:
+        """Make an edge; its curve is a Bézier curve on 0 … 1, or a line on 0 … its length, which selections find."""
+        made = TopoDS_Edge()
+        end = float(np.linalg.norm(arc.poles[1] - arc.poles[0])) if arc.straight else 1.0
+        curve = self._prototype(arc, _curve).Translated(gp_Vec(*map(float, offset)))
+        self._build.MakeEdge(made, curve, tolerance)
+        self._build.Add(made, self.vertices[first].Oriented(TopAbs_FORWARD))
+        self._build.Add(made, self.vertices[last].Oriented(TopAbs_REVERSED))
+        self._build.Range(made, 0.0, end)
+        for vertex in (first, last):
+            self._build.UpdateVertex(self.vertices[vertex], tolerance)
+        self.edges.append(made)
+        self._ends.append(end)
+        return len(self.edges) - 1
+
+    def surface(self, surface: Surface, offset: Floats) -> int:
+        """Make a surface."""
+        make = _plane if isinstance(surface, Plane) else _patch
+        self.surfaces.append(self._prototype(surface, make).Translated(gp_Vec(*map(float, offset))))
+        return len(self.surfaces) - 1
+
+    def face(self, surface: int, same_sense: bool, loops: list[Loop], role: Role) -> int:
+        """Make a face."""
+        face = TopoDS_Face()
+        self._build.MakeFace(face, self.surfaces[surface], PARAMETRIC)
+        for loop in loops:
+            wire = TopoDS_Wire()
+            self._build.MakeWire(wire)
+            for use in loop if same_sense else loop[::-1]:
+                self._build.Add(wire, self._used(use, use.forward == same_sense, surface))
+            wire.Closed(True)
+            self._build.Add(face, wire)
+        self.faces.append(face if same_sense else face.Reversed())
+        self.roles.append(role)
+        return len(self.faces) - 1
+
+    def _used(self, use: LoopEdge, forward: bool, surface: int) -> Any:
+        if use.edge < 0:
+            return self._degenerate(use, forward, surface)
+        edge = self.edges[use.edge]
+        if use.parameters is not None:
+            curve = self._prototype(use.parameters, _curve_2d, self._ends[use.edge])
+            self._build.UpdateEdge(edge, curve, self.surfaces[surface], TopLoc_Location(), PARAMETRIC)
+        return edge.Oriented(TopAbs_FORWARD if forward else TopAbs_REVERSED)
+
+    def _degenerate(self, use: LoopEdge, forward: bool, surface: int) -> Any:
+        assert use.parameters is not None
+        edge = TopoDS_Edge()
+        self._build.MakeEdge(edge)
+        curve = self._prototype(use.parameters, _curve_2d)
+        self._build.UpdateEdge(edge, curve, self.surfaces[surface], TopLoc_Location(), PARAMETRIC)
+        vertex = self.vertices[use.vertex]
+        self._build.Add(edge, vertex.Oriented(TopAbs_FORWARD))
+        self._build.Add(edge, vertex.Oriented(TopAbs_REVERSED))
+        self._build.Range(edge, 0.0, 1.0)
+        self._build.Degenerated(edge, True)
+        return edge.Oriented(TopAbs_FORWARD if forward else TopAbs_REVERSED)
+
+    def _prototype(self, key: object, make: Any, end: float = 1.0) -> Any:
+        """The kernel's object for a class of curves or surfaces, made once; `end`: last parameter of a 2-D curve."""
+        found = self._prototypes.get((id(key), end))
+        if found is None:
+            made = make(key) if end == 1.0 else make(key, end)
+            found = self._prototypes[id(key), end] = (
+                key,
+                made,
+            )  # the key is kept alive: ids are not used again
+        return found[1]
+
+    def solid(self, faces: list[int]) -> TopoDS_Solid:
+        """Close faces to a solid."""
+        shell, solid = TopoDS_Shell(), TopoDS_Solid()
+        self._build.MakeShell(shell)
+        for face in faces:
+            self._build.Add(shell, self.faces[face])
+        shell.Closed(True)
+        self._build.MakeSolid(solid)
+        self._build.Add(solid, shell)
+        return solid
+
+
+def _knots(degree: int, end: float = 1.0) -> tuple[Any, Any]:
+    knots, multiplicities = Array1_double(1, 2), Array1_int(1, 2)
+    knots.SetValue(1, 0.0)
+    knots.SetValue(2, end)
+    multiplicities.SetValue(1, degree + 1)
+    multiplicities.SetValue(2, degree + 1)
+    return knots, multiplicities
+
+
+def _curve(arc: Arc) -> Any:
+    if arc.straight:
+        way = arc.poles[1] - arc.poles[0]
+        return Geom_Line(gp_Pnt(*map(float, arc.poles[0])), gp_Dir(*map(float, way)))
+    n = len(arc.poles)
+    poles, weights = Array1_gp_Pnt(1, n), Array1_double(1, n)
+    for i in range(n):
+        poles.SetValue(i + 1, gp_Pnt(*map(float, arc.poles[i])))
+        weights.SetValue(i + 1, float(arc.weights[i]))
+    knots, multiplicities = _knots(n - 1)
+    if np.ptp(arc.weights) == 0.0:
+        return Geom_BSplineCurve(poles, knots, multiplicities, n - 1)
+    return Geom_BSplineCurve(poles, weights, knots, multiplicities, n - 1)
+
+
+def _curve_2d(arc: Arc, end: float = 1.0) -> Any:
+    n = len(arc.poles)
+    poles, weights = Array1_gp_Pnt2d(1, n), Array1_double(1, n)
+    for i in range(n):
+        poles.SetValue(i + 1, gp_Pnt2d(*map(float, arc.poles[i])))
+        weights.SetValue(i + 1, float(arc.weights[i]))
+    knots, multiplicities = _knots(n - 1, end)
+    return Geom2d_BSplineCurve(poles, weights, knots, multiplicities, n - 1)
+
+
+def _patch(patch: Patch) -> Any:
+    m, n = patch.weights.shape
+    poles, weights = Array2_gp_Pnt(1, m, 1, n), Array2_double(1, m, 1, n)
+    for i in range(m):
+        for j in range(n):
+            poles.SetValue(i + 1, j + 1, gp_Pnt(*map(float, patch.poles[i, j])))
+            weights.SetValue(i + 1, j + 1, float(patch.weights[i, j]))
+    ku, mu = _knots(m - 1)
+    kv, mv = _knots(n - 1)
+    return Geom_BSplineSurface(poles, weights, ku, kv, mu, mv, m - 1, n - 1)
+
+
+def _plane(plane: Plane) -> Any:
+    origin = gp_Pnt(*map(float, plane.origin))
+    return Geom_Plane(gp_Ax3(origin, gp_Dir(*map(float, plane.normal)), gp_Dir(*map(float, plane.across))))
+
+
+def is_valid(shape: Any) -> bool:
+    """Ask the kernel whether a shape is consistent (it cannot see a wrong radius or a bow-tie wall)."""
+    return bool(BRepCheck_Analyzer(shape).IsValid())
+
+
+QUADRATURE = 1e-12
+"""Relative error asked of the kernel's adaptive quadrature, per face; its fixed one errs by 2e-8 at curved rims."""
+
+
+def volume(shape: Any) -> float:
+    """Volume by the kernel's adaptive quadrature, mm³."""
+    properties = GProp_GProps()
+    BRepGProp.VolumeProperties_s(shape, properties, QUADRATURE)
+    return float(properties.Mass())
+
+
+def engraved_volume(shape: Any) -> float:
+    """Volume of a solid with engraved faces by the kernel's Gauss-Kronrod quadrature, mm³.
+
+    Its adaptive one, faster, is off by 1e-5 and says it is not where a plane is bordered by many splines.
+    """
+    properties = GProp_GProps()
+    BRepGProp.VolumePropertiesGK_s(shape, properties, QUADRATURE)
+    return float(properties.Mass())
+
+
+def surface_area(shape: Any) -> float:
+    """Surface area by the kernel's adaptive quadrature, mm²."""
+    properties = GProp_GProps()
+    BRepGProp.SurfaceProperties_s(shape, properties, QUADRATURE)
+    return float(properties.Mass())

@@ -1,0 +1,316 @@
+"""The faces at the outline of a body: its sides, and the flat faces that reach out to it. Lengths in mm.
+
+A cell may touch the outline along a whole border (a slab whose arrays are displaced, cells that fill a rectangle)
+or in a corner (a round outline through a lattice point). There the side face is bounded by the cell's own border
+curve; between touches runs land, bounded by the outline itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.sheet.lattice import polygon_area
+from clacad.solid.edge_classes import Plane
+from clacad.solid.face_pattern import Floats, encloses
+from clacad.solid.node_sectors import Touch
+from clacad.solid.outline_path import Path
+from clacad.solid.rational_conics import line, ruled_wall
+from clacad.solid.repeated_cell import CellFace
+from clacad.solid.shells import FlatEdge, Loop, LoopEdge, Shells, reverse
+from clacad.solid.tiling_columns import Columns
+
+
+@dataclass(eq=False)
+class _Span:
+    """A stretch of the outline between two stops, for one face: its edges, and where it ends.
+
+    `solid` is False where neither cell nor land is (the hollow land of an assembly).
+    """
+
+    side: int
+    u0: float
+    u1: float
+    uses: Loop
+    solid: bool
+
+
+class _Stop:
+    """A point of the outline at which spans meet: a touch of the tiling, or a free corner."""
+
+    def __init__(
+        self, shells: Shells, place: tuple[int, float], point: Floats, level: float, touch: Touch | None
+    ):
+        self.place, self.point, self.touch, self._shells = place, point, touch, shells
+        self._free = -1
+        self._level = level
+
+    def vertex(self, face: int, leaving: bool) -> int:
+        """The vertex at which a span leaves or arrives."""
+        if self.touch is None:
+            if self._free < 0:
+                self._free = self._shells.point(np.append(self.point, self._level))
+            return self._free
+        return self._shells.vertex(self.touch.node, self._place(face, leaving))
+
+    def _place(self, face: int, leaving: bool) -> int:
+        assert self.touch is not None
+        sector = self.touch.leaving if leaving else self.touch.arriving
+        level = self.touch.node.levels.place[sector][face]
+        assert level is not None
+        return level
+
+    def climb(self, face: int) -> Loop:
+        """Vertical edges from where a span arrives to where the next one leaves."""
+        if self.touch is None:
+            return []
+        start, end = self._place(face, False), self._place(face, True)
+        # Between the two heights only one of the two columns is solid: the lower front, the higher back.
+        leaving_solid = (end < start) if face == 0 else (end > start)
+        return self._steps(start, end, self.touch.out if leaving_solid else self.touch.back)
+
+    def wall_end(self, leaving: bool) -> Loop:
+        """Vertical edges from front to back where land ends at the outline (upwards)."""
+        assert self.touch is not None
+        levels = self.touch.node.levels
+        front, back = levels.place[self.touch.leaving if leaving else self.touch.arriving]
+        assert front is not None
+        assert back is not None
+        u = 1.0 if not leaving and self.place[1] == 0.0 else self.place[1]
+        share = (np.array(levels.z[front : back + 1]) - levels.z[front]) / (levels.z[back] - levels.z[front])
+        edges = self._steps(front, back, self.touch.out if leaving else self.touch.back)
+        return [
+            LoopEdge(use.edge, True, line(np.array([u, v]), np.array([u, w])))
+            for use, v, w in zip(edges, share[:-1], share[1:], strict=True)
+        ]
+
+    def _steps(self, start: int, end: int, ray: int) -> Loop:
+        assert self.touch is not None
+        if start <= end:
+            return [LoopEdge(self._shells.vertical(self.touch.node, n, ray), True) for n in range(start, end)]
+        return [
+            LoopEdge(self._shells.vertical(self.touch.node, n, ray), False)
+            for n in range(start - 1, end - 1, -1)
+        ]
+
+
+class _Ring:
+    """The outline of one face: stops and spans in order, from corner 0 round."""
+
+    def __init__(self, shells: Shells, path: Path, tiling: Columns, face: int, owner: int) -> None:
+        self.face, self._shells, self._path, self._owner = face, shells, path, owner
+        flat = tiling.cell.faces[face]
+        land = tiling.outside_face(face)
+        self.level = land.level
+        assert self.level is not None
+        self._key = ("plane" if flat.plane else "outside", face)
+        touches = {touch.position: touch for touch in tiling.touches}
+        places = sorted({(side, 0.0) for side in range(len(path.arcs))} | set(touches))
+        self.stops = [
+            _Stop(
+                shells,
+                place,
+                path.arcs[place[0]].at(np.array([place[1]]))[0, :2],
+                self.level,
+                touches.get(place),
+            )
+            for place in places
+        ]
+        self.spans = [self._span(tiling, n) for n in range(len(self.stops))]
+
+    def _span(self, tiling: Columns, n: int) -> _Span:
+        stop, after = self.stops[n], self.stops[(n + 1) % len(self.stops)]
+        side, u0 = stop.place
+        u1 = after.place[1] if after.place[0] == side and after.place[1] > u0 else 1.0
+        if stop.touch is not None and id(stop.touch.node) in tiling.touching:
+            uses = tiling.touching[id(stop.touch.node)][self.face]
+            return _Span(side, u0, u1, uses, bool(uses))
+        assert self.level is not None
+        arc = self._path.stretch(side, u0, u1)
+        first, last = stop.vertex(self.face, True), after.vertex(self.face, False)
+        edge = self._shells.edge(first, last, arc, np.array([0.0, 0.0, self.level]))
+        curve = None
+        if not arc.straight:
+            v = float(self.face)
+            curve = line(np.array([u0, v]), np.array([u1, v]))
+        ways = arc.poles[1] - arc.poles[0], arc.poles[-1] - arc.poles[-2]
+        points = arc.at(np.linspace(0.0, 1.0, 2 if arc.straight else 33))[:, :2]
+        flat = FlatEdge(LoopEdge(edge, True), first, last, self._owner, ways[0][:2], ways[1][:2], points)
+        self._shells.flat[self._key].append(flat)
+        return _Span(side, u0, u1, [LoopEdge(edge, True, curve)], True)
+
+    def corner(self, side: int) -> int:
+        """Number of the stop at which a side begins."""
+        return next(n for n, stop in enumerate(self.stops) if stop.place == (side, 0.0))
+
+    def of_side(self, side: int) -> list[int]:
+        """Numbers of the spans of a side, in order."""
+        return [n for n, span in enumerate(self.spans) if span.side == side]
+
+
+def outline_faces(shells: Shells, path: Path, tilings: tuple[Columns, ...], owner: int, hollow: bool) -> None:
+    """Make the side faces of an outline, and the flat faces between it and the cells."""
+    rings = []
+    for f in (0, 1):
+        tiling = next(t for t in tilings if not t.cell.faces[f].open)
+        rings.append(_Ring(shells, path, tiling, f, owner))
+    sides = range(len(path.arcs))
+    posts = {side: _post(shells, rings, side, hollow) for side in sides}
+    for side in sides:
+        after = (side + 1) % len(path.arcs)
+        if not hollow:
+            bottom, top = (_chain(ring, side) for ring in rings)
+            assert posts[after] is not None
+            assert posts[side] is not None
+            loop = [*bottom, _at(posts[after], True, 1.0), *reverse(top), _at(posts[side], False, 0.0)]
+            _side_face(shells, path, owner, side, rings, loop)
+        else:
+            _land_sides(shells, path, owner, side, (rings[0], rings[1]), posts)
+    for f in (0, 1):
+        tiling = next(t for t in tilings if not t.cell.faces[f].open)
+        flat = tiling.cell.faces[f]
+        flat_faces(shells, f, tiling.outside_face(f), "plane" if flat.plane else "outside")
+
+
+def _at(post: int | None, upwards: bool, u: float) -> LoopEdge:
+    assert post is not None
+    return LoopEdge(post, upwards, line(np.array([u, 0.0]), np.array([u, 1.0])))
+
+
+def _post(shells: Shells, rings: list[_Ring], side: int, hollow: bool) -> int | None:
+    """The vertical edge at the beginning of a side; None where hollow land ends, which has its own edges there."""
+    corners = [ring.corner(side) for ring in rings]
+    if hollow and rings[0].stops[corners[0]].touch is not None:
+        return None
+    ends = [ring.stops[corner].vertex(f, True) for f, (ring, corner) in enumerate(zip(rings, corners))]
+    levels = [_height(ring, corner, f) for f, (ring, corner) in enumerate(zip(rings, corners))]
+    start = np.append(rings[0].stops[corners[0]].point, levels[0])
+    rise = np.array([0.0, 0.0, levels[1] - levels[0]])
+    return shells.edge(ends[0], ends[1], line(np.zeros(3), rise), start)
+
+
+def _height(ring: _Ring, corner: int, face: int) -> float:
+    touch = ring.stops[corner].touch
+    if touch is None:
+        assert ring.level is not None
+        return ring.level
+    level = touch.node.levels.place[touch.leaving][face]
+    assert level is not None
+    return touch.node.levels.z[level]
+
+
+def _chain(ring: _Ring, side: int) -> Loop:
+    """The edges of a side for one face, with the vertical edges where spans of different height meet."""
+    numbers = ring.of_side(side)
+    loop: Loop = []
+    for n in numbers:
+        loop += ring.spans[n].uses
+        after = (n + 1) % len(ring.stops)
+        loop += ring.stops[after].climb(ring.face)
+    return loop
+
+
+def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[_Ring, _Ring],
+                posts: dict[int, int | None]) -> None:  # fmt: skip
+    """The side faces of hollow land: one for every row of it between two touches."""
+    numbers = rings[0].of_side(side)
+    rows: list[list[int]] = []
+    for n in numbers:
+        if rings[0].spans[n].solid:
+            if rows and rows[-1][-1] == n - 1 and rings[0].stops[n].touch is None:
+                rows[-1].append(n)
+            else:
+                rows.append([n])
+    for row in rows:
+        first, last = row[0], (row[-1] + 1) % len(rings[0].stops)
+        bottom, top = ([use for n in row for use in ring.spans[n].uses] for ring in rings)
+        up = _end(rings[0], last, False, posts)
+        down = _end(rings[0], first, True, posts)
+        _side_face(shells, path, owner, side, list(rings), [*bottom, *up, *reverse(top), *reverse(down)])
+
+
+def _end(ring: _Ring, n: int, leaving: bool, posts: dict[int, int | None]) -> Loop:
+    """The vertical edges (upwards) at one end of a row of land."""
+    stop = ring.stops[n]
+    if stop.touch is None:
+        return [_at(posts[stop.place[0]], True, 0.0 if leaving else 1.0)]
+    return stop.wall_end(leaving)
+
+
+def _side_face(shells: Shells, path: Path, owner: int, side: int, rings: list[_Ring], loop: Loop) -> None:
+    """One side face: a plane, or an exact rational quarter of a cylinder."""
+    arc = path.arcs[side]
+    levels = [ring.level for ring in rings]
+    assert levels[0] is not None
+    assert levels[1] is not None
+    low, high = (np.array([0.0, 0.0, level]) for level in (levels[0], levels[1]))
+    if arc.straight:
+        along = arc.poles[1] - arc.poles[0]
+        along = along / np.linalg.norm(along)
+        right = np.array([along[1], -along[0], 0.0])
+        surface = shells.writer.surface(Plane(arc.poles[0] + low, right, along), np.zeros(3))
+        loop = [LoopEdge(use.edge, use.forward) for use in loop]
+    else:
+        surface = shells.writer.surface(ruled_wall(arc.moved(low), arc.moved(high)), np.zeros(3))
+    shells.face(owner, surface, True, [loop], "side")
+
+
+# -- flat faces -------------------------------------------------------------------------------------
+
+
+def flat_faces(shells: Shells, f: int, face: CellFace, key: str) -> None:
+    """Close the flat faces whose edges were recorded: the plane of a body, or the land round its cells."""
+    assert face.level is not None
+    pieces: dict[int, list[tuple[Loop, Floats, int]]] = {}
+    for loop, points, owner in _chained(shells, (key, f)):
+        pieces.setdefault(shells.root(owner), []).append((loop, points, owner))
+    if not pieces:
+        return
+    up, across = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    surface = shells.writer.surface(Plane(np.array([0.0, 0.0, face.level]), up, across), np.zeros(3))
+    for loops in pieces.values():
+        for loop, points, owner in (item for item in loops if polygon_area(item[1]) > 0.0):
+            # the middle of an edge stands for a hole: corners may touch
+            within = [
+                hole
+                for hole, place, _ in loops
+                if polygon_area(place) <= 0.0 and encloses(points, 0.5 * (place[0] + place[1]))
+            ]
+            bounds = [loop, *within] if face.side < 0 else [reverse(bound) for bound in (loop, *within)]
+            shells.face(owner, surface, face.side < 0, bounds, "land" if key == "outside" else "plane")
+
+
+def _chained(shells: Shells, key: tuple[str, int]) -> list[tuple[Loop, Floats, int]]:
+    """Closed loops of the recorded edges of a flat face, the face on the left; with their points and an owner."""
+    leaving: dict[int, list[FlatEdge]] = {}
+    for edge in shells.flat[key]:
+        edge = edge if edge.use.forward else edge.reversed()
+        leaving.setdefault(edge.first, []).append(edge)
+    loops = []
+    while leaving:
+        # A loop that begins where two regions touch might end there too early.
+        start = next((vertex for vertex, ways in leaving.items() if len(ways) == 1), next(iter(leaving)))
+        edge = leaving[start][0]
+        loop: Loop = []
+        points: list[Floats] = []
+        here = start
+        while True:
+            ways = leaving[here]
+            edge = ways.pop(0) if len(ways) == 1 or not loop else ways.pop(_next_way(edge, ways))
+            if not ways:
+                del leaving[here]
+            loop.append(edge.use)
+            points += list(edge.points[:-1])
+            here = edge.last
+            if here == start:
+                break
+        loops.append((loop, np.array(points), edge.owner))
+    return loops
+
+
+def _next_way(arrived: FlatEdge, ways: list[FlatEdge]) -> int:
+    """Which edge bounds the region on the left where several leave a vertex: the first one clockwise from behind."""
+    behind = np.arctan2(-arrived.way_in[1], -arrived.way_in[0])
+    turns = [(behind - np.arctan2(way.way_out[1], way.way_out[0])) % (2.0 * np.pi) for way in ways]
+    return int(np.argmin([turn if turn > 1e-9 else 2.0 * np.pi for turn in turns]))

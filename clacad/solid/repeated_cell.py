@@ -1,0 +1,261 @@
+"""The piece that repeats: one cell of an array with its front and back faces, in the cell frame, lengths in mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from clacad.sheet.window import Face, Window, optical_tile
+from clacad.solid.face_pattern import Floats, Kind, Pattern
+from clacad.solid.fitted_rims import Rim
+from clacad.solid.lens_ends import common_rim, land_rim, zone_samples
+from clacad.solid.lens_faces import (
+    Lens,
+    QuadricLens,
+    fitted_lens,
+    posed_quadric,
+    quadric_lens,
+    scaled_face,
+)
+from clacad.solid.rational_conics import Arc, PosedQuadric, line
+from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
+
+FIT = 1e-10
+"""Allowed error of a fitted (biconic) patch relative to the pitch."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellFace:
+    """One face of a cell.
+
+    Attributes
+    ----------
+    side : +1 front, −1 back
+    level : float or None
+        Height of the land, or of the plane for a plane face (mm).
+    pattern : Pattern or None
+        None for a plane face and for an open one.
+    lens : Lens or None
+    rims : tuple of tuple of Arc
+        The 3-D arcs of every chain of the pattern.
+    plane, open : bool
+        Whether the face is one plane over all cells; whether the body has no face of this tiling here.
+    optical : bool
+        Whether the level is that of an optical plane that ends with its lens, in pieces, and not of land.
+    rim_error : float, mm
+        Distance of fitted rims from the true ones; 0 where they are exact.
+    misfit : float, mm
+        Distance of the rims' edges from the patch they bound.
+    """
+
+    side: int
+    level: float | None = None
+    pattern: Pattern | None = None
+    lens: Lens | None = None
+    rims: tuple[tuple[Arc, ...], ...] = ()
+    plane: bool = False
+    open: bool = False
+    optical: bool = False
+    rim_error: float = 0.0
+    misfit: float = 0.0
+
+    def height(self, kind: Kind, x: Floats, y: Floats) -> Floats:
+        """Heights (n,) of what the face is: lens or level; ±inf where it is open, NaN where it is none (mm)."""
+        if kind == "open":
+            return np.full(np.shape(x), -np.inf if self.side > 0 else np.inf)
+        if kind == "none":
+            return np.full(np.shape(x), np.nan)
+        if kind == "lens":
+            assert self.lens is not None
+            return self.lens.height(x, y)
+        assert self.level is not None
+        return np.full(np.shape(x), self.level)
+
+    def arc(self, kind: Kind, start: Floats, end: Floats) -> Arc:
+        """Border curve of the face over the straight segment start → end, (2,) each (mm)."""
+        if kind == "lens":
+            assert self.lens is not None
+            return self.lens.arc(start, end)
+        assert self.level is not None
+        return line(np.append(start, self.level), np.append(end, self.level))
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """The prototile of a tiling: tile and zone (m, 2) in mm, and the two faces over it."""
+
+    tile: Floats
+    zone: Floats
+    front: CellFace
+    back: CellFace
+
+    @property
+    def faces(self) -> tuple[CellFace, CellFace]:
+        """Front and back."""
+        return self.front, self.back
+
+    @property
+    def one_rim(self) -> bool:
+        """Whether front and back end in one common rim (a lens without land)."""
+        return bool(self.front.rims) and self.front.rims is self.back.rims
+
+    @property
+    def misfit(self) -> float:
+        """Distance of the rims' edges from the patches they bound (mm)."""
+        return max(self.front.misfit, self.back.misfit)
+
+    @cached_property
+    def island(self) -> bool:
+        """Whether the zone keeps away from the borders (a seam)."""
+        return not np.array_equal(self.tile, self.zone)
+
+
+def open_face(side: int) -> CellFace:
+    """The side of a tiling on which the body has no face (the other array of a displaced slab)."""
+    return CellFace(side, open=True)
+
+
+def plane_face(side: int, level: float) -> CellFace:
+    """A face that is one plane over all cells, at `level` (mm)."""
+    return CellFace(side, level=level, plane=True)
+
+
+def make_cell(window: Window, front: Face | None, back: Face | None, scale: float, front_level: float | None = None,
+              back_level: float | None = None) -> Cell:  # fmt: skip
+    """Build the prototile of a tiling.
+
+    Parameters
+    ----------
+    window : Window
+    front, back : Face or None
+        None: a plane at the given level (mm), or open where there is no level either.
+    scale : float
+        mm per design unit.
+
+    Raises
+    ------
+    ValueError
+        A lens surface does not reach over its zone and no land or opposite face bounds it; a graph has passed
+        the equator (undercut).
+    """
+    if front is not None and back is not None:
+        refuse_buried_land(front, back)
+    tile, zone = window.lattice.tile() * scale, optical_tile(window) * scale
+    corners = tuple(tuple(map(tuple, polygon.tolist())) for polygon in (tile, zone))
+    pitch = window.lattice.pitch[0] * scale
+    return _made_cell(front, back, corners, pitch, scale, (front_level, back_level))
+
+
+Corners = tuple[tuple[float, float], ...]
+
+
+@lru_cache(maxsize=16)  # faces are immutable: forecast, drawing up and every grid of a sheet share their cell
+def _made_cell(front: Face | None, back: Face | None, corners: tuple[Corners, Corners], pitch: float, scale: float,
+               levels: tuple[float | None, float | None]) -> Cell:  # fmt: skip
+    tile, zone = (np.array(polygon) for polygon in corners)
+    tolerance = FIT * pitch
+    faces = [None if face is None else scaled_face(face, scale) for face in (front, back)]
+    built = [_flat_face(face, side, level) for face, side, level in zip(faces, (1, -1), levels)]
+    rim, thick = None, None
+    if faces[0] is not None and faces[1] is not None:
+        rim, thick = common_rim((faces[0], faces[1]), zone, tolerance)
+    for n, face in enumerate(faces):
+        flat = built[n]
+        if flat is None:
+            assert face is not None
+            own = rim if rim is not None else land_rim(face, thick, zone, tolerance)
+            built[n] = _lens_face(face, zone, tolerance, own)
+        elif rim is not None:
+            built[n] = _footprint(flat, rim)
+    assert built[0] is not None
+    assert built[1] is not None
+    return Cell(tile, zone, built[0], built[1])
+
+
+def _flat_face(face: Face | None, side: int, level: float | None) -> CellFace | None:
+    if face is None:
+        return open_face(side) if level is None else plane_face(side, level)
+    return plane_face(side, face.vertex[2]) if face.array is None else None
+
+
+def _footprint(flat: CellFace, rim: Rim) -> CellFace:
+    """A plane face that ends where its lens does: one piece in every cell."""
+    pattern = rim.pattern
+    runs = tuple(
+        tuple(replace(run, kind="land") if run.kind == "lens" else run for run in side)
+        for side in pattern.runs
+    )
+    regions = tuple(replace(region, kind="land") for region in pattern.regions if region.kind == "lens")
+    own = replace(pattern, runs=runs, regions=regions)
+    return CellFace(flat.side, flat.level, own, rims=rim.arcs, optical=True)
+
+
+def _lens_face(face: Face, zone: Floats, tolerance: float, rim: Rim) -> CellFace:
+    quadric, pattern = posed_quadric(face), rim.pattern
+    lens: Lens | None = None
+    if quadric is not None:
+        _graph_or_raise(quadric, pattern, zone)
+    if any(region.kind == "lens" for region in pattern.regions):
+        if quadric is not None:
+            lens = quadric_lens(quadric, _boundary(quadric, pattern, zone, rim.arcs))
+        else:
+            lens = fitted_lens(face, _lens_box(pattern, zone, rim.arcs), tolerance)
+    made = CellFace(face.side, face.land, pattern, lens, rim.arcs, rim_error=rim.error)
+    return replace(made, misfit=_misfit(made))
+
+
+def _misfit(face: CellFace) -> float:
+    """Largest distance (mm) of the rim's edges from the patch they bound."""
+    if face.lens is None:
+        return 0.0
+    t = np.linspace(0.0, 1.0, 17)
+    patch, worst = face.lens.patch, 0.0
+    for arc in (arc for chain in face.rims for arc in chain):
+        u, v = face.lens.parameters(arc).at(t).T
+        worst = max(worst, float(np.linalg.norm(patch.at(u, v) - arc.at(t), axis=1).max()))
+    return worst
+
+
+def _lens_box(pattern: Pattern, zone: Floats, rims: tuple[tuple[Arc, ...], ...]) -> Floats:
+    """Corners (2, 2) of the least rectangle that holds the lens, with 1 % to spare at its rims."""
+    if not rims:
+        return zone
+    points = [arc.at(np.linspace(0.0, 1.0, 17))[:, :2] for chain in rims for arc in chain]
+    for k, side in enumerate(pattern.runs):
+        a, b = zone[k], zone[(k + 1) % len(zone)]
+        points += [
+            np.array([a + t * (b - a) for t in (run.t0, run.t1)]) for run in side if run.kind == "lens"
+        ]
+    every = np.concatenate(points)
+    low, high = every.min(axis=0), every.max(axis=0)
+    spare = 0.01 * (high - low)
+    return np.array([low - spare, high + spare])
+
+
+def _graph_or_raise(quadric: PosedQuadric, pattern: Pattern, zone: Floats) -> None:
+    """Check that the lens is a graph over its whole region: no missing point, no undercut."""
+    if len(pattern.regions) == 1 and pattern.regions[0].kind == "lens" and not pattern.chains:
+        x, y = zone_samples(zone)
+        if not np.isfinite(quadric.height(x, y)).all():
+            raise CannotBuild(
+                "CL130",
+                "the lens surface ends inside its cell (its radius is below the cell's half diagonal, or the "
+                "tilt passes its equator) and there is no land to fall back on; a longer "
+                "radius (pair.separation), a smaller lattice.pitch or less tilt",
+            )
+
+
+def _boundary(
+    quadric: PosedQuadric, pattern: Pattern, zone: Floats, rims: tuple[tuple[Arc, ...], ...]
+) -> Floats:
+    """Poles (k, 3) of all arcs that bound the lens; the patch must cover them."""
+    lens = QuadricLens(quadric, (0.0, 1.0), (0.0, 1.0))
+    poles = [arc.poles for chain in rims for arc in chain]
+    for k, side in enumerate(pattern.runs):
+        a, b = zone[k], zone[(k + 1) % len(zone)]
+        for run in side:
+            if run.kind == "lens":
+                poles.append(lens.arc(a + run.t0 * (b - a), a + run.t1 * (b - a)).poles)
+    return np.concatenate(poles)

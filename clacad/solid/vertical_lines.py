@@ -1,0 +1,87 @@
+"""Heights on one vertical line tied to vertices, and which walls share its vertical edges. Lengths in mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.solid.face_pattern import Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Levels:
+    """Vertices on one vertical line.
+
+    Attributes
+    ----------
+    z : tuple of float, mm
+        Ascending.
+    shift : tuple of float, mm
+        How far the heights that share a vertex lie from it at most.
+    place : place[sector][face] = number of the vertex, or None (no height, or open)
+    copies : for each gap between consecutive vertices: ray → copy
+        Ray r lies between sector r and sector r + 1. Walls on rays with the same copy share one vertical edge; two
+        copies are a saddle: columns that touch in a line.
+    """
+
+    z: tuple[float, ...]
+    shift: tuple[float, ...]
+    place: tuple[tuple[int | None, int | None], ...]
+    copies: tuple[dict[int, int], ...]
+
+    @property
+    def saddles(self) -> int:
+        """Number of vertical edges at which four walls meet."""
+        double = [len(set(copies.values())) > 1 for copies in self.copies]
+        return sum(now and not before for before, now in zip([False, *double], double))
+
+
+def linked_levels(heights: Floats, merge: float) -> Levels:
+    """Tie the heights at a node to vertices.
+
+    Parameters
+    ----------
+    heights : (k, 2), mm
+        Front and back height of the k sectors round the node, counter-clockwise; NaN: no column; ±inf: open.
+    merge : float, mm
+        Single linkage: heights closer than this to the next one share a vertex, in the middle of their cluster.
+    """
+    known = sorted((float(z), s, f) for (s, f), z in np.ndenumerate(heights) if np.isfinite(z))
+    clusters: list[list[tuple[float, int, int]]] = []
+    for item in known:
+        if clusters and item[0] - clusters[-1][-1][0] <= merge:
+            clusters[-1].append(item)
+        else:
+            clusters.append([item])
+    z = tuple(0.5 * (cluster[0][0] + cluster[-1][0]) for cluster in clusters)
+    shift = tuple(0.5 * (cluster[-1][0] - cluster[0][0]) for cluster in clusters)
+    number = {(s, f): n for n, cluster in enumerate(clusters) for _, s, f in cluster}
+    place = tuple((number.get((s, 0)), number.get((s, 1))) for s in range(len(heights)))
+    copies = tuple(_copies(heights, place, n, len(z)) for n in range(len(z) - 1))
+    return Levels(z, shift, place, copies)
+
+
+def _copies(
+    heights: Floats, place: Sequence[tuple[int | None, int | None]], n: int, count: int
+) -> dict[int, int]:
+    """Pair the walls round a node in the gap above vertex n: both walls of one solid stretch share an edge."""
+    solid = []
+    for sector, (front, back) in enumerate(place):
+        low = -1 if front is None and heights[sector, 0] == -np.inf else front
+        high = count if back is None and heights[sector, 1] == np.inf else back
+        solid.append(low is not None and high is not None and low <= n < high)
+    k = len(solid)
+    if all(solid) or not any(solid):
+        return {}
+    first = next(s for s in range(k) if solid[s] and not solid[s - 1])
+    copies, copy, inside = {}, -1, False
+    for s in range(first, first + k):
+        if solid[s % k] and not inside:
+            copy += 1
+            copies[(s - 1) % k] = copy
+        if inside and not solid[s % k]:
+            copies[(s - 1) % k] = copy
+        inside = solid[s % k]
+    return copies

@@ -1,0 +1,383 @@
+"""The one writer of files: at a final name there is the old file or the complete new one, never half.
+
+Files are written into a private folder `.clacad-<pid>-<start>-<random>` inside the target folder,
+flushed to the disk, read back by the caller's own check, and only then renamed. The set is sealed by
+renaming the complete `manifest.json` inside the private folder: from that instant the next export
+finishes the publication if this process dies; before it, the next export removes what is left.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from clacad.storage.errors import CannotWrite, ExportRefused
+from clacad.storage.staging import BUSY, OLD, Unfinished, exchange, flush, undisturbed
+
+MANIFEST = "manifest.json"
+RUN_FACTS = "run.json"
+_SEALED = "sealed-manifest.json"
+_PRIVATE = re.compile(r"\.clacad-(\d+)-(\d+)-[0-9a-f]+\Z")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}\Z")
+_BLOCK = 1 << 20
+
+
+def safe_name(text: str) -> str:
+    """Turn a design's name into a file name: letters, digits, '.', '_', '+', '-', at most 100 of them.
+
+    >>> safe_name("../Größe 1")
+    'Gr-e-1'
+    """
+    name = re.sub(r"[^A-Za-z0-9._+]+", "-", text).strip("-.")[:100].strip("-.")
+    name = name.lstrip("_+")
+    return name if _NAME.match(name) else "sheet"
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal; memory is one megabyte."""
+    digest = sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any] | None:
+    """Read `folder`'s manifest, or None when there is none that an export wrote."""
+    try:
+        with (folder / name).open("rb") as stream:
+            text = stream.read(64 << 20)
+        found = json.loads(text)
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or found.get("format") != 1 or not isinstance(found.get("files"), list):
+        return None
+    return found
+
+
+_OPEN: set[Path] = set()
+"""Private folders of this process."""
+
+
+def abandon_all() -> None:
+    """Remove the private folders of this process, which is about to end; a publication under way comes first."""
+    with suppress(RuntimeError):
+        if BUSY.acquire(timeout=10.0):
+            for private in tuple(_OPEN):
+                if not (private / _SEALED).exists():
+                    shutil.rmtree(private, ignore_errors=True)
+
+
+class Stage:
+    """A private folder whose files become visible all at once, or not at all.
+
+    Use as a context manager: leaving it, by whatever road, removes the private folder.
+
+    Parameters
+    ----------
+    folder : path
+        Where the files shall appear. Made if missing. A symbolic link to a folder is followed.
+    overwrite : bool
+        Whether files that no manifest of ours owns may be replaced.
+
+    Raises
+    ------
+    CannotWrite
+        The folder cannot be made or written to.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], overwrite: bool = False) -> None:
+        self.folder = Path(folder)
+        self.overwrite = overwrite
+        self._private: Path | None = None
+        self._lock: int | None = None
+        self._torn = False
+
+    def __enter__(self) -> Stage:
+        with translated(self.folder):
+            if self.folder.exists() and not self.folder.is_dir():
+                raise CannotWrite(f"{self.folder} is a file; a folder is needed there")
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self.folder = self.folder.resolve()
+            sweep(self.folder)
+            name = f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
+            self._private = self.folder / name
+            _OPEN.add(self._private)
+            try:
+                self._private.mkdir(mode=0o700)
+                self._lock = _locked(self._private)
+            except BaseException:
+                self.__exit__()
+                raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._private is not None:
+            if not self._torn:
+                shutil.rmtree(self._private, ignore_errors=True)
+            _OPEN.discard(self._private)
+        if self._lock is not None:
+            os.close(self._lock)
+        self._private = self._lock = None
+
+    def path(self, name: str) -> Path:
+        """Where to write the file that shall be called `name`.
+
+        Raises
+        ------
+        CannotWrite
+            The name is no plain file name, or the final name is taken by something that may not be replaced
+            (ExportRefused).
+        """
+        assert self._private is not None, "a Stage is used inside its with block"
+        if not _NAME.match(name):
+            raise CannotWrite(f"{name!r} is not a file name this program writes")
+        self._may_replace(name)
+        return self._private / name
+
+    def written(self) -> list[Path]:
+        """Files that are in the private folder now."""
+        return [] if self._private is None else sorted(self._private.iterdir())
+
+    def _may_replace(self, name: str) -> None:
+        target = self.folder / name
+        if not os.path.lexists(target):
+            return
+        if target.is_dir() and not target.is_symlink():
+            raise CannotWrite(f"{target} is a folder; the file {name} cannot take its place")
+        if self.overwrite:
+            return
+        if target.is_symlink():
+            raise ExportRefused(
+                f"{target} is a symbolic link that no export made; remove it or ask to overwrite"
+            )
+        manifest = read_manifest(self.folder)
+        if manifest is not None and (name in (MANIFEST, RUN_FACTS) or owns(manifest, target)):
+            return
+        raise ExportRefused(
+            f"{target} exists and is not (or no longer) what an export wrote there; "
+            "choose another folder, move the file away, or ask to overwrite"
+        )
+
+    def publish(
+        self, manifest: Mapping[str, Any] | None = None, extra: Mapping[str, Any] | None = None
+    ) -> None:
+        """Make every file in the private folder visible; the manifest comes last.
+
+        Parameters
+        ----------
+        manifest : mapping or None
+            Written as `manifest.json`; None publishes the files alone.
+        extra : mapping or None
+            Run facts, written as `run.json`, outside the promise of equal bytes.
+        """
+        assert self._private is not None, "a Stage is used inside its with block"
+        with translated(self.folder):
+            if extra is not None:
+                self._write_json(self.path(RUN_FACTS), extra)
+            names = sorted(p.name for p in self._private.iterdir())
+            for name in names:
+                flush(self._private / name)
+            if manifest is None:
+                with undisturbed(), _publishing(self.folder):
+                    exchange(self._private, self.folder, names, [])
+                    flush(self.folder)
+                return
+            draft = self.path(MANIFEST)
+            self._write_json(draft, manifest)
+            flush(draft)
+            flush(self._private)
+            with undisturbed():
+                os.replace(
+                    draft, self._private / _SEALED
+                )  # from here on a killed publication is finished later
+                flush(self._private)
+                self._torn = True
+                try:
+                    _finish(self._private, self.folder)
+                    self._torn = False
+                except Unfinished:
+                    raise
+                except OSError:
+                    self._torn = False
+                    raise
+
+    @staticmethod
+    def _write_json(path: Path, value: Mapping[str, Any]) -> None:
+        path.write_text(canonical_json(value), encoding="utf-8", newline="\n")
+
+
+def canonical_json(value: Mapping[str, Any]) -> str:
+    """JSON text with sorted keys, one way of writing each number, no NaN, and a final newline."""
+    return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, overwrite: bool = False,
+               check: Callable[[Path], None] | None = None) -> None:  # fmt: skip
+    """Write one file atomically.
+
+    Parameters
+    ----------
+    path : path
+        Final name; its folder is made if missing.
+    write : callable(Path)
+        Writes the file at the private path it is given.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    check : callable(Path) or None
+        Reads the private file back; whatever it raises, the final name stays as it was.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+    path = Path(path)
+    with Stage(path.parent, overwrite=overwrite) as stage:
+        private = stage.path(path.name)
+        with translated(path):
+            write(private)
+        flush(private)
+        if check is not None:
+            check(private)
+        stage.publish()
+
+
+def owns(manifest: Mapping[str, Any], target: Path) -> bool:
+    """Tell whether `target` is byte for byte a file this manifest lists."""
+    for entry in manifest["files"]:
+        if isinstance(entry, dict) and entry.get("name") == target.name:
+            try:
+                same_size = target.stat().st_size == entry.get("bytes")
+                return same_size and file_hash(target) == entry.get("sha256")
+            except OSError:
+                return False
+    return False
+
+
+def sweep(folder: Path) -> None:
+    """Finish or remove what dead processes left in `folder`.
+
+    A private folder whose manifest is sealed held files that were all read back: they are published.
+    Any other is removed. A folder whose process still lives (same id and start time), or that is
+    locked by a process elsewhere, is left alone.
+    """
+    for private in sorted(folder.iterdir()):
+        match = _PRIVATE.match(private.name)
+        if not match or private.is_symlink() or not private.is_dir():
+            continue
+        if _alive(int(match[1]), int(match[2]), private):
+            continue
+        lock = _locked(private)
+        if lock is None:
+            continue
+        try:
+            if (private / _SEALED).is_file():
+                _finish(private, folder)
+            shutil.rmtree(private, ignore_errors=True)
+        finally:
+            os.close(lock)
+
+
+def _finish(private: Path, folder: Path) -> None:
+    """Carry out a sealed publication; may be repeated from any point it was broken off at.
+
+    The old manifest goes first: while files of two exports stand side by side, none vouches for them.
+    """
+    with _publishing(folder):
+        gone = [MANIFEST] if os.path.lexists(folder / MANIFEST) else []
+        gone += _dropped(private, folder)
+        names = sorted(p.name for p in private.iterdir() if p.name != _SEALED and not p.name.startswith(OLD))
+        exchange(private, folder, names, gone, (_SEALED, MANIFEST))
+        flush(folder)
+
+
+@contextmanager
+def _publishing(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock: two exports into one folder publish one after the other."""
+    lock = _locked(folder, wait=True)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def _dropped(private: Path, folder: Path) -> list[str]:
+    """Names of unchanged files of the previous export that the new one does not list: they would mislead."""
+    old = read_manifest(folder) or read_manifest(private, OLD + MANIFEST)
+    if old is None:
+        return []
+    sealed = json.loads((private / _SEALED).read_text(encoding="utf-8"))
+    kept = {entry["name"] for entry in sealed["files"]}
+    names = [e["name"] for e in old["files"] if isinstance(e, dict) and isinstance(e.get("name"), str)]
+    plain = [folder / name for name in names if name not in kept and _NAME.match(name) and name != MANIFEST]
+    return [path.name for path in plain if path.is_file() and not path.is_symlink() and owns(old, path)]
+
+
+@contextmanager
+def translated(path: Path) -> Iterator[None]:
+    """Turn an OSError inside the block into a `CannotWrite` sentence that names the place and the cause."""
+    try:
+        yield
+    except OSError as error:
+        place = error.filename if isinstance(error.filename, str) else str(path)
+        place = re.sub(r"/\.clacad-[0-9a-f-]+", "", place)
+        raise CannotWrite(f"cannot write {place}: {(error.strerror or str(error)).lower()}") from error
+
+
+# -- whose private folder is it --------------------------------------------------------------
+
+
+def _start_time(pid: int) -> int:
+    """Start time of a process in clock ticks since boot; 0 where the system does not tell."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return 0
+    # The command name may hold spaces and brackets: fields count from the last bracket.
+    return int(stat.rpartition(")")[2].split()[19])
+
+
+def _alive(pid: int, started: int, private: Path) -> bool:
+    if os.name != "posix":  # no harmless way to ask: a day-old folder is nobody's
+        with suppress(OSError):
+            return time.time() - private.stat().st_mtime < 86400.0
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    now = _start_time(pid)
+    return now == 0 or now == started
+
+
+def _locked(folder: Path, wait: bool = False) -> int | None:
+    """Lock a folder for as long as the returned descriptor is open; None if another holds it.
+
+    The lock is what keeps two machines or containers that share a disk apart, where process ids mean nothing.
+    """
+    if sys.platform == "win32":
+        return os.open(os.devnull, os.O_RDONLY)
+    import fcntl
+
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        return None
+    except OSError:
+        return descriptor  # a file system without locks: the process id must do
+    return descriptor

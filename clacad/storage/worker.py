@@ -1,0 +1,380 @@
+"""Native work in a process of its own, so that its crash is a sentence and its deadlock can be ended.
+
+CAD kernels end the process on a full disk, on lack of memory, and ignore Ctrl-C while they compute.
+A `Worker` runs named functions in a freshly started interpreter: own process group, own limits, and
+results as JSON lines over a pipe that nothing else writes to. The parent only ever waits on that pipe.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import IO, Any
+
+from clacad.storage import errors
+from clacad.storage.errors import WorkerDied
+
+Progress = Callable[[str, float], None]
+"""Called with a stage's name and the done fraction 0..1 (NaN: not known)."""
+
+_LONGEST_LINE = 64 << 20
+_BOOT = (
+    "import json,sys;sys.path[:]=json.loads(sys.argv[1]);"
+    "from clacad.storage.worker import serve;serve(int(sys.argv[2]),int(sys.argv[3]),*json.loads(sys.argv[4]))"
+)
+
+
+_LIVE: set[int] = set()
+"""Process groups of the workers of this process."""
+
+
+def end_all() -> None:
+    """Kill every worker of this process and all they started: it is about to end itself."""
+    for group in tuple(_LIVE):
+        with suppress(OSError):
+            os.killpg(group, signal.SIGKILL)
+
+
+class Worker:
+    """One child process that runs functions named "module:function" and answers in JSON.
+
+    Parameters
+    ----------
+    memory : int or None
+        Limit of the address space in bytes.
+    cpu : int or None
+        Limit of processor time in seconds.
+    preload : sequence of str
+        Modules to import at once, while the parent still prepares the work.
+
+    Notes
+    -----
+    A worker that died is started again by the next `run`. Use as a context manager: leaving it kills
+    the child and everything the child started.
+    """
+
+    def __init__(
+        self, memory: int | None = None, cpu: int | None = None, preload: Sequence[str] = ()
+    ) -> None:
+        self._limits = (memory, cpu)
+        self._preload = list(preload)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._answers = -1
+        self._pending = b""
+        self._errors: IO[bytes] | None = None
+        self._stage = "start"
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the child, None when there is none."""
+        return None if self._process is None else self._process.pid
+
+    def start(self) -> None:
+        """Start the child now, before there is work for it; returns at once."""
+        if self._process is not None:
+            return
+        read_end, write_end = os.pipe()
+        self._errors = _scratch()
+        path = [entry or os.getcwd() for entry in sys.path]
+        setup = json.dumps([*self._limits, self._preload])
+        command = [sys.executable, "-c", _BOOT, json.dumps(path), str(write_end), str(os.getpid()), setup]
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=self._errors, stderr=self._errors,
+                pass_fds=(write_end,), start_new_session=True,
+            )  # fmt: skip
+        except OSError as error:
+            os.close(read_end)
+            self._errors.close()
+            raise WorkerDied(f"the worker process could not be started: {error.strerror}") from error
+        finally:
+            os.close(write_end)
+        _LIVE.add(self._process.pid)
+        self._answers, self._pending, self._stage = read_end, b"", "start"
+
+    def run(self, function: str, *arguments: Any, timeout: float | None = None, progress: Progress | None = None,
+            **options: Any) -> Any:  # fmt: skip
+        """Call `function` ("module:name") in the child and return its JSON-able result.
+
+        Parameters
+        ----------
+        function : str
+        *arguments, **options
+            Passed on (pickled: they come from this program, never from a file).
+        timeout : float or None
+            Seconds after which the child is killed.
+        progress : callable or None
+            Receives the stages the function reports through `report_stage`.
+
+        Raises
+        ------
+        WorkerDied
+            The child crashed, ran out of memory or time, or answered nonsense.
+        CannotWrite, LimitRefused, UnreadableFile, FileDisagrees, ExportRefused
+            Raised by the function itself.
+        NotPossible
+            Any other error of the function that has an exit status of its own.
+        """
+        self.start()
+        process = self._process
+        assert process is not None
+        assert process.stdin is not None
+        deadline = None if timeout is None else time.monotonic() + timeout
+        payload = pickle.dumps((function, arguments, options), protocol=pickle.HIGHEST_PROTOCOL)
+        sender = threading.Thread(target=_send, args=(process.stdin, payload), daemon=True)
+        answered = False
+        try:
+            sender.start()
+            for message in self._messages(deadline, timeout):
+                kind = message.get("kind")
+                if kind == "stage":
+                    self._stage = str(message.get("name"))
+                    if progress is not None:
+                        progress(self._stage, float(message.get("done", "nan")))
+                elif kind in ("result", "error"):
+                    answered = True
+                    return _unwrapped(message)
+                else:
+                    raise self._died("answered nonsense")
+        finally:
+            if not answered:
+                self.stop()
+        raise AssertionError("unreachable: the stream of messages ends with an exception")
+
+    def stop(self) -> None:
+        """Kill the child and its process group; harmless when there is none."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        _LIVE.discard(process.pid)
+        if process.stdin is not None:
+            with suppress(OSError):
+                process.stdin.close()
+        if process.returncode is None:
+            process.wait()
+        os.close(self._answers)
+        if self._errors is not None:
+            self._errors.close()
+
+    def _messages(self, deadline: float | None, timeout: float | None) -> Iterator[dict[str, Any]]:
+        while True:
+            line, newline, rest = self._pending.partition(b"\n")
+            if newline:
+                self._pending = rest
+                yield self._parsed(line)
+                continue
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0.0:
+                raise self._died(f"did not finish within {timeout:g} s and was ended")
+            ready, _, _ = select.select([self._answers], [], [], left)
+            if not ready:
+                continue
+            block = os.read(self._answers, 1 << 20)
+            if not block:
+                raise self._buried()
+            self._pending += block
+            if len(self._pending) > _LONGEST_LINE:
+                raise self._died("answered nonsense without end")
+
+    def _parsed(self, line: bytes) -> dict[str, Any]:
+        try:
+            message = json.loads(line)
+        except (ValueError, RecursionError):
+            message = None
+        if not isinstance(message, dict):
+            raise self._died("answered nonsense")
+        return message
+
+    def _died(self, what: str) -> WorkerDied:
+        return WorkerDied(f"the worker process {what} (stage: {self._stage})", self._last_words())
+
+    def _buried(self) -> WorkerDied:
+        """Say why the child closed its pipe: wait for it and read its status and peak memory."""
+        process = self._process
+        assert process is not None
+        peak = 0
+        try:
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+            peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        except ChildProcessError:
+            process.wait()
+        words = self._last_words()
+        return WorkerDied(_cause(process.returncode or 0, peak, self._limits, self._stage, words), words)
+
+    def _last_words(self) -> str:
+        if self._errors is None:
+            return ""
+        size = self._errors.seek(0, os.SEEK_END)
+        self._errors.seek(max(0, size - 4000))
+        return self._errors.read().decode("utf-8", "replace")
+
+
+def _cause(status: int, peak: int, limits: tuple[int | None, int | None], stage: str, words: str) -> str:
+    memory, cpu = limits
+    at = f" at about {peak / 1e9:.1f} GB" if peak else ""
+    limit = "" if memory is None else f" (limit {memory / 1e9:.1f} GB)"
+    starved = memory is not None and (peak > 0.5 * memory or _wanted_memory(words))
+    if status == -signal.SIGXCPU or (status == -signal.SIGKILL and cpu is not None and not starved):
+        return f"the worker process used up its {cpu} s of processor time (stage: {stage})"
+    if starved and status != 0:
+        return f"the worker process ran out of memory{at}{limit} (stage: {stage})"
+    if status == -signal.SIGKILL:
+        return f"the worker process was killed{at}, most likely for lack of memory (stage: {stage})"
+    if status < 0:
+        plain = {int(signal.SIGSEGV): "a segmentation fault", int(signal.SIGABRT): "an abort"}
+        name = plain.get(-status) or signal.Signals(-status).name
+        return f"the worker process crashed with {name}{at}{limit} (stage: {stage})"
+    return f"the worker process ended with status {status} without a result (stage: {stage})"
+
+
+def _wanted_memory(words: str) -> bool:
+    """Tell whether last words are those of a process that got no memory."""
+    signs = ("bad_alloc", "MemoryError", "cannot allocate memory", "failed to map segment")
+    return any(sign.lower() in words.lower() for sign in signs)
+
+
+def _scratch() -> IO[bytes]:
+    """A file for the child's last words: in memory where the system has that, so nothing is written anywhere."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("clacad-worker"), "w+b")
+    return tempfile.TemporaryFile()
+
+
+def _send(stream: IO[bytes], payload: bytes) -> None:
+    with suppress(OSError, ValueError):  # a dead child: the reading side says so
+        stream.write(len(payload).to_bytes(8, "little") + payload)
+        stream.flush()
+
+
+_OWN_ERRORS = (
+    "CannotWrite",
+    "ExportRefused",
+    "LimitRefused",
+    "UnreadableFile",
+    "FileDisagrees",
+    "NotPossible",
+)
+
+
+def _unwrapped(message: dict[str, Any]) -> Any:
+    if message["kind"] == "result":
+        return message.get("value")
+    name, text = str(message.get("type")), str(message.get("text"))
+    if name in _OWN_ERRORS:
+        raise getattr(errors, name)(text)
+    if name == "MemoryError" or _wanted_memory(text):
+        raise WorkerDied(f"the worker process ran out of memory {text}".rstrip(), str(message.get("trace")))
+    raise WorkerDied(f"the worker process failed: {name}: {text}", str(message.get("trace")))
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Within the block SIGTERM and SIGHUP raise KeyboardInterrupt, so that clean-up runs as for Ctrl-C.
+
+    Only where that is possible and nobody else has taken the signal: the main thread, default handler.
+    """
+    taken: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                taken[number] = signal.signal(number, _interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in taken.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+# -- the child's side ------------------------------------------------------------------------
+
+_answer_stream: IO[bytes] | None = None
+
+
+def report_stage(name: str, done: float = float("nan")) -> None:
+    """Tell the parent what is being done now; does nothing outside a worker."""
+    if _answer_stream is not None:
+        _answer({"kind": "stage", "name": name, "done": done})
+
+
+def serve(answers: int, parent: int, memory: int | None, cpu: int | None, preload: Sequence[str]) -> None:
+    """Run the child: limits, preloading, then one call after another until the parent goes away."""
+    global _answer_stream  # the one pipe of this process; native code cannot reach it through stdout
+    _die_with_parent(parent)
+    _answer_stream = os.fdopen(answers, "wb", buffering=0)
+    import resource
+    from importlib import import_module
+
+    if memory is not None:
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    if cpu is not None:
+        resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for module in preload:
+        with suppress(ImportError, MemoryError):  # the call that needs it will say so
+            import_module(module)
+    requests = sys.stdin.buffer
+    while len(head := requests.read(8)) == 8:
+        _answer(_called(pickle.loads(requests.read(int.from_bytes(head, "little")))))
+
+
+def _called(request: tuple[str, tuple[Any, ...], dict[str, Any]]) -> dict[str, Any]:
+    import traceback
+    from importlib import import_module
+
+    name, arguments, options = request
+    module, _, function = name.partition(":")
+    try:
+        value = getattr(import_module(module), function)(*arguments, **options)
+        return {"kind": "result", "value": value}
+    except OSError as error:
+        text = f"{error.filename or function}: {(error.strerror or str(error)).lower()}"
+        return {"kind": "error", "type": "CannotWrite", "text": text, "trace": traceback.format_exc()}
+    except Exception as error:  # every failure must reach the parent as a message, whatever its type
+        text = str(error).strip().partition("\n")[0][:500]
+        status = getattr(error, "exit_status", None)  # an error that has one was meant for the user
+        name = (
+            type(error).__name__ if status is None or type(error).__name__ in _OWN_ERRORS else "NotPossible"
+        )
+        return {"kind": "error", "type": name, "text": text, "trace": traceback.format_exc()}
+
+
+def _answer(message: dict[str, Any]) -> None:
+    assert _answer_stream is not None
+    data = json.dumps(message).encode() + b"\n"
+    view = memoryview(data)
+    while view:
+        view = view[_answer_stream.write(view) :]
+
+
+def _die_with_parent(parent: int) -> None:
+    """Arrange that the end of the parent ends this process, even inside a native call (Linux)."""
+    if sys.platform.startswith("linux"):
+        import ctypes
+
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # 1 = PR_SET_PDEATHSIG
+    if os.getppid() != parent:  # it died before the line above
+        os._exit(0)

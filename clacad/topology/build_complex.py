@@ -1,0 +1,92 @@
+"""Build a body's cell complex from its window."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from clacad.sheet.window import Body, Window
+from clacad.topology.borders import make_border
+from clacad.topology.complex_parts import CellComplex, Tiling
+from clacad.topology.nodes import make_nodes
+from clacad.topology.rims import find_rims
+
+
+@lru_cache(maxsize=16)  # windows and bodies are immutable: every grid of a sheet shares its complex
+def cell_complex(
+    window: Window, body: Body, merge: float | None = None, spacing: float | None = None, rims: bool = True
+) -> CellComplex:
+    """Give the one topology of a body that mesh and B-Rep share.
+
+    Parameters
+    ----------
+    window : Window
+    body : Body
+        One of `window.bodies`.
+    merge : length, optional
+        Heights at a node or border that lie closer than this are one. Default 1 nm (1e-6 mm, ten times
+        the uncertainty a STEP file states), at most 1e-3 of the pitch.
+    spacing : length, optional
+        Crossings closer than this to a node or to one another are dropped. Default: `merge`.
+    rims : bool
+        Trace the rims inside the cell too (they take longer than all the rest).
+
+    Returns
+    -------
+    CellComplex
+
+    Raises
+    ------
+    ValueError
+        The body's two faces repeat on displaced arrays but the window has no outline; or an outline is
+        asked for a face without land.
+    """
+    if merge is None:
+        merge = min(1e-9 / window.unit, 1e-3 * min(window.lattice.pitch))
+    spacing = merge if spacing is None else spacing
+    arrays = one_tiling(window, body)
+    if len(arrays) == 2 and window.outline is None:
+        raise ValueError(
+            f"body {body.name!r} has its faces on arrays displaced by {window.shifts[1]}, so their cells have no "
+            "common footprint; the window needs an outline (body.border or lattice.outline)"
+        )
+    tilings = []
+    for array in arrays:
+        columnar = len(arrays) == 1
+        names = tuple(
+            name
+            for name, face in (("front", body.front), ("back", body.back))
+            if (face.array is not None if columnar else face.array == array)
+        )
+        borders = tuple(
+            make_border(window, body, array, columnar, k, merge, spacing)
+            for k in range(len(window.lattice.steps) // 2)
+        )
+        nodes = make_nodes(window, body, names, merge)
+        shift = window.shifts[array]
+        curves = find_rims(window, body) if columnar and rims else ()
+        tilings.append(Tiling(array, shift, window.lattice.tile(), borders, nodes, curves))
+    return CellComplex(window, body, merge, tuple(tilings))
+
+
+def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
+    """Give the array(s) whose cells cut a body: one where the faces' cells coincide, else both."""
+    arrays = [face.array for face in (body.front, body.back) if face.array is not None]
+    if not arrays:
+        raise ValueError(f"body {body.name!r} has no lenslet face")
+    if len(arrays) == 1 or window.shifts[arrays[0]] == window.shifts[arrays[1]]:
+        return (arrays[0],)
+    return (arrays[0], arrays[1])
+
+
+def pieces(window: Window) -> tuple[int, ...]:
+    """Count the connected pieces of each body in closed form (no mesh)."""
+    from clacad.topology.pieces_and_holes import count_pieces
+
+    return tuple(count_pieces(cell_complex(window, body, rims=False)) for body in window.bodies)
+
+
+def holes(window: Window) -> tuple[int, ...]:
+    """Count the holes through each body in closed form (no mesh)."""
+    from clacad.topology.pieces_and_holes import count_holes
+
+    return tuple(count_holes(cell_complex(window, body, rims=False)) for body in window.bodies)

@@ -1,0 +1,272 @@
+"""The nouns of the planar cell complex: profiles, borders, nodes, rims.
+
+Every cell of an array is the same piece, so the complex of a sheet of any size is one prototile:
+m/2 *border classes* (a border and the opposite border of the neighbour are one and the same) and
+one *node class* (square, rectangular: four cells meet) or two (hexagonal: three cells meet).
+
+Conventions
+-----------
+* Side k of a tile runs from corner k to corner k + 1 counter-clockwise and is crossed by
+  `lattice.steps[k]`. Border class k < m/2 is side k of its *left* cell (the cell whose frame is used)
+  and side k + m/2 of its *right* cell, the neighbour at `steps[k]`.
+* Along a border t runs from 0 at corner k to 1 at corner k + 1 of the left cell, so the left cell
+  lies on the left hand of the direction of t.
+* Heights are sheet-frame z. A step is d(t) = z_left(t) − z_right(t).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.window import Body, Face, Window
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Side = Literal["front", "back"]
+Part = Literal["lens", "land", "void"]
+JointState = Literal["joined", "partial", "separate"]
+RimKind = Literal["front-back", "front-land", "back-land"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """The exact height of one lenslet, land plane or plane face along a straight line of the cell frame.
+
+    Parameters
+    ----------
+    face : Face
+    start, end : (2,) lengths
+        The line in the frame of the cell the face belongs to; t = 0 at start, 1 at end.
+    """
+
+    face: Face
+    start: tuple[float, float]
+    end: tuple[float, float]
+
+    def points(self, t: Floats) -> Floats:
+        """Cell-frame points (n, 2) at parameters t (n,); both ends are met exactly."""
+        t = np.asarray(t, dtype=np.float64)[..., None]
+        a, b = np.asarray(self.start), np.asarray(self.end)
+        return np.asarray(np.where(t < 0.5, a + t * (b - a), b - (1.0 - t) * (b - a)))
+
+    def lens(self, t: Floats) -> Floats:
+        """Height of the lenslet (of the plane, for a plane face) at t (n,); NaN where it has no point."""
+        from clacad.sheet.window import lens_height
+
+        if self.face.array is None:
+            return np.full(np.shape(t), self.face.vertex[2])
+        xy = self.points(t)
+        return lens_height(self.face, xy[..., 0], xy[..., 1])
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A stretch of a border on which nothing changes.
+
+    start, stop : float
+        Parameters on the border, 0 … 1.
+    merged : bool
+        The step never exceeds the merge height: ONE shared edge and no wall.
+    sign : −1, 0 or +1
+        Sign of d = z_left − z_right on the piece (0 when merged or when a side is void).
+    left, right : "lens", "land" or "void"
+        What the face is, left and right of the border. Both void: no edge at all.
+    gap_max, gap_min : lengths
+        Largest and smallest |d| on the piece (0 where a side is void).
+    """
+
+    start: float
+    stop: float
+    merged: bool
+    sign: int
+    left: Part
+    right: Part
+    gap_max: float
+    gap_min: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One face's two heights along one border class, and how they lie to one another.
+
+    side : "front" or "back"
+    left, right : Profile
+        Of the left cell and of the right cell, each in its own cell's frame, same t.
+    crossings : (n,) parameters
+        Where the two heights cross (sign changes of d), root-exact, ascending, ends excluded.
+    pieces : tuple of Piece
+        Cover 0 … 1 without gaps. Breaks at crossings, and where lens, land and void change.
+    largest, mean : lengths
+        Largest and mean |d| over the border where both sides exist.
+    """
+
+    side: Side
+    left: Profile
+    right: Profile
+    crossings: Floats
+    pieces: tuple[Piece, ...]
+    largest: float
+    mean: float
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Whether the columns left and right of a border share material.
+
+    state : "joined" (all along), "partial" or "separate"
+    intervals : ((t0, t1), ...)
+        Where min(back) − max(front) > 0. One joint per interval.
+    """
+
+    state: JointState
+    intervals: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Border:
+    """One class of congruent borders.
+
+    index : k, 0 … m/2 − 1
+    step : (di, dj)
+        Index step from the left to the right cell.
+    offset : (2,) lengths
+        Centre of the right cell minus centre of the left cell.
+    start, end : (2,) lengths
+        In the left cell's frame (t = 0, 1).
+    steps : (Step,) or (Step, Step)
+        Of the faces that repeat on this tiling (front before back).
+    joint : Joint or None
+        None where the body's two faces repeat on different tilings (always joined).
+    breaks : (n,) parameters
+        Every parameter at which anything on the border changes (crossings of fronts and of backs,
+        rims of either cell, ends of joints), ascending, ends excluded. Both cells need a vertex there.
+    roots : (n,) parameters
+        Every sign change of every difference of lens and land heights on the border, visible or not
+        (a crossing hidden under land, say), unspaced; `breaks` is chosen from them.
+    """
+
+    index: int
+    step: tuple[int, int]
+    offset: tuple[float, float]
+    start: tuple[float, float]
+    end: tuple[float, float]
+    steps: tuple[Step, ...]
+    joint: Joint | None
+    breaks: Floats
+    roots: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Node:
+    """One class of congruent nodes, where the corners of k cells meet.
+
+    index : 0 or 1
+    cells : (((di, dj), corner), ...)
+        The k cells counter-clockwise: index step from the first cell, and which of its tile's corners
+        lies at the node. The first entry is ((0, 0), corner).
+    front, back : (k,) lengths
+        Raw heights of the k cells' faces at the node, NaN where void (or where that face does not
+        repeat on this tiling).
+    front_level, back_level : (k,) lengths
+        After single linkage: heights closer than the merge height share the middle of their cluster.
+    saddle_front, saddle_back : bool
+        Four walls share one vertical edge: one diagonal pair stands proud of the other.
+    joint : bool
+        All k columns share material at the node (false: a pinhole, or no common height).
+    """
+
+    index: int
+    cells: tuple[tuple[tuple[int, int], int], ...]
+    front: Floats
+    back: Floats
+    front_level: Floats
+    back_level: Floats
+    saddle_front: bool
+    saddle_back: bool
+    joint: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RimArc:
+    """A connected stretch of a rim inside one cell.
+
+    points : (n, 2) lengths
+        Points on the curve in the cell frame, in order (the region with the lens on the left hand).
+    z : (n,) lengths
+    closed : bool
+        A loop inside the cell; otherwise it runs from border to border.
+    start, end : (side, t) or None
+        The side of the tile (0 … m − 1) and the parameter along that side; None when closed.
+    """
+
+    points: Floats
+    z: Floats
+    closed: bool
+    start: tuple[int, float] | None
+    end: tuple[int, float] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rim:
+    """A curve inside the cell where one sheet of surface ends on another.
+
+    kind : "front-back" (front lens meets back lens or plane), "front-land" or "back-land"
+    arcs : tuple of RimArc
+    """
+
+    kind: RimKind
+    arcs: tuple[RimArc, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tiling:
+    """The complex of the faces that repeat on one array.
+
+    array : 0 or 1
+    shift : (2,) lengths
+        Displacement of the array's cells against the lattice.
+    tile : (m, 2) lengths
+    borders : tuple of Border, m/2 of them
+    nodes : tuple of Node, 1 or 2
+    rims : tuple of Rim
+    """
+
+    array: int
+    shift: tuple[float, float]
+    tile: Floats
+    borders: tuple[Border, ...]
+    nodes: tuple[Node, ...]
+    rims: tuple[Rim, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellComplex:
+    """ONE topology of a body, from which mesh and B-Rep are both derived.
+
+    window : Window
+    body : Body
+    merge : length
+        Merge height h: heights at a node or border closer than h are one.
+    tilings : (Tiling,) or (front's Tiling, back's Tiling)
+        One where the body is cut into columns (both faces on one tiling, or one face a plane); two for
+        a slab whose arrays are displaced against one another.
+    """
+
+    window: Window
+    body: Body
+    merge: float
+    tilings: tuple[Tiling, ...]
+
+    @property
+    def columnar(self) -> bool:
+        """Whether one tiling cuts the whole body into columns."""
+        return len(self.tilings) == 1
+
+    def faces_of(self, tiling: Tiling) -> tuple[Face, ...]:
+        """The faces of the body that the tiling cuts (both, for a columnar body)."""
+        faces = (self.body.front, self.body.back)
+        return faces if self.columnar else tuple(face for face in faces if face.array == tiling.array)

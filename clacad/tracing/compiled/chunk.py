@@ -1,0 +1,291 @@
+"""Rays traced chunk by chunk, compiled: blocks straight through, and a walk for the rays that need one."""
+
+from __future__ import annotations
+
+from math import exp, isfinite, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.compiled import exact, owning
+from clacad.optics.rays import NO_CELL, Fate
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.column import DIVISIONS, EVENT_NUMBERS, WORK_NUMBERS
+from clacad.tracing.compiled.launch import launch_block, launch_ray
+from clacad.tracing.compiled.straight_path import centres, copy_row, straight
+from clacad.tracing.compiled.straight_path_slots import (
+    BLOCK,
+    CI,
+    CI0,
+    CJ,
+    CJ0,
+    DEPTH,
+    DX,
+    DY,
+    DZ,
+    GOOD,
+    GX,
+    GY,
+    OVER,
+    PATH,
+    SCRATCH,
+    SHARE,
+    X,
+    Y,
+    Z,
+)
+from clacad.tracing.compiled.walk import WALKER_NUMBERS, walk_ray
+from clacad.tracing.layout import Floats
+from clacad.tracing.triangles.tiles import Tiles
+
+Ints = NDArray[np.int64]
+Rows = NDArray[np.intp]
+Bytes = NDArray[np.uint8]
+Cells = NDArray[np.int32]
+Singles = NDArray[Any]  # float32: every pass takes either precision
+
+ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
+
+WAITING = 32
+"""Rays that wait before they are walked: enough to keep the walk's code near, few enough to keep theirs near."""
+
+LAUNCHED = (X, Y, Z, DX, DY, DZ, PATH, GOOD, CI, CJ)
+ARRIVED = (*LAUNCHED, CI0, CJ0)
+
+
+@exact
+def _load(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
+    """Copy a block of starts and directions into the scratch rows."""
+    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    if _together(chosen):
+        start, ray = position[chosen[0] : chosen[-1] + 1], direction[chosen[0] : chosen[-1] + 1]
+        for k in range(len(chosen)):
+            x[k], y[k], z[k] = start[k, 0], start[k, 1], start[k, 2]
+        for k in range(len(chosen)):
+            dx[k], dy[k], dz[k] = ray[k, 0], ray[k, 1], ray[k, 2]
+        return
+    for k in range(len(chosen)):
+        row = chosen[k]
+        x[k], y[k], z[k] = position[row, 0], position[row, 1], position[row, 2]
+        dx[k], dy[k], dz[k] = direction[row, 0], direction[row, 1], direction[row, 2]
+
+
+@exact
+def _together(chosen: Rows) -> bool:
+    """Whether rows follow one another, so that a block can be moved as one piece."""
+    apart = 0
+    for k in range(len(chosen)):
+        apart |= chosen[k] - chosen[0] - k
+    return apart == 0
+
+
+@exact
+def _store(
+    bodies: Floats, lat: Floats, faces: Floats, s: Floats, chosen: Rows, array: int, position: Floats, direction: Floats,
+    fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
+) -> None:  # fmt: skip
+    """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
+    m = len(chosen)
+    px, py, z, dz, good = s[GX], s[GY], s[Z], s[DZ], s[GOOD]
+    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
+    last = len(faces) - 1
+    face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
+    centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    for k in range(m):
+        held = (good[k] > 0.0) & (dz[k] > 0.0)
+        good[k] = 1.0 if held else 0.0
+        z[k] += top
+        ci[k] = ci[k] - ci0[k] if held else 0.0
+        cj[k] = cj[k] - cj0[k] if held else 0.0
+        ci0[k] = ci0[k] if held else 0.0
+        cj0[k] = cj0[k] if held else 0.0
+    if _together(chosen):
+        own = slice(chosen[0], chosen[-1] + 1)
+        _store_together(
+            s,
+            m,
+            last,
+            position[own],
+            direction[own],
+            fate[own],
+            path[own],
+            cell[own],
+            order[own],
+            surface[own],
+        )
+        return
+    for k in range(m):
+        row = chosen[k]
+        position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k]
+        direction[row, 0], direction[row, 1], direction[row, 2] = s[DX, k], s[DY, k], dz[k]
+        path[row], surface[row] = s[PATH, k], last
+        cell[row, 0], cell[row, 1] = np.int32(ci0[k]), np.int32(cj0[k])
+        order[row, 0], order[row, 1] = np.int32(ci[k]), np.int32(cj[k])
+        fate[row] = ALIVE if ci[k] == 0.0 and cj[k] == 0.0 else GHOST
+
+
+@exact
+def _store_together(
+    s: Floats, m: int, last: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells,
+    order: Cells, surface: Cells,
+) -> None:  # fmt: skip
+    """Write rows that follow one another."""
+    px, py, z, dx, dy, dz, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[PATH]
+    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
+    for k in range(m):
+        position[k, 0], position[k, 1], position[k, 2] = px[k], py[k], z[k]
+    for k in range(m):
+        direction[k, 0], direction[k, 1], direction[k, 2] = dx[k], dy[k], dz[k]
+    for k in range(m):
+        path[k] = length[k]
+    for k in range(m):
+        cell[k, 0], cell[k, 1] = np.int32(ci0[k]), np.int32(cj0[k])
+    for k in range(m):
+        order[k, 0], order[k, 1] = np.int32(ci[k]), np.int32(cj[k])
+    for k in range(m):
+        surface[k] = last
+    for k in range(m):
+        fate[k] = ALIVE if (ci[k] == 0.0) & (cj[k] == 0.0) else GHOST
+
+
+@exact
+def _blank(
+    row: int, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
+    cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
+) -> bool:  # fmt: skip
+    """Write a row as launched, MISSED or INVALID; tell whether the ray can be launched."""
+    finite, zero = True, True
+    for c in range(3):
+        position[row, c], direction[row, c] = start[row, c], ray[row, c]
+        finite &= isfinite(start[row, c]) and isfinite(ray[row, c])
+        zero &= ray[row, c] == 0.0
+        for face in range(len(hits)):
+            hits[face, row, c], turns[face, row, c] = start[row, c], ray[row, c]
+    cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = NO_CELL, NO_CELL, NO_CELL, NO_CELL
+    path[row], surface[row] = 0.0, NO_CELL
+    sound = finite and not zero
+    fate[row] = MISSED if sound else INVALID
+    return sound and ray[row, 2] > 0.0
+
+
+@owning
+def trace_chunk(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
+    ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
+    surface: Cells, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
+    s, carried, waiting = (
+        np.zeros((SCRATCH, BLOCK)),
+        np.empty(BLOCK),
+        np.empty(WAITING + BLOCK, dtype=np.intp),
+    )
+    count, walked = 0, 0
+    for first in range(0, len(chosen), BLOCK):
+        block = chosen[first : first + BLOCK]
+        m = len(block)
+        _load(block, start, ray, s)
+        launch_block(lat, bodies[0], s, m)
+        copy_row(s[PATH], carried, m)
+        array = straight(tiles, faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
+        _store(bodies, lat, faces, s, block, array, position, direction, fate, path, cell, order, surface)
+        _share(indices, bodies, s, block, len(faces), turns)
+        count = _queue(s, block, waiting, count)
+        if count >= WAITING or first + BLOCK >= len(chosen):
+            _walk(
+                tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path,
+                cell, order, surface, hits, turns,
+            )  # fmt: skip
+            walked, count = walked + count, 0
+    return walked
+
+
+@owning
+def trace_chunk_single(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
+    single_faces: Singles, single_bodies: Singles, single_lat: Singles, single_indices: Singles, single_hits: Singles,
+    chosen: Rows, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
+    cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """`trace_chunk` with the straight path in single precision, from the plane of the launch on."""
+    wide, waiting = np.zeros((SCRATCH, BLOCK)), np.empty(WAITING + BLOCK, dtype=np.intp)
+    count, walked = 0, 0
+    carried: Singles = np.empty(BLOCK, dtype=np.float32)
+    s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
+    for first in range(0, len(chosen), BLOCK):
+        block = chosen[first : first + BLOCK]
+        m = len(block)
+        _load(block, start, ray, wide)
+        launch_block(lat, bodies[0], wide, m)
+        for row in LAUNCHED:
+            copy_row(wide[row], s[row], m)
+        copy_row(s[PATH], carried, m)
+        array = straight(
+            tiles, single_faces, single_bodies, single_lat, rows, single_indices, s, block, single_hits, single_hits,
+            carried,
+        )  # fmt: skip
+        for row in ARRIVED:
+            copy_row(s[row], wide[row], m)
+        _store(bodies, lat, faces, wide, block, array, position, direction, fate, path, cell, order, surface)
+        count = _queue(wide, block, waiting, count)
+        if count >= WAITING or first + BLOCK >= len(chosen):
+            _walk(
+                tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path,
+                cell, order, surface, hits, turns,
+            )  # fmt: skip
+            walked, count = walked + count, 0
+    return walked
+
+
+@exact
+def _share(indices: Floats, bodies: Floats, s: Floats, block: Rows, share: int, turns: Floats) -> None:
+    """Write what the straight path lets through, where that was gathered: one more layer of `turns` takes it."""
+    if len(indices) == len(bodies):
+        return
+    absorbs = False
+    for b in range(len(bodies)):
+        absorbs |= indices[len(bodies) + 1 + b] != 0.0
+    for k in range(len(block)):
+        s[SHARE, k] /= s[OVER, k]
+    for k in range(len(block) if absorbs else 0):
+        s[SHARE, k] *= exp(-s[DEPTH, k])
+    for k in range(len(block)):
+        turns[share, block[k] // 3, block[k] % 3] = s[SHARE, k]
+
+
+@exact
+def _queue(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
+    """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
+    good = s[GOOD]
+    for k in range(len(block)):
+        if good[k] == 0.0:
+            waiting[count] = block[k]
+            count += 1
+    return count
+
+
+@owning
+def _walk(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, waiting: Rows, start: Floats,
+    ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
+    surface: Cells, hits: Floats, turns: Floats,
+) -> None:  # fmt: skip
+    """Walk rays one by one: many in a row, so that the walk's own code and tables stay near."""
+    work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
+    walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
+    counted, share = len(indices) > len(bodies), len(faces)
+    for row in waiting:
+        sound = _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns)
+        if counted:
+            turns[share, row // 3, row % 3] = 1.0
+        if not sound:
+            continue
+        reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
+        if reaches:
+            walk_ray(
+                tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
+                fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
+            )  # fmt: skip
+            if counted:  # not known here: its hits are there to work it out from
+                turns[share, row // 3, row % 3] = 1.0 if fate[row] >= MISSED else nan

@@ -1,0 +1,503 @@
+"""Compiled scalar pieces of the walk: one ray, one face. The same formulas as `clacad.optics.surface` and `face`.
+
+Nothing here may be compiled with ``fastmath={"contract"}``: fusing a multiply with an add would break the
+exact products below. Notation as in `clacad.optics.surface`.
+"""
+
+from __future__ import annotations
+
+from math import copysign, floor, inf, isfinite, nan, sqrt
+
+from clacad.base.compiled import exact
+from clacad.optics.surface import ULP
+from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
+from clacad.optics.surface.quadric import CANCELS, STEEPEST
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.layout import Floats
+
+_SPLITTER = 134217729.0
+
+ROOT_STEPS = 60
+"""Steps to find the roots of a quartic together; a dozen do unless roots nearly meet."""
+
+
+@exact
+def two_sum(a: float, b: float) -> tuple[float, float]:
+    """Rounded sum and what rounding took away."""
+    s = a + b
+    v = s - a
+    return s, (a - (s - v)) + (b - v)
+
+
+@exact
+def two_product(a: float, b: float) -> tuple[float, float]:
+    """Rounded product and what rounding took away."""
+    p = a * b
+    t = _SPLITTER * a
+    ah = t - (t - a)
+    al = a - ah
+    t = _SPLITTER * b
+    bh = t - (t - b)
+    bl = b - bh
+    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
+
+
+@exact
+def pair_product(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Product of two pairs."""
+    p, e = two_product(ah, bh)
+    return two_sum(p, e + (ah * bl + al * bh))
+
+
+@exact
+def pair_sum(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Sum of two pairs."""
+    s, e = two_sum(ah, bh)
+    return two_sum(s, e + (al + bl))
+
+
+@exact
+def less_multiple(x: float, k: float, step: float) -> float:
+    """Give x − k·step with the product unrounded."""
+    high, low = two_product(k, step)
+    return (x - high) - low
+
+
+@exact
+def relocate(lat: Floats, x: float, y: float) -> tuple[float, float, float, float]:
+    """Whole lattice steps and remaining local coordinates; see `layout.relocate`."""
+    if lat[slot.HEXAGONAL] == 0.0:
+        i, x = _relocate_axis(x, lat[slot.PITCH])
+        j, y = _relocate_axis(y, lat[slot.ROW])
+        return i, j, x, y
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    half = 0.5 * pitch
+    slant = row / pitch
+    j = _nearest(y / row)
+    i = _nearest(x / pitch - 0.5 * j)
+    for _ in range(4):
+        u, v = less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+        if u >= half or u < -half:
+            i += 1.0 if u >= half else -1.0
+            continue
+        across = 0.5 * u + slant * v
+        if across >= half or across < -half:
+            j += 1.0 if across >= half else -1.0
+            continue
+        across = -0.5 * u + slant * v
+        if across >= half or across < -half:
+            step = 1.0 if across >= half else -1.0
+            i, j = i - step, j + step
+            continue
+        break
+    return i, j, less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+
+
+@exact
+def _nearest(x: float) -> float:
+    """Nearest integer, ties to even."""
+    r = float(floor(x + 0.5))
+    if r - x == 0.5 and r % 2.0 != 0.0:
+        r -= 1.0
+    return r
+
+
+@exact
+def _relocate_axis(x: float, pitch: float) -> tuple[float, float]:
+    half = 0.5 * pitch
+    k = float(floor(x / pitch + 0.5))
+    local = less_multiple(x, k, pitch)
+    if local >= half:
+        k += 1.0
+    elif local < -half:
+        k -= 1.0
+    return k, less_multiple(x, k, pitch)
+
+
+@exact
+def less_steps(lat: Floats, x: float, y: float, i: float, j: float) -> tuple[float, float]:
+    """Local coordinates seen from the cell (i, j) steps away."""
+    if i == 0.0 and j == 0.0:
+        return x, y
+    if lat[slot.HEXAGONAL] != 0.0:
+        return less_multiple(x, i + 0.5 * j, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
+    return less_multiple(x, i, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
+
+
+@exact
+def in_zone(lat: Floats, x: float, y: float, margin: float) -> bool:
+    """Whether a point of the cell frame lies at least `margin` inside its cell's borders."""
+    for n in range(int(lat[slot.BORDERS])):
+        across = lat[slot.NORMAL + 2 * n] * x + lat[slot.NORMAL + 2 * n + 1] * y
+        if not abs(across) <= lat[slot.HALF + n] - margin:
+            return False
+    return True
+
+
+@exact
+def to_lens(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Sheet axes to lens axes."""
+    if faces[row, slot.TURNED] == 0.0:
+        return x, y, z
+    return (
+        faces[row, slot.R0] * x + faces[row, slot.R0 + 3] * y + faces[row, slot.R0 + 6] * z,
+        faces[row, slot.R0 + 1] * x + faces[row, slot.R0 + 4] * y + faces[row, slot.R0 + 7] * z,
+        faces[row, slot.R0 + 2] * x + faces[row, slot.R0 + 5] * y + faces[row, slot.R0 + 8] * z,
+    )
+
+
+@exact
+def to_sheet(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Lens axes to sheet axes."""
+    if faces[row, slot.TURNED] == 0.0:
+        return x, y, z
+    return (
+        faces[row, slot.R0] * x + faces[row, slot.R0 + 1] * y + faces[row, slot.R0 + 2] * z,
+        faces[row, slot.R0 + 3] * x + faces[row, slot.R0 + 4] * y + faces[row, slot.R0 + 5] * z,
+        faces[row, slot.R0 + 6] * x + faces[row, slot.R0 + 7] * y + faces[row, slot.R0 + 8] * z,
+    )
+
+
+@exact
+def _discriminant(
+    cx: float,
+    cy: float,
+    kappa: float,
+    side: float,
+    x: float,
+    y: float,
+    z: float,
+    L: float,
+    M: float,
+    N: float,
+) -> float:
+    """B² − AC in pairs; the same at every point of the ray."""
+    lh, ll = two_product(kappa, z)
+    uh, ul = pair_sum(lh, ll, -2.0 * side, 0.0)
+    lh, ll = pair_sum(lh, ll, -side, 0.0)
+    ah, al = _three_products(cx, L, L, cy, M, M)
+    h, e = two_product(N, N)
+    h, e = pair_product(kappa, 0.0, h, e)
+    ah, al = pair_sum(ah, al, h, e)
+    bh, bl = _three_products(cx, x, L, cy, y, M)
+    h, e = pair_product(lh, ll, N, 0.0)
+    bh, bl = pair_sum(bh, bl, h, e)
+    ch, cl = _three_products(cx, x, x, cy, y, y)
+    h, e = pair_product(uh, ul, z, 0.0)
+    ch, cl = pair_sum(ch, cl, h, e)
+    bh, bl = pair_product(bh, bl, bh, bl)
+    ah, al = pair_product(ah, al, ch, cl)
+    return pair_sum(bh, bl, -ah, -al)[0]
+
+
+@exact
+def _three_products(a: float, b: float, c: float, d: float, e: float, f: float) -> tuple[float, float]:
+    """Sum a b c + d e f as a pair."""
+    h, low = two_product(b, c)
+    h, low = pair_product(a, 0.0, h, low)
+    g, rest = two_product(e, f)
+    g, rest = pair_product(d, 0.0, g, rest)
+    return pair_sum(h, low, g, rest)
+
+
+@exact
+def _carry(x: float, y: float, z: float, L: float, M: float, N: float) -> tuple[float, float, float, float]:
+    """Distance to a base point near the apex, and that point."""
+    square = L * L + M * M + N * N
+    if N * N >= STEEPEST * STEEPEST * square:
+        t = -z / N
+        return t, x + t * L, y + t * M, 0.0
+    t = -(x * L + y * M + z * N) / square
+    return t, x + t * L, y + t * M, z + t * N
+
+
+@exact
+def _quadric_root(
+    cx: float,
+    cy: float,
+    kappa: float,
+    side: float,
+    x: float,
+    y: float,
+    z: float,
+    bx: float,
+    by: float,
+    bz: float,
+    L: float,
+    M: float,
+    N: float,
+) -> tuple[float, float]:
+    """Distance from the base point and r of the crossing from the −z side (for N > 0)."""
+    a = cx * L * L + cy * M * M + kappa * N * N
+    b = cx * bx * L + cy * by * M + (kappa * bz - side) * N
+    c = cx * bx * bx + cy * by * by + (kappa * bz - 2.0 * side) * bz
+    disc = b * b - a * c
+    if b * b > CANCELS * abs(disc):
+        disc = _discriminant(cx, cy, kappa, side, x, y, z, L, M, N)
+    if not disc >= 0.0:
+        return nan, nan
+    root = sqrt(disc)
+    signed = -side * root if N < 0.0 else side * root
+    if signed * b <= 0.0:
+        return c / (signed - b), root
+    return -(b + signed) / a, root
+
+
+@exact
+def _biconic_parts(faces: Floats, row: int, x: float, y: float) -> tuple[float, float]:
+    """Q, w (0 beyond the equator) and the κ of the quadric that shares the profile at this azimuth."""
+    cx, cy = faces[row, slot.CX], faces[row, slot.CY]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
+    q = cx * x * x + cy * y * y
+    p = a * x * x + b * y * y
+    w = sqrt(1.0 - p) if p < 1.0 else 0.0
+    return w, (p / q if q != 0.0 else (1.0 + faces[row, slot.KX]) * cx)
+
+
+@exact
+def _biconic_root(
+    faces: Floats,
+    row: int,
+    x: float,
+    y: float,
+    z: float,
+    bx: float,
+    by: float,
+    bz: float,
+    L: float,
+    M: float,
+    N: float,
+) -> tuple[float, float]:
+    """Newton on the azimuth's own quadric, see `clacad.optics.surface.biconic`; a search where it does not settle."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    of_x, of_y = (1.0 + faces[row, slot.KX]) * cx, (1.0 + faces[row, slot.KY]) * cy
+    skew = cx * cy * (of_x - of_y)
+    sign = -side if N < 0.0 else side
+    t, root = _quadric_root(cx, cy, 0.5 * (of_x + of_y), side, x, y, z, bx, by, bz, L, M, N)
+    for _ in range(NEWTON_STEPS):
+        u, v = bx + t * L, by + t * M
+        w, kappa = _biconic_parts(faces, row, u, v)
+        target, root = _quadric_root(cx, cy, kappa, side, x, y, z, bx, by, bz, L, M, N)
+        slope = sign * skew * u * v * (v * L - u * M) / ((1.0 + w) * (1.0 + w) * root)
+        change = (target - t) / (1.0 - slope if abs(1.0 - slope) > FLAT else 1.0)
+        if not isfinite(change):
+            break
+        t += change
+        if abs(change) <= SETTLED * abs(t):
+            u, v = bx + t * L, by + t * M
+            q = cx * u * u + cy * v * v
+            rounding = 8.0 * ULP * (abs(cx) * u * u + abs(cy) * v * v)
+            level = side * (bz + t * N) * (-1.0 if q < 0.0 else 1.0)
+            if -rounding <= level <= abs(q) + rounding:
+                return t, root
+            break
+    return _biconic_quartic(faces, row, bx, by, bz, L, M, N), 0.0
+
+
+@exact
+def _biconic_quartic(
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
+) -> float:
+    """Crossing of a ray that Newton lost: lowest of the roots of z² P − 2 side z Q + Q² = 0 that qualify."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
+    p0, p1, p2 = a * x * x + b * y * y, 2.0 * (a * x * L + b * y * M), a * L * L + b * M * M
+    q0, q1, q2 = cx * x * x + cy * y * y, 2.0 * (cx * x * L + cy * y * M), cx * L * L + cy * M * M
+    k0 = q0 * q0 - 2.0 * side * q0 * z + p0 * z * z
+    k1 = 2.0 * q0 * q1 - 2.0 * side * (q0 * N + q1 * z) + p1 * z * z + 2.0 * p0 * z * N
+    k2 = 2.0 * q0 * q2 + q1 * q1 - 2.0 * side * (q1 * N + q2 * z) + p2 * z * z + 2.0 * p1 * z * N + p0 * N * N
+    k3 = 2.0 * q1 * q2 - 2.0 * side * q2 * N + 2.0 * p2 * z * N + p1 * N * N
+    k4 = q2 * q2 + p2 * N * N
+    c0, c1, c2, c3 = k0 / k4, k1 / k4, k2 / k4, k3 / k4
+    if not (isfinite(c0) and isfinite(c1) and isfinite(c2) and isfinite(c3)):
+        return nan
+    size = max(max(abs(c3), abs(c2) ** 0.5), max(abs(c1) ** (1.0 / 3.0), abs(c0) ** 0.25))
+    if size == 0.0:
+        return 0.0
+    r0, r1, r2, r3 = _roots_of_four(c0 / size**4, c1 / size**3, c2 / size**2, c3 / size)
+    best, lowest = nan, inf
+    for t in (r0 * size, r1 * size, r2 * size, r3 * size):
+        polished, level = _biconic_polished(faces, row, t, x, y, z, L, M, N)
+        if level < lowest:
+            best, lowest = polished, level
+    return best
+
+
+@exact
+def _roots_of_four(c0: float, c1: float, c2: float, c3: float) -> tuple[float, float, float, float]:
+    """Real parts of the roots of t⁴ + c3 t³ + c2 t² + c1 t + c0, all at once (Durand 1960, Kerner 1966)."""
+    u, v, w, s = 1.0 + 0.0j, 0.4 + 0.9j, -0.65 + 0.72j, -0.908 - 0.297j
+    for _ in range(ROOT_STEPS):
+        du = ((((u + c3) * u + c2) * u + c1) * u + c0) / ((u - v) * (u - w) * (u - s))
+        u = u - du
+        dv = ((((v + c3) * v + c2) * v + c1) * v + c0) / ((v - u) * (v - w) * (v - s))
+        v = v - dv
+        dw = ((((w + c3) * w + c2) * w + c1) * w + c0) / ((w - u) * (w - v) * (w - s))
+        w = w - dw
+        ds = ((((s + c3) * s + c2) * s + c1) * s + c0) / ((s - u) * (s - v) * (s - w))
+        s = s - ds
+        if abs(du) + abs(dv) + abs(dw) + abs(ds) < 1e-14:
+            break
+    return u.real, v.real, w.real, s.real
+
+
+@exact
+def _biconic_polished(
+    faces: Floats, row: int, t: float, x: float, y: float, z: float, L: float, M: float, N: float
+) -> tuple[float, float]:
+    """Newton on z − sag along the ray; |z| at the hit, infinite where there is none in the ray's sense."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
+    along = -1.0 if N < 0.0 else 1.0
+    error, onward = inf, 0.0
+    for _ in range(POLISHES):
+        u, v = x + t * L, y + t * M
+        gap = _biconic_gap(faces, row, u, v, z + t * N)
+        w, _ = _biconic_parts(faces, row, u, v)
+        twist = side * skew * u * v / ((1.0 + w) * (1.0 + w))
+        onward = along * ((-side * cx * u - twist * v) * L + (-side * cy * v + twist * u) * M + w * N)
+        error = gap * w / (along * onward)
+        t -= error
+    if abs(error) <= SETTLED * abs(t) and onward > 0.0:
+        return t, abs(z + t * N)
+    return t, inf
+
+
+@exact
+def _biconic_gap(faces: Floats, row: int, x: float, y: float, z: float) -> float:
+    """Height of a point over the biconic; NaN beyond the equator."""
+    cx, cy = faces[row, slot.CX], faces[row, slot.CY]
+    p = (1.0 + faces[row, slot.KX]) * cx * cx * x * x + (1.0 + faces[row, slot.KY]) * cy * cy * y * y
+    if not p <= 1.0:
+        return nan
+    return float(z - faces[row, slot.SIDE] * (cx * x * x + cy * y * y) / (1.0 + sqrt(1.0 - p)))
+
+
+@exact
+def meet(
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Distance to the apex half in the lens frame, point, normal turned along the ray, r; NaN on a miss."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    carried, bx, by, bz = _carry(x, y, z, L, M, N)
+    if faces[row, slot.BICONIC] == 0.0:
+        t, root = _quadric_root(cx, cy, faces[row, slot.KX], side, x, y, z, bx, by, bz, L, M, N)
+    else:
+        t, root = _biconic_root(faces, row, x, y, z, bx, by, bz, L, M, N)
+    px, py, pz = bx + t * L, by + t * M, bz + t * N
+    gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * faces[row, slot.KX] * pz
+    if faces[row, slot.BICONIC] != 0.0:
+        w, _ = _biconic_parts(faces, row, px, py)
+        gz = w
+        skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
+        twist = side * skew * px * py / ((1.0 + w) * (1.0 + w))
+        gx, gy = gx - twist * py, gy + twist * px
+        root = abs(gx * L + gy * M + gz * N)
+    if not (gz > 0.0 and isfinite(t) and isfinite(root)):
+        return nan, nan, nan, nan, nan, nan, nan, nan
+    if N < 0.0:
+        gx, gy, gz = -gx, -gy, -gz
+    return carried + t, px, py, pz, gx, gy, gz, root
+
+
+@exact
+def snell(
+    L: float, M: float, N: float, gx: float, gy: float, gz: float, root: float, n1: float, n2: float
+) -> tuple[float, float, float]:
+    """Direction behind a surface; NaN at total internal reflection."""
+    mu = n1 / n2
+    w = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    incident = mu * root
+    radicand = (gx * gx + gy * gy + gz * gz) * w + incident * incident
+    if not radicand >= 0.0:
+        return nan, nan, nan
+    total = sqrt(radicand) + incident
+    g = 0.0 if w == 0.0 and total == 0.0 else w / total
+    return mu * L + g * gx, mu * M + g * gy, mu * N + g * gz
+
+
+@exact
+def height(faces: Floats, row: int, x: float, y: float) -> float:
+    """Height of the lens over the body's level above a point of the cell frame; NaN where there is none."""
+    if faces[row, slot.ARRAY] < 0.0:
+        return float(faces[row, slot.VZ])
+    if faces[row, slot.TURNED] == 0.0 and faces[row, slot.BICONIC] == 0.0:
+        x, y = x - faces[row, slot.VX], y - faces[row, slot.VY]
+        q = faces[row, slot.CX] * x * x + faces[row, slot.CY] * y * y
+        radicand = 1.0 - faces[row, slot.KX] * q
+        return (
+            faces[row, slot.VZ] + faces[row, slot.SIDE] * q / (1.0 + sqrt(radicand))
+            if radicand > 0.0
+            else nan
+        )
+    u, v, w = to_lens(faces, row, x - faces[row, slot.VX], y - faces[row, slot.VY], 0.0)
+    L, M, N = to_lens(faces, row, 0.0, 0.0, 1.0)
+    t, _, _, _, gx, gy, gz, _ = meet(faces, row, u, v, w, L, M, N)
+    if not to_sheet(faces, row, gx, gy, gz)[2] > 0.0:
+        return nan
+    return float(faces[row, slot.VZ] + t)
+
+
+@exact
+def lens_roots(
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
+) -> tuple[float, float]:
+    """Both distances at which a ray crosses the whole of a lens's surface; inf where it does not."""
+    x, y, z = to_lens(faces, row, x - faces[row, slot.VX], y - faces[row, slot.VY], z - faces[row, slot.VZ])
+    L, M, N = to_lens(faces, row, L, M, N)
+    cx, cy, side, kappa = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE], faces[row, slot.KX]
+    if faces[row, slot.BICONIC] != 0.0:
+        kappa = 0.5 * ((1.0 + faces[row, slot.KX]) * cx + (1.0 + faces[row, slot.KY]) * cy)
+    a = cx * L * L + cy * M * M + kappa * N * N
+    b = cx * x * L + cy * y * M + (kappa * z - side) * N
+    c = cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z
+    one, two = inf, inf
+    disc = b * b - a * c
+    if disc >= 0.0:
+        q = -(b + copysign(sqrt(disc), b))
+        one, two = _finite(c / q), _finite(q / a)
+    if faces[row, slot.BICONIC] == 0.0:
+        return one, two
+    met = meet(faces, row, x, y, z, L, M, N)[0]
+    other = two if abs(one - met) < abs(two - met) else one
+    for _ in range(8):
+        other -= _biconic_step(faces, row, x + other * L, y + other * M, z + other * N, L, M, N)
+    return _finite(met), _finite(other)
+
+
+@exact
+def _biconic_step(
+    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
+) -> float:
+    """Newton step along the ray towards z = sag(x, y)."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
+    p = a * x * x + b * y * y
+    if not p <= 1.0:
+        return nan
+    w = sqrt(1.0 - p)
+    sag = side * (cx * x * x + cy * y * y) / (1.0 + w)
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
+    twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
+    gx, gy = -side * cx * x - twist * y, -side * cy * y + twist * x
+    return float((z - sag) * w / (L * gx + M * gy + N * w))
+
+
+@exact
+def _finite(t: float) -> float:
+    return t if isfinite(t) else inf
+
+
+@exact
+def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Normal G towards +z at a point near a lens (lens frame), and how far over it that lies, times |G|."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    if faces[row, slot.BICONIC] == 0.0:
+        kappa = faces[row, slot.KX]
+        over = -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
+        return -side * cx * x, -side * cy * y, 1.0 - side * kappa * z, over
+    w, _ = _biconic_parts(faces, row, x, y)
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
+    twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
+    gap = _biconic_gap(faces, row, x, y, z)
+    return -side * cx * x - twist * y, -side * cy * y + twist * x, w, gap * w

@@ -1,0 +1,153 @@
+"""A layout packed into plain arrays, the only thing compiled kernels can read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.surface import Quadric
+from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Layout
+
+# Columns of a face's row.
+BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
+ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, FACE_NUMBERS = range(20, 27)
+
+# Columns of a body's row.
+LEVEL, BODY_LOW, BODY_HIGH, COLUMNAR, COVERED, BOX = range(6)
+(
+    MID_X,
+    MID_Y,
+    INNER_X,
+    INNER_Y,
+    INNER_R,
+    OUTLINE,
+    OUT_X,
+    OUT_Y,
+    ENTRY,
+    JUMP_FROM,
+    JUMP_TO,
+    QUICK,
+    BODY_NUMBERS,
+) = range(10, 23)
+
+# The lattice's numbers.
+HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
+NORMAL, HALF, RESIDUAL, WHOLE_STEPS, SHIFT, OPAQUE, BAFFLE, PLAIN, LATTICE_NUMBERS = (
+    11,
+    17,
+    20,
+    22,
+    24,
+    28,
+    29,
+    30,
+    31,
+)
+
+NO_BAFFLE = -1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """A layout as arrays.
+
+    Attributes
+    ----------
+    faces : (f, FACE_NUMBERS), bodies : (b, BODY_NUMBERS), lattice : (LATTICE_NUMBERS,)
+        Columns as named in this module; lengths in design units.
+    rows : (n2, 2) ints
+        First kept cell of each row of the lattice and one past its last. Outlines are convex, so a row is
+        one run. Empty for a plain lattice (PLAIN), whose rows are all alike.
+    """
+
+    faces: Floats
+    bodies: Floats
+    lattice: Floats
+    rows: NDArray[np.int64]
+
+
+@lru_cache(maxsize=8)
+def pack(layout: Layout) -> Packed:
+    """Pack a layout for the kernels; kept, since pictures ask block by block."""
+    faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
+    return Packed(
+        faces=np.array(faces),
+        bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
+        lattice=_lattice(layout),
+        rows=_rows(layout),
+    )
+
+
+def _face(face: FacePlan) -> list[float]:
+    row = [0.0] * FACE_NUMBERS
+    surface = face.surface
+    row[CX], row[CY], row[SIDE] = surface.curvature_x, surface.curvature_y, float(surface.side)
+    if isinstance(surface, Quadric):
+        row[KX] = surface.kappa
+    else:
+        row[BICONIC], row[KX], row[KY] = 1.0, surface.conic_x, surface.conic_y
+    row[VX : VZ + 1] = face.vertex
+    row[TURNED] = float(face.rotation is not None)
+    row[R0 : R0 + 9] = (np.eye(3) if face.rotation is None else face.rotation).ravel().tolist()
+    row[ARRAY] = -1.0 if face.array is None else float(face.array)
+    row[LAND], row[LOW], row[HIGH] = face.land, face.low, face.high
+    row[CLIMB] = face.slope / sqrt(1.0 + face.slope * face.slope)  # least N of a ray steeper than the face
+    row[WHOLE] = float(face.whole)
+    return row
+
+
+def _body(body: BodyPlan, margin: float) -> list[float]:
+    row = [0.0] * BODY_NUMBERS
+    row[LEVEL], row[BODY_LOW], row[BODY_HIGH] = body.level, body.low, body.high
+    row[COLUMNAR], row[COVERED] = float(body.columnar), float(body.covered)
+    row[BOX : BOX + 4] = body.box
+    row[MID_X], row[MID_Y] = body.centre
+    row[INNER_X : INNER_R + 1] = body.inner
+    row[OUTLINE] = float(("none", "circle", "rectangle").index(body.outline[0]))
+    row[OUT_X : OUT_Y + 1] = body.outline[1:]
+    solid = body.separate and all(face.whole or face.land == face.land for face in (body.front, body.back))
+    row[JUMP_FROM], row[JUMP_TO] = (body.front.high, body.back.low) if solid else (1.0, 0.0)
+    row[ENTRY] = float(body.arrays[0])  # the array in whose cells rays arrive
+    bare = all(face.whole and face.land != face.land for face in (body.front, body.back))
+    row[QUICK] = float(
+        body.columnar and body.covered and bare and margin == 0.0
+    )  # see `solid_body_short_cut`
+    return row
+
+
+def _lattice(layout: Layout) -> Floats:
+    lattice, row = layout.lattice, np.zeros(LATTICE_NUMBERS)
+    borders = len(layout.halves)
+    row[HEXAGONAL], row[PITCH] = float(lattice.hexagonal), lattice.pitch[0]
+    row[ROW] = lattice.a2[1]
+    row[N1], row[N2] = lattice.count
+    row[X0], row[Y0] = lattice.first_centre
+    row[MARGIN], row[TINY], row[REACH] = layout.margin, layout.tiny, lattice.circumradius
+    row[BORDERS] = borders
+    row[NORMAL : NORMAL + 2 * borders] = layout.normals.ravel()
+    row[HALF : HALF + borders] = layout.halves
+    row[RESIDUAL : RESIDUAL + 2] = layout.residual
+    row[WHOLE_STEPS : WHOLE_STEPS + 2] = layout.whole_steps
+    row[SHIFT : SHIFT + 4] = np.ravel(layout.window.shifts)
+    row[OPAQUE] = float(layout.window.land.opaque)
+    row[PLAIN] = float(not lattice.hexagonal and lattice.outline is None)
+    row[BAFFLE] = NO_BAFFLE if layout.window.baffle is None else layout.window.baffle.wall
+    return row
+
+
+def _rows(layout: Layout) -> NDArray[np.int64]:
+    """One run of cells a row of the lattice; none for a plain lattice, which may have 1e9 rows and needs no table."""
+    lattice = layout.lattice
+    if lattice.outline is None:
+        j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)
+        return np.stack([-(j // 2), lattice.count[0] - j // 2], axis=-1)
+    runs = np.zeros((lattice.count[1], 2), dtype=np.int64)
+    for k in range(lattice.count[1]):
+        row = lattice.row(k)
+        if len(row):
+            runs[k] = row[0, 0], row[-1, 0] + 1
+    return runs

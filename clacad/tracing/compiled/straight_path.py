@@ -1,0 +1,622 @@
+"""The straight path, compiled: blocks of rays in the first-level cache, face by face, two loops a face.
+
+The twin of `clacad.tracing.reference.surfaces.in_cell`. Each pass is a plain loop over a block that a compiler turns
+into vector instructions: no branch, no call, two square roots and two divisions a face.
+
+Each condition of the straight path is a number that must be positive; the row GOOD keeps the least of them.
+A miss or a total reflection is a NaN that carries itself to the end, where it shows in the direction. Rays
+that fail are walked one by one afterwards.
+
+Positions are carried times N, so that the step to the vertex plane needs no division:
+with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r − b  the hit is
+((X q + c L), (Y q + c M), c N) / (N q) and r = (N r) q / (N q).
+"""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.compiled import exact, least, owning
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.face import height, meet
+from clacad.tracing.compiled.straight_path_slots import (
+    CI,
+    CI0,
+    CJ,
+    CJ0,
+    DEPTH,
+    DX,
+    DY,
+    DZ,
+    GOOD,
+    GX,
+    GY,
+    GZ,
+    LEFT_X,
+    LEFT_Y,
+    OVER,
+    PATH,
+    ROOT,
+    SHARE,
+    STEEP,
+    X,
+    Y,
+    Z,
+)
+from clacad.tracing.compiled.walk import reach
+from clacad.tracing.layout import Floats
+from clacad.tracing.triangles.compiled_tile_block import cross_facets
+from clacad.tracing.triangles.tiles import Tiles
+
+Ints = NDArray[np.int64]
+Rows = NDArray[np.intp]
+Singles = NDArray[Any]  # float32: every pass takes either precision
+
+
+BEHIND_START = -8 * 2.0**-52
+
+
+@exact
+def copy_row(one: Floats, other: Floats, m: int) -> None:
+    """Copy a row, of whatever precision, to another: a plain loop becomes vector moves, a slice does not."""
+    for k in range(m):
+        other[k] = one[k]
+
+
+@exact
+def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: float, oz: float) -> None:
+    """First loop of a face: to the hit. Positions plus (ox, oy, oz) are relative to the vertex, and are after."""
+    x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
+    cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
+    real = s.dtype.type
+    one, n1, ox, oy, oz = real(1.0), real(n1), real(ox), real(oy), real(oz)
+    for i in range(m):
+        u, v, w = dx[i], dy[i], dz[i]
+        down = z[i] + oz
+        px, py = w * (x[i] + ox) - down * u, w * (y[i] + oy) - down * v
+        a = cx * u * u + cy * v * v + kappa * w * w
+        b = cx * px * u + cy * py * v - side * w * w
+        c = cx * px * px + cy * py * py
+        r = sqrt(b * b - a * c)
+        q = side * r - b
+        inverse = one / (w * q)
+        x[i] = (px * q + c * u) * inverse
+        y[i] = (py * q + c * v) * inverse
+        z[i] = c * w * inverse
+        root[i] = r * q * inverse
+        path[i] += n1 * ((c - down * q) * inverse)
+
+
+@exact
+def _turn_in(face: Floats, s: Floats, m: int, ox: float, oy: float, oz: float) -> None:
+    """Positions plus (ox, oy, oz), and directions, from sheet axes to lens axes."""
+    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
+    d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
+    g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
+    real = s.dtype.type
+    ox, oy, oz = real(ox), real(oy), real(oz)
+    for i in range(m):
+        u, v, w = x[i] + ox, y[i] + oy, z[i] + oz
+        x[i], y[i], z[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
+    for i in range(m):
+        u, v, w = dx[i], dy[i], dz[i]
+        dx[i], dy[i], dz[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
+
+
+@exact
+def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
+    """Back to sheet axes; normals must face up, rays must climb."""
+    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
+    gx, gy, gz = s[GX], s[GY], s[GZ]
+    a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
+    d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
+    g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
+    climb = s.dtype.type(climb)
+    for i in range(m):
+        u, v, w = x[i], y[i], z[i]
+        x[i], y[i], z[i] = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + k * w
+    for i in range(m):
+        u, v, w = dx[i], dy[i], dz[i]
+        up = g * u + h * v + k * w
+        dx[i], dy[i], dz[i] = a * u + b * v + c * w, d * u + e * v + f * w, up
+        good[i] = least(good[i], least(g * gx[i] + h * gy[i] + k * gz[i], up - climb))
+
+
+@exact
+def _refract_quadric(
+    face: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, hx: float, hy: float
+) -> None:
+    """Second loop of a face: Snell's law. The normal must be of the apex half, the hit inside hx and hy of the
+    cell's centre, and the ray must climb on; these comparisons hide behind the divisions.
+    """
+    x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[GOOD]
+    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
+    sk, vx, vy = face[slot.SIDE] * face[slot.KX], face[slot.VX], face[slot.VY]
+    real = s.dtype.type
+    one, mu, weight = real(1.0), real(n1 / n2), real((n2 - n1) / n2 * ((n2 + n1) / n2))
+    climb, hx, hy = real(climb), real(hx), real(hy)
+    for i in range(m):
+        gx, gy, gz = sx * x[i], sy * y[i], one - sk * z[i]
+        incident = mu * root[i]
+        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        dx[i] = mu * dx[i] + g * gx
+        dy[i] = mu * dy[i] + g * gy
+        up = mu * dz[i] + g * gz
+        dz[i] = up
+        inside = least(hx - abs(x[i] + vx), hy - abs(y[i] + vy))
+        good[i] = least(least(good[i], inside), least(gz, up - climb))
+
+
+@exact
+def _normals(face: Floats, s: Floats, m: int) -> None:
+    """Normals of a quadric at the hits."""
+    x, y, z, gx, gy, gz = s[X], s[Y], s[Z], s[GX], s[GY], s[GZ]
+    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
+    sk, one = face[slot.SIDE] * face[slot.KX], s.dtype.type(1.0)
+    for i in range(m):
+        gx[i], gy[i], gz[i] = sx * x[i], sy * y[i], one - sk * z[i]
+
+
+@exact
+def _meet_biconic(
+    faces: Floats, f: int, s: Floats, m: int, n1: float, n2: float, ox: float, oy: float, oz: float
+) -> None:
+    """Both loops of a biconic face: Newton has no fixed length, so rays are taken one by one."""
+    mu = n1 / n2
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    for i in range(m):
+        t, x, y, z, gx, gy, gz, root = meet(
+            faces, f, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
+        )  # fmt: skip
+        incident = mu * root
+        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        s[X, i], s[Y, i], s[Z, i], s[ROOT, i] = x, y, z, root
+        s[DX, i], s[DY, i] = mu * s[DX, i] + g * gx, mu * s[DY, i] + g * gy
+        s[DZ, i] = mu * s[DZ, i] + g * gz
+        s[GX, i], s[GY, i], s[GZ, i] = gx, gy, gz
+        s[PATH, i] += n1 * t
+        if not gz > 0.0:
+            s[GOOD, i] = 0.0
+
+
+@exact
+def _proud(face: Floats, s: Floats, m: int) -> None:
+    """Hits must be on the lens where land could cover it."""
+    z, good = s[Z], s[GOOD]
+    vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
+    for i in range(m):
+        good[i] = least(good[i], (land - vz - z[i]) * side)
+
+
+@exact
+def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
+    """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
+    x, y, good, real = s[X], s[Y], s[GOOD], s.dtype.type
+    margin, ox, oy, middle = real(margin), real(ox), real(oy), real(0.5)
+    if lat[slot.HEXAGONAL] == 0.0:
+        hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
+        for i in range(m):
+            good[i] = least(good[i], least(hx - abs(x[i] + ox), hy - abs(y[i] + oy)))
+        return
+    half, slant = lat[slot.HALF] - margin, lat[slot.NORMAL + 3]
+    for i in range(m):
+        u, v = x[i] + ox, y[i] + oy
+        one, two, three = abs(u), abs(middle * u + slant * v), abs(middle * u - slant * v)
+        good[i] = least(least(good[i], half - one), least(half - two, half - three))
+
+
+@exact
+def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: float, margin: float) -> None:
+    """Rays must be in their cell, `margin` inside, where they cross a level; everything times N, so no division."""
+    x, y, z, dx, dy, dz, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[GOOD]
+    real = s.dtype.type
+    level, ox, oy, margin, middle = real(level), real(ox), real(oy), real(margin), real(0.5)
+    half, half_y, slant = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin, lat[slot.NORMAL + 3]
+    if lat[slot.HEXAGONAL] == 0.0:
+        for i in range(m):
+            rise = level - z[i]
+            u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
+            good[i] = least(good[i], least(half * dz[i] - abs(u), half_y * dz[i] - abs(v)))
+        return
+    for i in range(m):
+        rise, edge = level - z[i], half * dz[i]
+        u, v = (x[i] + ox) * dz[i] + rise * dx[i], (y[i] + oy) * dz[i] + rise * dy[i]
+        one, two, three = abs(u), abs(middle * u + slant * v), abs(middle * u - slant * v)
+        good[i] = least(least(good[i], edge - one), least(edge - two, edge - three))
+
+
+@exact
+def _carry(
+    lat: Floats,
+    s: Floats,
+    m: int,
+    rise: float,
+    level: float,
+    index: float,
+    change: float,
+    ox: float,
+    oy: float,
+) -> None:
+    """Carry rays to a level and into the cells of the array there, whatever they may be.
+
+    Parameters
+    ----------
+    rise : float
+        From the rays' origin of heights up to the level.
+    level : float
+        What their height is then called.
+    change : float
+        +1 from array 0 to 1, −1 back, 0 neither.
+    ox, oy : float
+        The rays' origin, seen from the centre of their cell.
+    """
+    x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[PATH], s[CI], s[CJ]
+    real = s.dtype.type
+    rise, level, index, zero, middle, one = (
+        real(rise),
+        real(level),
+        real(index),
+        real(0.0),
+        real(0.5),
+        real(1.0),
+    )
+    rx, ry = real(ox - change * lat[slot.RESIDUAL]), real(oy - change * lat[slot.RESIDUAL + 1])
+    wi, wj = real(change * lat[slot.WHOLE_STEPS]), real(change * lat[slot.WHOLE_STEPS + 1])
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    per_pitch, per_row = one / pitch, one / row
+    if lat[slot.HEXAGONAL] == 0.0:
+        for i in range(m):
+            t = (rise - z[i]) / dz[i]
+            u, v = x[i] + rx + t * dx[i], y[i] + ry + t * dy[i]
+            a, b = np.floor(u * per_pitch + middle), np.floor(v * per_row + middle)
+            x[i], y[i], z[i] = u - a * pitch, v - b * row, level
+            ci[i] += a - wi
+            cj[i] += b - wj
+            path[i] += index * t
+        return
+    half, slant = middle * pitch, row / pitch
+    for i in range(m):
+        t = (rise - z[i]) / dz[i]
+        x[i] += rx + t * dx[i]
+        y[i] += ry + t * dy[i]
+        z[i] = level
+        path[i] += index * t
+    for i in range(m):
+        b = np.floor(y[i] * per_row + middle)
+        a = np.floor(x[i] * per_pitch - middle * b + middle)
+        u, v = x[i] - (a + middle * b) * pitch, y[i] - b * row
+        two, three = middle * u + slant * v, -middle * u + slant * v
+        second = (one if two >= half else zero) - (one if two < -half else zero)
+        third = ((one if three >= half else zero) - (one if three < -half else zero)) * (one - abs(second))
+        a, b = a - third, b + second + third
+        x[i] -= (a + middle * b) * pitch
+        y[i] -= b * row
+        ci[i] += a - wi
+        cj[i] += b - wj
+
+
+@exact
+def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
+    """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
+    x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
+    climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
+    if lat[slot.PLAIN] != 0.0:
+        n1, n2, hx, hy = lat[slot.N1] - middle, lat[slot.N2] - middle, lat[slot.HALF], lat[slot.HALF + 1]
+        for i in range(m):
+            inside = least(least(ci[i] + middle, n1 - ci[i]), least(cj[i] + middle, n2 - cj[i]))
+            local = least(hx - abs(x[i]), hy - abs(y[i]))
+            good[i] = least(least(good[i], dz[i] - climb), least(inside, local))
+        return
+    _in_zone(lat, s, m, 0.0, 0.0, 0.0)
+    last = float(len(rows) - 1)
+    for i in range(m):
+        j = min(max(cj[i], 0.0), last)
+        row = int(j) if j == j else 0
+        inside = (cj[i] == j) & (ci[i] >= rows[row, 0]) & (ci[i] < rows[row, 1]) & (dz[i] >= climb)
+        good[i] = good[i] if inside else 0.0
+
+
+@exact
+def centres(lat: Floats, s: Floats, m: int, array: int, px: Floats, py: Floats, ox: float, oy: float) -> None:
+    """Sheet-frame x and y of points plus (ox, oy)."""
+    x, y, ci, cj = s[X], s[Y], s[CI], s[CJ]
+    sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    real = s.dtype.type
+    ox, oy, middle, one, two = real(ox), real(oy), real(0.5), real(1.0), real(2.0)
+    if lat[slot.HEXAGONAL] != 0.0:
+        x0, y0 = lat[slot.X0], lat[slot.Y0]
+        for i in range(m):
+            px[i] = (x0 + (ci[i] + middle * cj[i]) * pitch + sx) + (x[i] + ox)
+            py[i] = (y0 + cj[i] * row + sy) + (y[i] + oy)
+        return
+    across, along = lat[slot.N1] - one, lat[slot.N2] - one
+    for i in range(m):
+        px[i] = ((two * ci[i] - across) * (middle * pitch) + sx) + (x[i] + ox)
+        py[i] = ((two * cj[i] - along) * (middle * row) + sy) + (y[i] + oy)
+
+
+@exact
+def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: float, oy: float) -> None:
+    """Rays must be certainly over the body."""
+    px, py, good = s[GX], s[GY], s[GOOD]
+    centres(lat, s, m, array, px, py, ox, oy)
+    mx, my, hx, hy, radius = (
+        body[slot.MID_X],
+        body[slot.MID_Y],
+        body[slot.INNER_X],
+        body[slot.INNER_Y],
+        body[slot.INNER_R],
+    )
+    square = radius * max(radius, s.dtype.type(0.0))
+    for i in range(m):
+        u, v = px[i] - mx, py[i] - my
+        inside = least(hx - abs(u), hy - abs(v))
+        good[i] = least(least(good[i], inside), square - (u * u + v * v))
+
+
+@exact
+def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
+    """Hits on one face must lie on the right side of the body's other face."""
+    vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
+    other, sign = f + 1 - 2 * (f % 2), 1.0 - 2.0 * (f % 2)
+    for i in range(m):
+        if s[GOOD, i] > 0.0:
+            gap = height(faces, other, s[X, i] + vx, s[Y, i] + vy) - (s[Z, i] + vz)
+            if not sign * gap >= 0.0:
+                s[GOOD, i] = 0.0
+
+
+@exact
+def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> None:
+    """Do as `_thick` where both faces are quadrics: the hit's place against the other's own half space."""
+    x, y, z, good = s[X], s[Y], s[Z], s[GOOD]
+    ox, oy, oz = (
+        face[slot.VX] - other[slot.VX],
+        face[slot.VY] - other[slot.VY],
+        face[slot.VZ] - other[slot.VZ],
+    )
+    cx, cy, kappa, side = other[slot.CX], other[slot.CY], other[slot.KX], other[slot.SIDE]
+    if other[slot.TURNED] == 0.0:
+        for i in range(m):
+            u, v, w = x[i] + ox, y[i] + oy, z[i] + oz
+            over = w - 0.5 * side * (cx * u * u + cy * v * v + kappa * w * w)
+            good[i] = least(good[i], least(1.0 - side * kappa * w, -sign * over))
+        return
+    a, b, c = other[slot.R0], other[slot.R0 + 1], other[slot.R0 + 2]
+    d, e, f = other[slot.R0 + 3], other[slot.R0 + 4], other[slot.R0 + 5]
+    g, h, k = other[slot.R0 + 6], other[slot.R0 + 7], other[slot.R0 + 8]
+    for i in range(m):
+        p, q, r = x[i] + ox, y[i] + oy, z[i] + oz
+        u, v, w = a * p + d * q + g * r, b * p + e * q + h * r, c * p + f * q + k * r
+        over = w - 0.5 * side * (cx * u * u + cy * v * v + kappa * w * w)
+        good[i] = least(good[i], least(1.0 - side * kappa * w, -sign * over))
+
+
+@exact
+def _cross(
+    faces: Floats, f: int, lat: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, within: bool, ox: float,
+    oy: float, oz: float,
+) -> None:  # fmt: skip
+    """Cross one face; positions plus (ox, oy, oz) are relative to its vertex, and are after.
+
+    within : the hit must lie in the optical zone of the cell
+    """
+    face = faces[f]
+    turned, quadric = face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
+    hx, hy, lowest = inf, inf, climb
+    plain = quadric and not turned
+    margin = lat[slot.MARGIN]
+    if within and plain and lat[slot.HEXAGONAL] == 0.0:
+        hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
+    if turned:
+        _turn_in(face, s, m, ox, oy, oz)
+        ox, oy, oz, lowest = 0.0, 0.0, 0.0, -2.0
+    if quadric:
+        _meet_quadric(face, s, m, n1, ox, oy, oz)
+        _refract_quadric(face, s, m, n1, n2, lowest, hx, hy)
+    else:
+        _meet_biconic(faces, f, s, m, n1, n2, ox, oy, oz)
+    if turned:
+        if quadric:
+            _normals(face, s, m)
+        _turn_out(face, s, m, climb)
+    elif not quadric:
+        _climbing(s, m, climb)
+    if within and not (plain and lat[slot.HEXAGONAL] == 0.0):
+        _in_zone(lat, s, m, margin, face[slot.VX], face[slot.VY])
+    if face[slot.WHOLE] == 0.0 and face[slot.LAND] == face[slot.LAND]:
+        _proud(face, s, m)
+
+
+@exact
+def _climbing(s: Floats, m: int, climb: float) -> None:
+    """Rays must climb faster than a face does."""
+    dz, good, climb = s[DZ], s[GOOD], s.dtype.type(climb)
+    for i in range(m):
+        good[i] = least(good[i], dz[i] - climb)
+
+
+@exact
+def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
+    """The first face must not lie behind the start."""
+    path, good, behind = s[PATH], s[GOOD], s.dtype.type(BEHIND_START)
+    for i in range(m):
+        slack = behind * (abs(carried[i]) + abs(path[i] - carried[i]))
+        good[i] = least(good[i], path[i] - slack)
+
+
+@exact
+def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
+    """Rays must pass the honeycomb between the arrays."""
+    for i in range(m):
+        di, dj = s[CI, i] - s[CI0, i], s[CJ, i] - s[CJ0, i]
+        x, y = s[X, i] + face[slot.VX], s[Y, i] + face[slot.VY]
+        if s[GOOD, i] > 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
+            s[GOOD, i] = 0.0
+
+
+@exact
+def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
+    """Multiply SHARE/OVER by the mean of T_s and T_p at an untilted quadric.
+
+    With a = n1/n2 |g| cos i and b = |g| cos t, g the normal: T_s = 4 a b/(a + b)², T_p = 4 a b/(|g| cos i + n1/n2 b)².
+    """
+    x, y, z, dx, dy, dz, root, share, over = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[SHARE], s[OVER]
+    sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
+    sk = face[slot.SIDE] * face[slot.KX]
+    mu = n1 / n2
+    for i in range(m):
+        a, b = mu * root[i], sx * x[i] * dx[i] + sy * y[i] * dy[i] + (1.0 - sk * z[i]) * dz[i]
+        one, two = a + b, root[i] + mu * b
+        one, two = one * one, two * two
+        share[i] *= 2.0 * a * b * (one + two)
+        over[i] *= one * two
+
+
+@exact
+def _let_through_turned(s: Floats, m: int, n1: float, n2: float) -> None:
+    """The same at any face whose normals are kept: in what axes does not matter."""
+    gx, gy, gz, root, share, over = s[GX], s[GY], s[GZ], s[ROOT], s[SHARE], s[OVER]
+    mu = n1 / n2
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    for i in range(m):
+        a = mu * root[i]
+        b = sqrt((gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i]) * weight + a * a)
+        one, two = a + b, root[i] + mu * b
+        one, two = one * one, two * two
+        share[i] *= 2.0 * a * b * (one + two)
+        over[i] *= one * two
+
+
+@exact
+def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
+    """Add rate · length inside a body to DEPTH: its two ends' heights over the body's level, over N in between."""
+    z, dz, depth, steep = s[Z], s[DZ], s[DEPTH], s[STEEP]
+    if side == 0:
+        for i in range(m):
+            steep[i] = rate / dz[i]
+            depth[i] -= (z[i] + vz) * steep[i]
+        return
+    for i in range(m):
+        depth[i] += (z[i] + vz) * steep[i]
+
+
+@exact
+def _lose(
+    face: Floats, s: Floats, m: int, n1: float, n2: float, reflects: bool, rate: float, side: int
+) -> None:
+    """Light lost at a face just crossed, and in the glass behind or before it."""
+    if reflects and n1 != n2:
+        if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
+            _let_through(face, s, m, n1, n2)
+        else:
+            _let_through_turned(s, m, n1, n2)
+    if rate != 0.0:
+        _absorbed(s, m, rate, face[slot.VZ], side)
+
+
+@exact
+def _store_hit(
+    lat: Floats,
+    face: Floats,
+    level: float,
+    s: Floats,
+    m: int,
+    array: int,
+    chosen: Rows,
+    hit: Floats,
+    turn: Floats,
+) -> None:
+    """Note hits and directions at one face."""
+    px, py, base = s[GX], s[GY], level + face[slot.VZ]
+    centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    for i in range(m):
+        if s[GOOD, i] > 0.0:
+            row = chosen[i]
+            hit[row, 0], hit[row, 1], hit[row, 2] = px[i], py[i], s[Z, i] + base
+            turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
+
+
+@owning
+def straight(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
+    hits: Floats, turns: Floats, carried: Floats,
+) -> int:  # fmt: skip
+    """Trace a launched block straight through every face; return the array its cells refer to at the end.
+
+    Positions are relative to the vertex of the last face, whatever was last crossed. `indices` may go on after
+    those of the bodies: whether faces reflect (0 or 1), then the attenuation of each body; the rows SHARE and DEPTH
+    then gather what bare faces let through of unpolarised light and what the bodies absorb, and no hit is stored.
+    """
+    m = len(chosen)
+    array, met, counted = 0, 0, len(indices) > len(bodies)
+    for i in range(m if counted else 0):
+        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
+    ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
+    for b in range(len(bodies)):
+        body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
+        if len(tiles.corner) > 0 or (not columnar and body[slot.COVERED] == 0.0):
+            s[GOOD, :m] = 0.0
+            return array
+        if b:
+            oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
+            if lat[slot.BAFFLE] != slot.NO_BAFFLE:
+                s[LEFT_X, :m], s[LEFT_Y, :m] = s[X, :m] + ox, s[Y, :m] + oy
+        for side in range(2):
+            face, other = faces[2 * b + side], faces[2 * b + 1 - side]
+            n1, n2 = (1.0, index) if side == 0 else (index, 1.0)
+            structured = face[slot.ARRAY] >= 0.0
+            if structured and (side == 0 or not columnar):
+                if b or side:
+                    change = face[slot.ARRAY] - array
+                    array = int(face[slot.ARRAY])
+                    level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
+                    _carry(lat, s, m, level - oz, level, n1, change, ox, oy)
+                    ox, oy, oz = 0.0, 0.0, 0.0
+                _arrive(lat, rows, s, m, face[slot.CLIMB])
+                if not columnar and lat[slot.MARGIN] > 0.0:  # a lenslet with a seam is an island with walls
+                    _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+                if met == 0:
+                    copy_row(s[CI], s[CI0], m)
+                    copy_row(s[CJ], s[CJ0], m)
+            climb = 0.0
+            if structured:
+                climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
+            vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
+            if len(tiles.part) == 0:
+                _cross(faces, 2 * b + side, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
+            else:
+                cross_facets(tiles, tiles.of[b, side], side, face, s, m, n1, n2, climb, ox, oy, oz)
+                if structured:
+                    _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+            if counted:
+                _lose(face, s, m, n1, n2, indices[len(bodies)] != 0.0, indices[len(bodies) + 1 + b], side)
+            ox, oy, oz = vx, vy, vz
+            if structured:
+                met += 1
+                if not columnar:
+                    _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy, lat[slot.MARGIN])
+                elif body[slot.COVERED] == 0.0 and len(tiles.part) == 0:
+                    if face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
+                        _between(face, other, s, m, 1.0 - 2.0 * side)
+                    else:
+                        _thick(faces, 2 * b + side, s, m)
+            if not columnar:
+                _in_inner(body, lat, s, m, array, ox, oy)
+            if b == 0 and side == 0:
+                _start_ahead(s, m, carried)
+            if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
+                _open_baffle(lat, face, s, m)
+            if len(hits) and not counted:
+                _store_hit(
+                    lat, face, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
+                )  # fmt: skip
+        if columnar:
+            _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
+    return array

@@ -1,0 +1,399 @@
+"""Compiled twin of `clacad.tracing.reference.walk`: one ray through every body, whatever it meets."""
+
+from __future__ import annotations
+
+from math import copysign, inf, isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.compiled import exact, inlined
+from clacad.optics.rays import NO_CELL, Fate
+from clacad.optics.surface import ULP
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.column import (
+    DISTANCE,
+    KIND,
+    PLACE,
+    box_span,
+    first_change,
+    in_footprint,
+    kept,
+    sheet_xy,
+    to_array,
+)  # fmt: skip
+from clacad.tracing.compiled.face import less_steps, meet, snell, to_lens, to_sheet, upward
+from clacad.tracing.compiled.solid_body_short_cut import ARRIVING, INSIDE, LEAVING, quick_change
+from clacad.tracing.layout import Floats
+from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
+from clacad.tracing.triangles.compiled_hierarchy import first_soup_change
+from clacad.tracing.triangles.compiled_tiles import NORMAL, first_facet_change
+from clacad.tracing.triangles.tiles import Tiles
+
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Cells = NDArray[np.int32]
+
+BEHIND = 8 * ULP
+
+SAME = 1e-6
+
+# Slots of a walker's numbers.
+CI, CJ, X, Y, Z, DX, DY, DZ, PATH, PX, PY, PZ, FIRST, LAST, ODD = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+    12,
+    14,
+    16,
+)
+AT_ARRAY, SECOND, GHOSTLY, LANDED, SURFACE, WALKER_NUMBERS = 18, 19, 20, 21, 22, 23
+
+ALIVE, GHOST, ON_LAND, BACKWARD = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.BACKWARD)
+TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED), int(Fate.MISSED)
+GOES_ON = 255
+
+
+@inlined
+def walk_ray(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
+    i: float, j: float, x: float, y: float, z: float, L: float, M: float, N: float, carried: float,
+    row: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
+    surface: Cells, hits: Floats, turns: Floats, work: Floats,
+    w: Floats, left: Floats, event: Floats, causes: Ints,
+) -> None:  # fmt: skip
+    """Trace one ray from the launch plane (cells of array 0, heights over body 0's level) and write its row."""
+    w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ], w[PATH] = i, j, x, y, z, L, M, N, 0.0
+    w[PX], w[PY], w[PZ] = position[row, 0], position[row, 1], position[row, 2]
+    for c in range(FIRST, ODD + 2):
+        w[c] = NO_CELL
+    for c in range(AT_ARRAY, LANDED + 1):
+        w[c] = 0.0
+    w[SURFACE] = NO_CELL
+    end = GOES_ON
+    for b in range(len(bodies)):
+        gap = carried
+        if b:
+            for c in range(WALKER_NUMBERS):
+                left[c] = w[c]
+            gap, end = _cross_gap(bodies, lat, b, w)
+            if end != GOES_ON:
+                _record_end(w, row, hits, turns)
+                break
+        end = _through_body(
+            tiles, faces, bodies, lat, rows, indices, b, gap, w, left, event, work, causes, row, hits, turns
+        )
+        if end != GOES_ON:
+            break
+    if end == GOES_ON:
+        end = ON_LAND if w[LANDED] != 0.0 else (GHOST if w[GHOSTLY] != 0.0 else ALIVE)
+        _record_end(w, row, hits, turns)
+    if end == MISSED:
+        for k in range(len(hits)):
+            for c in range(3):
+                hits[k, row, c], turns[k, row, c] = position[row, c], direction[row, c]
+        fate[row] = MISSED
+        cell[row, 0], cell[row, 1] = int(w[FIRST]), int(w[FIRST + 1])
+        return
+    fate[row], path[row], surface[row] = end, w[PATH], int(w[SURFACE])
+    position[row, 0], position[row, 1], position[row, 2] = w[PX], w[PY], w[PZ]
+    direction[row, 0], direction[row, 1], direction[row, 2] = w[DX], w[DY], w[DZ]
+    cell[row, 0], cell[row, 1] = int(w[FIRST]), int(w[FIRST + 1])
+    order[row, 0], order[row, 1] = _order(w)
+
+
+@exact
+def _order(w: Floats) -> tuple[int, int]:
+    """Cell of lens 2 minus cell 1; where they agree but a face between did not, that face's."""
+    if w[SECOND] == 0.0 or w[FIRST] == NO_CELL or w[LAST] == NO_CELL:
+        return NO_CELL, NO_CELL
+    i, j = w[LAST] - w[FIRST], w[LAST + 1] - w[FIRST + 1]
+    if i == 0.0 and j == 0.0 and w[ODD] != NO_CELL:
+        i, j = w[ODD] - w[FIRST], w[ODD + 1] - w[FIRST + 1]
+    return int(i), int(j)
+
+
+@exact
+def _next_change(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
+    x: float, y: float, z: float, L: float, M: float, N: float, stage: int, event: Floats, work: Floats,
+    causes: Ints,
+) -> None:  # fmt: skip
+    """Find what is met first, on smooth faces or on facets."""
+    inside = stage == INSIDE
+    if len(tiles.corner) > 0:
+        first_soup_change(tiles, faces, bodies, lat, b, array, i, j, x, y, z, L, M, N, inside, event)
+    elif len(tiles.part) > 0:
+        first_facet_change(
+            tiles, faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes
+        )  # fmt: skip
+    elif not quick_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, stage, event):
+        first_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes)
+
+
+@inlined
+def _through_body(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, b: int, gap: float, w: Floats,
+    left: Floats, event: Floats, work: Floats, causes: Ints, row: int, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
+    index = indices[b]
+    event[DISTANCE] = -1.0  # nothing of this body has been met
+    _next_change(
+        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
+        ARRIVING, event, work, causes,
+    )  # fmt: skip
+    kind, distance = int(event[KIND]), event[DISTANCE]
+    if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
+        return MISSED
+    hole = kind == ABOVE and _over(bodies, lat, rows, b, w, distance)
+    missed = kind == ASIDE or (kind == ABOVE and not hole)
+    if b and lat[slot.BAFFLE] != slot.NO_BAFFLE:
+        if _stopped_by_baffle(bodies, lat, b, w, left, event, gap):
+            _record_end(left, row, hits, turns)
+            for c in range(WALKER_NUMBERS):
+                w[c] = left[c]
+            return VIGNETTED
+    if missed:
+        return MISSED
+    w[PATH] += gap
+    if hole:
+        _pass_hole(faces, bodies, lat, rows, b, w, distance)
+        return GOES_ON
+    if kind != FRONT and kind != FRONT_LAND:
+        return _end_at(faces, bodies, lat, b, w, event, 1.0, row, hits, turns)
+    end = _refract(tiles, faces, bodies, lat, rows, b, 0, w, event, 1.0, index, row, hits, turns)
+    if end != GOES_ON:
+        return end
+    _next_change(
+        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
+        INSIDE, event, work, causes,
+    )  # fmt: skip
+    kind = int(event[KIND])
+    if kind != BACK and kind != BACK_LAND:
+        return _end_at(faces, bodies, lat, b, w, event, index, row, hits, turns)
+    end = _refract(tiles, faces, bodies, lat, rows, b, 1, w, event, index, 1.0, row, hits, turns)
+    if end != GOES_ON:
+        return end
+    if not w[DZ] > 0.0:
+        return BACKWARD
+    _next_change(
+        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
+        LEAVING, event, work, causes,
+    )  # fmt: skip
+    kind = int(event[KIND])
+    if kind != ABOVE and kind != ASIDE:
+        return _end_at(faces, bodies, lat, b, w, event, 1.0, row, hits, turns)
+    return GOES_ON
+
+
+@exact
+def _over(bodies: Floats, lat: Floats, rows: Ints, b: int, w: Floats, distance: float) -> bool:
+    """Whether a ray that has risen past the body did so over its footprint."""
+    array = int(w[AT_ARRAY])
+    sx, sy = sheet_xy(lat, array, w[CI], w[CJ], w[X], w[Y])
+    main = int(bodies[b, slot.ENTRY])
+    i, j, _, _ = to_array(
+        lat, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
+    )  # fmt: skip
+    return in_footprint(bodies, b, sx + distance * w[DX], sy + distance * w[DY], kept(lat, rows, i, j))
+
+
+@exact
+def _refract(
+    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, side: int, w: Floats, event: Floats,
+    n1: float, n2: float, row: int, hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """Refract at the front or back that was met."""
+    f = 2 * b + side
+    kind, distance = int(event[KIND]), event[DISTANCE]
+    on_lens = kind == FRONT or kind == BACK
+    main = int(bodies[b, slot.ENTRY])
+    array = int(faces[f, slot.ARRAY]) if faces[f, slot.ARRAY] >= 0.0 else main
+    place = PLACE + 4 * array
+    L, M, N = w[DX], w[DY], w[DZ]
+    x, y, z = event[place + 2], event[place + 3], w[Z]
+    ox, oy, oz = snell(L, M, N, 0.0, 0.0, 1.0, N, n1, n2)
+    met = False
+    if len(tiles.corner) > 0 or (on_lens and len(tiles.part) > 0):
+        gx, gy, gz = event[NORMAL], event[NORMAL + 1], event[NORMAL + 2]
+        ox, oy, oz = snell(L, M, N, gx, gy, gz, L * gx + M * gy + N * gz, n1, n2)
+    elif on_lens:
+        sx, sy, sz = to_lens(faces, f, x - faces[f, slot.VX], y - faces[f, slot.VY], z - faces[f, slot.VZ])
+        u, v, k = to_lens(faces, f, L, M, N)
+        t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, k)
+        if not abs(t - distance) <= SAME * lat[slot.HALF]:
+            # `meet` gives the other crossing where a ray falls in the lens's frame while it rises in the sheet's
+            t = distance
+            for _ in range(2):
+                gx, gy, gz, over = upward(faces, f, sx + t * u, sy + t * v, sz + t * k)
+                t -= over / (gx * u + gy * v + gz * k)
+            px, py, pz = sx + t * u, sy + t * v, sz + t * k
+            gx, gy, gz, over = upward(faces, f, px, py, pz)
+            root = gx * u + gy * v + gz * k
+        ox, oy, oz = snell(u, v, k, gx, gy, gz, root, n1, n2)
+        ox, oy, oz = to_sheet(faces, f, ox, oy, oz)
+        met, distance = True, t
+        px, py, pz = to_sheet(faces, f, px, py, pz)
+        x, y, z = px + faces[f, slot.VX], py + faces[f, slot.VY], pz + faces[f, slot.VZ]
+    if not met:
+        x, y = x + distance * L, y + distance * M
+        smooth = len(tiles.corner) == 0
+        z = z + distance * N if on_lens or not smooth else faces[f, slot.LAND]
+    w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = event[place], event[place + 1], x, y, z, array
+    w[PATH] += n1 * distance
+    w[PX], w[PY] = sheet_xy(lat, array, w[CI], w[CJ], x, y)
+    w[PZ] = z + bodies[b, slot.LEVEL]
+    w[SURFACE] = 2 * b + side
+    if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
+        _note_cell(lat, rows, w, int(faces[f, slot.ARRAY]), on_lens)
+    opaque = not on_lens and lat[slot.OPAQUE] != 0.0
+    total = not opaque and not isfinite(ox)
+    if not (opaque or total):
+        w[DX], w[DY], w[DZ] = ox, oy, oz
+    _record(w, 2 * b + side, row, hits, turns)
+    return VIGNETTED if opaque else (TIR if total else GOES_ON)
+
+
+@exact
+def _note_cell(lat: Floats, rows: Ints, w: Floats, array: int, on_lens: bool) -> None:
+    """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
+    i, j = float(NO_CELL), float(NO_CELL)
+    if kept(lat, rows, w[CI], w[CJ]):
+        i, j = w[CI], w[CJ]
+    if w[FIRST] == NO_CELL and w[FIRST + 1] == NO_CELL:
+        w[FIRST], w[FIRST + 1], w[ODD], w[ODD + 1] = i, j, i, j
+    differs = i != w[FIRST] or j != w[FIRST + 1]
+    if differs and w[ODD] == w[FIRST] and w[ODD + 1] == w[FIRST + 1]:
+        w[ODD], w[ODD + 1] = i, j
+    w[LAST], w[LAST + 1] = i, j
+    if array == 1:
+        w[SECOND] = 1.0
+    if differs and on_lens:
+        w[GHOSTLY] = 1.0
+    if not on_lens:
+        w[LANDED] = 1.0
+
+
+@exact
+def _pass_hole(
+    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, w: Floats, distance: float
+) -> None:
+    """Put a ray that rose past the body over its footprint on its highest level."""
+    for side in range(2):
+        if faces[2 * b + side, slot.ARRAY] < 0.0:
+            continue
+        array = int(faces[2 * b + side, slot.ARRAY])
+        i, j, x, y = to_array(
+            lat, int(w[AT_ARRAY]), array, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
+        )  # fmt: skip
+        w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
+        w[PATH] += distance
+        _note_cell(lat, rows, w, array, False)
+        distance = 0.0
+    w[PX], w[PY] = sheet_xy(lat, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y])
+    w[PZ] = w[Z] + bodies[b, slot.LEVEL]
+
+
+@exact
+def _cross_gap(bodies: Floats, lat: Floats, b: int, w: Floats) -> tuple[float, int]:
+    """Carry a ray to body b's reference plane, or to where it comes alongside above that plane."""
+    entry = int(bodies[b, slot.ENTRY])
+    z = w[Z] - (bodies[b, slot.LEVEL] - bodies[b - 1, slot.LEVEL])
+    gap = (bodies[b, slot.BODY_LOW] - z) / w[DZ]
+    of = int(w[AT_ARRAY])
+    i, j, x, y = to_array(lat, of, entry, w[CI], w[CJ], w[X] + gap * w[DX], w[Y] + gap * w[DY])
+    sx, sy = sheet_xy(lat, entry, i, j, x, y)
+    enter, leave = box_span(lat, bodies, b, sx, sy, w[DX], w[DY])
+    span = (bodies[b, slot.BODY_HIGH] - bodies[b, slot.BODY_LOW]) / w[DZ]
+    if not (enter <= leave and leave >= 0.0 and enter <= span and isfinite(gap)):
+        return gap, (MISSED if lat[slot.BAFFLE] == slot.NO_BAFFLE else VIGNETTED)
+    late = enter if enter > 0.0 else 0.0
+    i, j, x, y = to_array(lat, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
+    w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, bodies[b, slot.BODY_LOW] + late * w[DZ], entry
+    return gap + late, GOES_ON
+
+
+@exact
+def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
+    """How far along the gap a ray gets before it meets the honeycomb; see `clacad.tracing.reference.honeycomb`."""
+    u, v = less_steps(lat, u, v, -i, -j)
+    first = inf
+    for n in range(int(lat[slot.BORDERS])):
+        ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
+        here, there = ux * x + uy * y, ux * u + uy * v
+        free = lat[slot.HALF + n] - 0.5 * lat[slot.BAFFLE]
+        if abs(here) > free:
+            first = 0.0
+        elif abs(there) > free:
+            first = min(first, (copysign(free, there - here) - here) / (there - here))
+    return 1.0 if (i != 0.0 or j != 0.0) and not isfinite(first) else first
+
+
+@exact
+def _stopped_by_baffle(
+    bodies: Floats, lat: Floats, b: int, w: Floats, left: Floats, event: Floats, gap: float
+) -> bool:
+    """Whether the honeycomb between the arrays stops the ray; `left` is then put there."""
+    main = int(bodies[b, slot.ENTRY])
+    place = PLACE + 4 * main
+    distance = event[DISTANCE]
+    u, v = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
+    share = reach(lat, left[X], left[Y], u, v, event[place] - left[CI], event[place + 1] - left[CJ])
+    if not isfinite(share):
+        return False
+    run = share * (gap + distance)
+    if not isfinite(run):
+        run = 0.0
+    left[PX], left[PY], left[PZ] = (
+        left[PX] + run * left[DX],
+        left[PY] + run * left[DY],
+        left[PZ] + run * left[DZ],
+    )
+    left[PATH] += run
+    return True
+
+
+@exact
+def _end_at(
+    faces: Floats, bodies: Floats, lat: Floats, b: int, w: Floats, event: Floats, index: float, row: int,
+    hits: Floats, turns: Floats,
+) -> int:  # fmt: skip
+    """End a ray at a wall, or at a face met from its wrong side."""
+    main = int(bodies[b, slot.ENTRY])
+    place = PLACE + 4 * main
+    kind, distance = int(event[KIND]), event[DISTANCE]
+    x, y = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
+    w[PX], w[PY] = sheet_xy(lat, main, event[place], event[place + 1], x, y)
+    w[PZ] = w[Z] + distance * w[DZ] + bodies[b, slot.LEVEL]
+    w[PATH] += index * distance
+    _record_end(w, row, hits, turns)
+    if kind == FRONT or kind == FRONT_LAND:
+        w[SURFACE] = 2 * b
+    elif kind == BACK or kind == BACK_LAND:
+        w[SURFACE] = 2 * b + 1
+    return WALL
+
+
+@exact
+def _record(w: Floats, face: int, row: int, hits: Floats, turns: Floats) -> None:
+    """Note where a face was met; later faces repeat it until they are met."""
+    for k in range(max(face, 0), len(hits)):
+        for c in range(3):
+            hits[k, row, c] = w[PX + c]
+            turns[k, row, c] = w[DX + c]
+
+
+@exact
+def _record_end(w: Floats, row: int, hits: Floats, turns: Floats) -> None:
+    """Repeat the last point at every face that was not met."""
+    _record(w, int(w[SURFACE]) + 1 if w[SURFACE] >= 0.0 else 0, row, hits, turns)

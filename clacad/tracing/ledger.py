@@ -1,0 +1,115 @@
+"""The result under construction: every ray's row is written once, when its fate is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.tracing.layout import Floats, Ints
+
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ledger:
+    """Columns of a `TraceResult`, opened with every ray MISSED or INVALID, as launched."""
+
+    position: Floats
+    direction: Floats
+    fate: NDArray[np.uint8]
+    optical_path: Floats
+    cell: NDArray[np.int32]
+    order: NDArray[np.int32]
+    surface: NDArray[np.int32]
+    flux: Floats
+    hits: Floats
+    directions: Floats
+
+    @classmethod
+    def opened(cls, rays: Rays, recorded: int) -> Ledger:
+        """Rays as launched; `recorded` surfaces keep their hits (0: none)."""
+        n = len(rays)
+        fate = np.where(rays.valid(), np.uint8(Fate.MISSED), np.uint8(Fate.INVALID))
+        ledger = cls(
+            position=rays.position.copy(),
+            direction=rays.direction.copy(),
+            fate=fate.astype(np.uint8),
+            optical_path=np.zeros(n),
+            cell=np.full((n, 2), NO_CELL, dtype=np.int32),
+            order=np.full((n, 2), NO_CELL, dtype=np.int32),
+            surface=np.full(n, NO_CELL, dtype=np.int32),
+            flux=np.ones(n),
+            hits=np.empty((recorded, n, 3)),
+            directions=np.empty((recorded, n, 3)),
+        )
+        ledger.hits[:] = ledger.position
+        ledger.directions[:] = ledger.direction
+        return ledger
+
+    @classmethod
+    def blank(cls, n: int, recorded: int) -> Ledger:
+        """Columns without contents, for a tracer that writes every row itself."""
+        return cls(
+            position=np.empty((n, 3)),
+            direction=np.empty((n, 3)),
+            fate=np.empty(n, dtype=np.uint8),
+            optical_path=np.empty(n),
+            cell=np.empty((n, 2), dtype=np.int32),
+            order=np.empty((n, 2), dtype=np.int32),
+            surface=np.empty(n, dtype=np.int32),
+            flux=np.broadcast_to(np.float64(1.0), (n,)),  # no effect ran: nothing to store
+            hits=np.empty((recorded, n, 3)),
+            directions=np.empty((recorded, n, 3)),
+        )
+
+    def launchable(self) -> Rows:
+        """Rays that go forwards at the start; the others are MISSED or INVALID already."""
+        with np.errstate(invalid="ignore"):
+            return np.flatnonzero((self.fate == Fate.MISSED) & (self.direction[:, 2] > 0.0))
+
+    def record(self, face: int, rows: Rows, position: Floats, direction: Floats) -> None:
+        """Note where rays met a face and how they went on; later faces repeat it until they are met."""
+        if len(self.hits):
+            self.hits[face:, rows] = position
+            self.directions[face:, rows] = direction
+
+    def end(
+        self,
+        rows: Rows,
+        fate: NDArray[np.uint8] | Fate,
+        position: Floats,
+        direction: Floats,
+        optical_path: Floats,
+        surface: Ints | int,
+    ) -> None:
+        """Write the end of rays that crossed or met the sheet."""
+        self.fate[rows] = fate
+        self.position[rows] = position
+        self.direction[rows] = direction
+        self.optical_path[rows] = optical_path
+        self.surface[rows] = surface
+
+    def miss(self, rows: Rows) -> None:
+        """Give rays back as launched."""
+        if len(self.hits):
+            self.hits[:, rows] = self.position[rows]
+            self.directions[:, rows] = self.direction[rows]
+
+    def closed(self) -> TraceResult:
+        """The result."""
+        recorded = len(self.hits) > 0
+        return TraceResult(
+            position=self.position,
+            direction=self.direction,
+            fate=self.fate,
+            optical_path=self.optical_path,
+            cell=self.cell,
+            order=self.order,
+            surface=self.surface,
+            flux=self.flux,
+            hits=self.hits if recorded else None,
+            directions=self.directions if recorded else None,
+        )

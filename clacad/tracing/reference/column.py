@@ -1,0 +1,270 @@
+"""The first thing a ray meets in a body: stretch by stretch, column by column.
+
+A body is cut by the borders of its cells into columns. Along a ray, inside one column, the points where it
+crosses a lens's surface, a land's level, an optical zone's border or the outline divide it into stretches,
+and each stretch is either all material or all air. Which, is asked of the heights at its middle. The first
+stretch that differs from the ray's present state tells what was met: the crossing at its start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, less_steps
+from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
+from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
+
+Kinds = NDArray[np.int8]
+Rows = NDArray[np.intp]
+
+# What ends a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
+FRONT, FRONT_LAND, BACK, BACK_LAND, WALL, ABOVE, ASIDE = range(7)
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """The first change of state along m rays.
+
+    Attributes
+    ----------
+    kind : (m,) ints
+        FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the body) or
+        ASIDE (went out of the box round its footprint).
+    distance : (m,) lengths
+    cells, starts : one (m, 2) array for each of the body's arrays
+        The cell where it happened and the ray's starting point seen from there.
+    """
+
+    kind: Kinds
+    distance: Floats
+    cells: dict[int, Ints]
+    starts: dict[int, Floats]
+
+    def take(self, rows: NDArray[np.intp] | Mask) -> Event:
+        """The events of chosen rays."""
+        return Event(
+            self.kind[rows],
+            self.distance[rows],
+            {array: cell[rows] for array, cell in self.cells.items()},
+            {array: start[rows] for array, start in self.starts.items()},
+        )
+
+
+class _Grid(NamedTuple):
+    """Rays in the cells of one array: base cell, local start, and whole steps walked since."""
+
+    array: int
+    cell: Ints
+    local: Floats
+    steps: Ints
+
+
+class _Piece(NamedTuple):
+    """Rays inside one column: for each array the start seen from the present cell, and whether it is kept."""
+
+    starts: dict[int, Floats]
+    kept: dict[int, Mask]
+    z: Floats
+    direction: Floats
+    xy: Floats
+
+
+def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
+    """Find where each ray first enters the body's material, or leaves it.
+
+    Parameters
+    ----------
+    beam : Beam
+        Starts; heights over the body's level.
+    inside : bool
+        Whether the rays are in the material at the start. Rays in air are followed until they have risen
+        past the body's highest point.
+    """
+    m = len(beam)
+    grids = [_grid(layout, beam, array) for array in body.arrays]
+    xy = sheet_xy(layout, beam)
+    aside = np.maximum(box_span(layout, body, xy, beam.direction)[1], 0.0)
+    above = np.full(m, np.inf) if inside else (body.high - beam.z) / beam.direction[:, 2]
+    kind = np.full(m, ASIDE, dtype=np.int8)
+    since, cause = np.zeros(m), np.full(m, WALL, dtype=np.int8)
+    active = np.flatnonzero(~(above <= 0.0))
+    kind[above <= 0.0] = ABOVE
+    limit = np.minimum(aside, above)
+    for _ in range(_most_columns(layout, body)):
+        if not len(active):
+            break
+        piece = _piece(layout, grids, beam, xy, active)
+        border, across = _next_border(layout, piece)
+        end = np.minimum(border, limit[active])
+        lo, why, changed = _scan(layout, body, piece, since[active], cause[active], end, inside)
+        since[active], cause[active] = lo, why
+        risen = ~changed & (above[active] <= end)
+        gone = ~changed & ~risen & (aside[active] <= end)
+        kind[active[changed]] = why[changed]
+        kind[active[risen]] = ABOVE
+        since[active[risen]] = above[active[risen]]
+        since[active[gone]] = aside[active[gone]]
+        on = ~(changed | risen | gone)
+        active = active[on]
+        _step(layout, grids, active, across[on])
+    cells = {g.array: g.cell + g.steps for g in grids}
+    starts = {g.array: less_steps(layout.lattice, g.local, g.steps) for g in grids}
+    return Event(kind, since, cells, starts)
+
+
+def _most_columns(layout: Layout, body: BodyPlan) -> int:
+    """More columns than a straight line can cross inside the body's box."""
+    across = layout.lattice.pitch[0] if layout.lattice.hexagonal else min(layout.lattice.pitch)
+    width, depth = body.box[1] - body.box[0], body.box[3] - body.box[2]
+    return 64 + 4 * len(body.arrays) * int((width + depth) / across + 4)
+
+
+def _grid(layout: Layout, beam: Beam, array: int) -> _Grid:
+    if array == beam.array:
+        return _Grid(array, beam.cell, beam.local, np.zeros_like(beam.cell))
+    _, local, cell = cell_in(layout, beam.array, array, beam.cell, beam.local)
+    return _Grid(array, cell, local, np.zeros_like(cell))
+
+
+def _piece(layout: Layout, grids: list[_Grid], beam: Beam, xy: Floats, active: Rows) -> _Piece:
+    starts = {g.array: less_steps(layout.lattice, g.local[active], g.steps[active]) for g in grids}
+    kept = {g.array: layout.lattice.contains(g.cell[active] + g.steps[active]) for g in grids}
+    return _Piece(starts, kept, beam.z[active], beam.direction[active], xy[active])
+
+
+def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
+    """Distance to the next border of a column, and which: array, direction and sense in one number."""
+    k = len(piece.z)
+    nearest, across = np.full(k, np.inf), np.zeros(k, dtype=np.int64)
+    count = len(layout.halves)
+    for array, start in piece.starts.items():
+        for n in range(count):
+            here, speed = along_normal(layout, n, start), along_normal(layout, n, piece.direction)
+            t = (np.copysign(layout.halves[n], speed) - here) / speed
+            t = np.where(speed == 0.0, np.inf, t)
+            closer = t < nearest
+            nearest = np.where(closer, t, nearest)
+            across = np.where(closer, array * 2 * count + n + count * (speed < 0.0), across)
+    return nearest, across
+
+
+def along_normal(layout: Layout, n: int, rows: Floats) -> Floats:
+    return np.asarray(layout.normals[n, 0] * rows[:, 0] + layout.normals[n, 1] * rows[:, 1])
+
+
+def _step(layout: Layout, grids: list[_Grid], active: Rows, across: Ints) -> None:
+    """Move rays into the next column."""
+    borders = np.array(layout.lattice.steps)
+    for g in grids:
+        own = across // len(borders) == g.array
+        g.steps[active[own]] += borders[across[own] % len(borders)]
+
+
+def _scan(
+    layout: Layout, body: BodyPlan, piece: _Piece, since: Floats, cause: Kinds, end: Floats, inside: bool
+) -> tuple[Floats, Kinds, Mask]:
+    """Go through the stretches of a column; return the last division passed, its cause, and who changed state.
+
+    Stretches shorter than `Layout.tiny` are joined to the next one: rounding alone decides there. Where a
+    border and a face are that close, the face is named.
+    """
+    times, causes = _divisions(layout, body, piece)
+    late = times >= np.maximum(since - layout.tiny, 0.0)
+    times = np.where(late & (times < end), np.maximum(times, since), np.inf)
+    turn = np.argsort(times, axis=0, kind="stable")
+    times = np.take_along_axis(times, turn, axis=0)
+    changed = np.zeros(len(end), dtype=bool)
+    for c in range(len(times) + 1):
+        to = np.minimum(times[c], end) if c < len(times) else end
+        why = np.full(len(end), WALL, dtype=np.int8)
+        if c < len(times):
+            why = np.where(times[c] < end, causes[turn[c]], why)
+        wide = ~changed & (to - since > layout.tiny)
+        pick = np.flatnonzero(wide)
+        if len(pick):
+            solid = _solid(layout, body, piece, pick, 0.5 * (since[pick] + to[pick]))
+            changed[pick[solid != inside]] = True
+        moved = wide & ~changed
+        named = moved | (~changed & (to < end) & (why != WALL))
+        cause = np.where(named, why, cause)
+        since = np.where(moved, to, since)
+    return since, cause, changed
+
+
+def _divisions(layout: Layout, body: BodyPlan, piece: _Piece) -> tuple[Floats, Kinds]:
+    """Distances (c, k) that divide rays into stretches, and what each is (c,)."""
+    times: list[Floats] = []
+    causes: list[int] = []
+    for face, lens, land in ((body.front, FRONT, FRONT_LAND), (body.back, BACK, BACK_LAND)):
+        if face.array is None:
+            times.append((face.vertex[2] - piece.z) / piece.direction[:, 2])
+            causes.append(lens)
+        else:
+            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction)
+            causes += [lens, lens]
+        if not np.isnan(face.land):
+            times.append((face.land - piece.z) / piece.direction[:, 2])
+            causes.append(land)
+    if layout.margin > 0.0:
+        times += [t for start in piece.starts.values() for t in _zone_borders(layout, start, piece.direction)]
+    times += _outline_crossings(body, piece)
+    causes += [WALL] * (len(times) - len(causes))
+    return np.array([np.where(np.isfinite(t), t, np.inf) for t in times]), np.array(causes, dtype=np.int8)
+
+
+def _zone_borders(layout: Layout, start: Floats, direction: Floats) -> list[Floats]:
+    out = []
+    for n, half in enumerate(layout.halves):
+        here, speed = along_normal(layout, n, start), along_normal(layout, n, direction)
+        out += [(edge - here) / speed for edge in (half - layout.margin, layout.margin - half)]
+    return out
+
+
+def _outline_crossings(body: BodyPlan, piece: _Piece) -> list[Floats]:
+    shape, half_x, half_y = body.outline
+    if shape == "none":
+        return []
+    point, ray = piece.xy - np.asarray(body.centre), piece.direction[:, :2]
+    if shape == "rectangle":
+        return [
+            (edge - point[:, i]) / ray[:, i]
+            for i, half in ((0, half_x), (1, half_y))
+            for edge in (half, -half)
+        ]
+    a, b = (ray * ray).sum(axis=1), (point * ray).sum(axis=1)
+    c = (point * point).sum(axis=1) - half_x * half_x
+    q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
+    return [c / q, q / a]
+
+
+def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats) -> Mask:
+    """Whether the points at distance t of the picked rays lie in the material."""
+    direction = piece.direction[pick]
+    z = piece.z[pick] + t * direction[:, 2]
+    step = t[:, None] * direction[:, :2]
+    points = {array: start[pick] + step for array, start in piece.starts.items()}
+    kept = {array: mask[pick] for array, mask in piece.kept.items()}
+    front = _lens_over(layout, body.front, points, kept)
+    back = _lens_over(layout, body.back, points, kept)
+    bottom, top = np.fmin(front, body.front.land), np.fmax(back, body.back.land)
+    if body.columnar:
+        rimless = ~(front <= back)
+        bottom = np.where(rimless, body.front.land, bottom)
+        top = np.where(rimless, body.back.land, top)
+    over = in_footprint(body, piece.xy[pick] + step, kept[body.arrays[0]])
+    return np.asarray(over & (bottom <= z) & (z <= top))
+
+
+def _lens_over(layout: Layout, face: FacePlan, points: dict[int, Floats], kept: dict[int, Mask]) -> Floats:
+    """Height of a face's lens, NaN outside its optical zone and outside the kept cells."""
+    if face.array is None:
+        return np.full(len(next(iter(points.values()))), face.vertex[2])
+    local = points[face.array]
+    lens = np.where(kept[face.array], height(face, local), np.nan)
+    if layout.margin > 0.0:
+        lens = np.where(in_zone(layout, local, layout.margin), lens, np.nan)
+    return lens

@@ -1,0 +1,178 @@
+"""One ray, one face: meeting and refracting in the lens's own frame, heights, the rules of a column."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.optics.sequence import to_sheet, to_surface
+from clacad.optics.surface import Quadric, gradient, meet_at, refract
+from clacad.sheet.window import Face, lens_height
+from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Layout, Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hit:
+    """Where m rays cross a lens face, cell frame.
+
+    Attributes
+    ----------
+    local : (m, 2), z : (m,) lengths
+    distance : (m,) length
+        NaN where the ray misses the lens.
+    direction : (m, 3)
+        After refraction; NaN at total internal reflection.
+    upright : (m,) bool
+        The surface can be seen from straight above or below there: it is part of the face.
+    """
+
+    local: Floats
+    z: Floats
+    distance: Floats
+    direction: Floats
+    upright: Mask
+
+
+def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float) -> Hit:
+    """Meet a lens face from its −z side and refract."""
+    vx, vy, vz = face.vertex
+    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    ray = to_surface(face.rotation, direction)
+    met, point = meet_at(face.surface, to_surface(face.rotation, start), ray)
+    out, _ = refract(ray, met.gradient, met.root, n1, n2)
+    point = to_sheet(face.rotation, point)
+    upright = np.isfinite(met.distance)
+    if face.rotation is not None:
+        with np.errstate(invalid="ignore"):
+            upright &= met.gradient @ face.rotation[2] > 0.0
+    return Hit(
+        local=point[:, :2] + (vx, vy),
+        z=point[:, 2] + vz,
+        distance=met.distance,
+        direction=to_sheet(face.rotation, out),
+        upright=upright,
+    )
+
+
+def cross_at(
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float
+) -> Hit:
+    """Refract at a crossing that was found already, to be polished: `meet` gives the other one where a ray falls
+    in the lens's frame while it rises in the sheet's.
+    """
+    vx, vy, vz = face.vertex
+    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    start, ray = to_surface(face.rotation, start), to_surface(face.rotation, direction)
+    for _ in range(2):
+        point = start + distance[:, None] * ray
+        normal, over = _upward(face, point)
+        distance = distance - over / (ray * normal).sum(axis=1)
+    point = start + distance[:, None] * ray
+    normal, _ = _upward(face, point)
+    root = (ray * normal).sum(axis=1)
+    out, _ = refract(ray, normal, root, n1, n2)
+    point = to_sheet(face.rotation, point)
+    return Hit(
+        local=point[:, :2] + (vx, vy),
+        z=point[:, 2] + vz,
+        distance=distance,
+        direction=to_sheet(face.rotation, out),
+        upright=root > 0.0,
+    )
+
+
+def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
+    """Normal G towards +z at points near a lens (lens frame), and how far over it they lie, in units of 1/|G|."""
+    surface = face.surface
+    x, y, z = point.T
+    if not isinstance(surface, Quadric):
+        normal = gradient(surface, x, y)
+        return normal, (z - surface.sag(x, y)) * normal[:, 2]
+    cx, cy, kappa, side = surface.curvature_x, surface.curvature_y, surface.kappa, surface.side
+    normal = np.column_stack([-side * cx * x, -side * cy * y, 1.0 - side * kappa * z])
+    return normal, -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
+
+
+def cross_land(direction: Floats, n1: float, n2: float) -> Floats:
+    """Directions behind a plane parallel to the sheet; NaN at total internal reflection."""
+    gradient = np.broadcast_to(np.array([0.0, 0.0, 1.0]), direction.shape)
+    return refract(direction, gradient, direction[:, 2], n1, n2)[0]
+
+
+def height(face: FacePlan, local: Floats) -> Floats:
+    """Height of the lens over the body's level above points of the cell frame; NaN where there is none."""
+    if face.array is None:
+        return np.full(len(local), face.vertex[2])
+    lens = Face(face.surface, face.vertex) if face.rotation is None else Face(
+        face.surface, face.vertex, face.rotation
+    )  # fmt: skip
+    return lens_height(lens, local[:, 0], local[:, 1])
+
+
+def in_zone(layout: Layout, local: Floats, margin: float) -> Mask:
+    """Which points of the cell frame lie at least `margin` inside their cell's borders."""
+    inside = np.ones(len(local), dtype=bool)
+    with np.errstate(invalid="ignore"):
+        for (ux, uy), half in zip(layout.normals, layout.halves, strict=True):
+            inside &= np.abs(ux * local[:, 0] + uy * local[:, 1]) <= half - margin
+    return inside
+
+
+def in_footprint(body: BodyPlan, xy: Floats, kept: Mask) -> Mask:
+    """Which sheet points lie over the body, given which lie over a kept cell of its array."""
+    shape, half_x, half_y = body.outline
+    if shape == "none":
+        return kept
+    x, y = xy[:, 0] - body.centre[0], xy[:, 1] - body.centre[1]
+    if shape == "circle":
+        return np.asarray(x * x + y * y <= half_x * half_x)
+    return np.asarray((np.abs(x) <= half_x) & (np.abs(y) <= half_y))
+
+
+def lens_roots(face: FacePlan, local: Floats, z: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Both distances at which rays cross the whole of a lens's surface; +inf where they do not.
+
+    They only divide the ray into stretches; what each stretch is, is asked of the heights. So a root of
+    the half beyond the equator does no harm.
+    """
+    vx, vy, vz = face.vertex
+    start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
+    p, d = to_surface(face.rotation, start), to_surface(face.rotation, direction)
+    surface = face.surface
+    if isinstance(surface, Quadric):
+        kappa = surface.kappa
+    else:  # the quadric of the same curvatures and mean κ is where Newton starts
+        kappa = 0.5 * (
+            (1.0 + surface.conic_x) * surface.curvature_x + (1.0 + surface.conic_y) * surface.curvature_y
+        )
+    roots = _quadric_roots((surface.curvature_x, surface.curvature_y, kappa, float(surface.side)), p, d)
+    if isinstance(surface, Quadric):
+        return roots
+    with np.errstate(all="ignore"):
+        met = meet_at(surface, p, d)[0].distance
+        other = np.where(np.abs(roots[0] - met) < np.abs(roots[1] - met), roots[1], roots[0])
+        for _ in range(8):
+            other = other - _biconic_step(face, p + other[:, None] * d, d)
+    return _finite(met), _finite(other)
+
+
+def _quadric_roots(shape: tuple[float, float, float, float], p: Floats, d: Floats) -> tuple[Floats, Floats]:
+    cx, cy, kappa, side = shape
+    a = cx * d[:, 0] ** 2 + cy * d[:, 1] ** 2 + kappa * d[:, 2] ** 2
+    b = cx * p[:, 0] * d[:, 0] + cy * p[:, 1] * d[:, 1] + (kappa * p[:, 2] - side) * d[:, 2]
+    c = cx * p[:, 0] ** 2 + cy * p[:, 1] ** 2 + (kappa * p[:, 2] - 2.0 * side) * p[:, 2]
+    with np.errstate(all="ignore"):
+        q = -(b + np.copysign(np.sqrt(b * b - a * c), b))
+        return _finite(c / q), _finite(q / a)
+
+
+def _biconic_step(face: FacePlan, point: Floats, d: Floats) -> Floats:
+    """Newton step along the ray towards z = sag(x, y)."""
+    sag = face.surface.sag(point[:, 0], point[:, 1])
+    normal = face.surface.normal(point[:, 0], point[:, 1])
+    return np.asarray((point[:, 2] - sag) * normal[:, 2] / (d * normal).sum(axis=1))
+
+
+def _finite(t: Floats) -> Floats:
+    return np.where(np.isfinite(t), t, np.inf)

@@ -1,0 +1,199 @@
+"""From rays as launched to rays in a cell: the exact plane step, and the step from array to array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
+from clacad.optics.sequence import unit
+from clacad.tracing.layout import BodyPlan, Floats, Ints, Layout, Mask, relocate, sheet_position
+
+
+class Extent(Protocol):
+    """Room that something takes: a box seen from above, and heights `low` … `high` over a sheet-frame level."""
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """x_min, x_max, y_min, y_max in the sheet frame."""
+
+    @property
+    def level(self) -> float:
+        """Sheet-frame z."""
+
+    @property
+    def low(self) -> float:
+        """Lowest point over `level`."""
+
+    @property
+    def high(self) -> float:
+        """Highest point over `level`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """m rays on their way, each relative to the cell it is in.
+
+    Attributes
+    ----------
+    rows : (m,) ints
+        Which launched ray each one is.
+    array : int
+        The lens array whose cells `cell` and `local` refer to.
+    cell : (m, 2) ints
+    local : (m, 2) lengths
+        x, y from the centre of the cell.
+    z : (m,) lengths
+        Height over the current body's level.
+    direction : (m, 3) unit, sheet axes
+    """
+
+    rows: NDArray[np.intp]
+    array: int
+    cell: Ints
+    local: Floats
+    z: Floats
+    direction: Floats
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def take(self, chosen: NDArray[np.intp] | Mask) -> Beam:
+        """The chosen rays."""
+        return Beam(
+            self.rows[chosen], self.array, self.cell[chosen], self.local[chosen], self.z[chosen],
+            self.direction[chosen],
+        )  # fmt: skip
+
+
+def launch(
+    layout: Layout, room: Extent, position: Floats, direction: Floats, rows: NDArray[np.intp]
+) -> tuple[Beam, Floats]:
+    """Carry rays to the reference plane of the first body, without rounding, and find their cells.
+
+    Parameters
+    ----------
+    room : Extent
+        Of the first body.
+    position, direction : (n, 3) arrays, sheet frame
+        As launched; finite, of any length. Rows with d_z ≤ 0 must not be asked for.
+    rows : (m,) ints
+        The rays to launch.
+
+    Returns
+    -------
+    beam : Beam
+        In the cells of array 0, on the plane just below the body, or where the ray comes alongside the sheet
+        above that plane. Rays that pass beside the sheet are left out: they are MISSED.
+    carried : (len(beam),) lengths
+        From the start to there; negative when the start lies above the plane.
+    """
+    start = position[rows]
+    ray, scaled = unit(direction[rows])
+    plane = np.full(len(rows), room.level + room.low)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        plane, beside = _alongside(layout, room, start, ray, plane)
+        kept = ~beside
+        rows, start, ray, scaled, plane = rows[kept], start[kept], ray[kept], scaled[kept], plane[kept]
+        step_high, step_low = _plane_step(start, scaled, plane)
+        x, x_low = _stepped(start[:, 0], scaled[:, 0], step_high, step_low)
+        y, y_low = _stepped(start[:, 1], scaled[:, 1], step_high, step_low)
+        carried = step_high * _length_ratio(scaled, ray)
+    cell, local_x, local_y = layout.lattice.locate(x, y, x_low, y_low)
+    local = np.stack([local_x, local_y], axis=-1)
+    return Beam(rows, 0, cell, local, plane - room.level, ray), carried
+
+
+def _plane_step(start: Floats, scaled: Floats, plane: Floats) -> tuple[Floats, Floats]:
+    """(plane − z)/N in double-double."""
+    rise = two_sum(plane, -start[:, 2])
+    quotient = rise[0] / scaled[:, 2]
+    # what the rounded quotient leaves over, divided once more
+    rest = pair_sum(rise, tuple(-part for part in two_product(quotient, scaled[:, 2])))  # type: ignore[arg-type]
+    return quotient, rest[0] / scaled[:, 2]
+
+
+def _stepped(x: Floats, along: Floats, high: Floats, low: Floats) -> tuple[Floats, Floats]:
+    return pair_sum(pair_product((high, low), pair(along)), pair(x))
+
+
+def _length_ratio(scaled: Floats, ray: Floats) -> Floats:
+    """Length of the scaled directions: steps are in units of it."""
+    largest = np.abs(scaled).argmax(axis=1)
+    rows = np.arange(len(scaled))
+    return np.asarray(scaled[rows, largest] / ray[rows, largest])
+
+
+def _alongside(
+    layout: Layout, body: Extent, start: Floats, ray: Floats, plane: Floats
+) -> tuple[Floats, Mask]:
+    """Raise the reference plane of rays that cross it beside the sheet to where they come alongside.
+
+    Returns the plane of each ray and a mask of those that pass the sheet altogether.
+    """
+    run = (plane - start[:, 2]) / ray[:, 2]
+    span = (body.high - body.low) / ray[:, 2]
+    enter, leave = box_span(layout, body, start[:, :2] + run[:, None] * ray[:, :2], ray)
+    beside = ~((enter <= leave) & (leave >= 0.0) & (enter <= span))
+    late = enter > 0.0
+    plane = np.where(late, plane + enter * ray[:, 2], plane)
+    return plane, beside | ~np.isfinite(plane)
+
+
+def box_span(layout: Layout, body: Extent, point: Floats, ray: Floats) -> tuple[Floats, Floats]:
+    """Distances at which rays enter and leave the box round the footprint, a cell wider on every side.
+
+    Parameters
+    ----------
+    point : (m, 2) lengths, sheet frame
+    """
+    pad = 2.0 * layout.lattice.circumradius
+    low = np.array([body.box[0] - pad, body.box[2] - pad])
+    high = np.array([body.box[1] + pad, body.box[3] + pad])
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        to_low, to_high = (low - point) / ray[:, :2], (high - point) / ray[:, :2]
+        still = ray[:, :2] == 0.0
+        inside = (point >= low) & (point <= high)
+        to_low = np.where(still, np.where(inside, -np.inf, np.inf), to_low)
+        to_high = np.where(still, np.where(inside, np.inf, -np.inf), to_high)
+        near, far = np.minimum(to_low, to_high), np.maximum(to_low, to_high)
+        near = np.where(still, to_low, near)
+        far = np.where(still, to_high, far)
+        # a ray whose plane crossing is not even finite passes beside
+        enter = np.nan_to_num(near.max(axis=1), nan=np.inf, posinf=np.inf, neginf=-np.inf)
+        leave = np.nan_to_num(far.min(axis=1), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+    return enter, leave
+
+
+def sheet_xy(layout: Layout, beam: Beam) -> Floats:
+    """Sheet-frame x, y (m, 2) of the rays: good enough for footprints and output."""
+    return sheet_position(layout, beam.array, beam.cell, beam.local, beam.z)[:, :2]
+
+
+def to_array(layout: Layout, beam: Beam, array: int) -> Beam:
+    """Name the same points by the cells of another array and give each ray the cell it is over."""
+    steps, local, cell = cell_in(layout, beam.array, array, beam.cell, beam.local)
+    return replace(beam, array=array, cell=cell, local=local)
+
+
+def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> tuple[Ints, Floats, Ints]:
+    """Steps, local coordinates and cell in `array` of points given relative to cells of array `of`."""
+    away = np.zeros(2, dtype=np.int64)
+    if array != of:
+        sign = 1 if array > of else -1
+        local = local - sign * layout.residual
+        away = sign * layout.whole_steps
+    steps, local = relocate(layout.lattice, local)
+    return steps, local, cell - away + steps
+
+
+def on_to(layout: Layout, beam: Beam, left: BodyPlan, entered: BodyPlan) -> tuple[Beam, Floats]:
+    """Carry rays from one body to the reference plane of the next, and the distance that takes."""
+    z = beam.z - (entered.level - left.level)
+    distance = (entered.low - z) / beam.direction[:, 2]
+    local = beam.local + distance[:, None] * beam.direction[:, :2]
+    moved = replace(beam, local=local, z=np.full(len(beam), entered.low))
+    return to_array(layout, moved, entered.arrays[0] if entered.arrays else beam.array), distance

@@ -1,0 +1,43 @@
+"""Rung "law": the sheet as a homogeneous plane z = 0 that obeys its law exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.optics.rays import Fate
+from clacad.tracing.layout import Layout, sheet_position
+from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.reference.launch import launch
+
+
+@dataclass(frozen=True)
+class SheetPlane:
+    """The sheet plane as the room the sheet takes."""
+
+    box: tuple[float, float, float, float]
+    level: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+
+
+def trace_law(layout: Layout, ledger: Ledger, rows: Rows) -> None:
+    """Write the rows of rays that cross a kept cell's footprint in z = 0.
+
+    ALIVE where the law has an answer, BACKWARD where it has none; the rest stay MISSED.
+    """
+    window = layout.window
+    plane = SheetPlane(window.lattice.extent())
+    beam, carried = launch(layout, plane, ledger.position, ledger.direction, rows)
+    met = layout.lattice.contains(beam.cell) & (carried >= 0.0)
+    beam, carried = beam.take(met), carried[met]
+    out = window.law.refract(ledger.direction[beam.rows])
+    refused = np.isnan(out[:, 0])
+    fate = np.where(refused, Fate.BACKWARD, Fate.ALIVE).astype(np.uint8)
+    direction = np.where(refused[:, None], beam.direction, out)
+    position = sheet_position(layout, 0, beam.cell, beam.local, np.zeros(len(beam)))
+    ledger.record(0, beam.rows, position, direction)
+    ledger.end(beam.rows, fate, position, direction, carried, 0)
+    ledger.cell[beam.rows] = beam.cell
+    ledger.order[beam.rows[~refused]] = 0

@@ -1,0 +1,214 @@
+"""Rung "surfaces" in numpy: exact Snell at the exact surfaces, a block of rays at a time.
+
+Almost every ray stays in one cell from the plane below an array to the plane above it. Such rays are
+traced straight through (`in_cell`), and the conditions that make this right are checked on the way:
+steeper than any lens, in the cell at both planes and at every hit, on the part of the lens that is the
+face. Rays that fail one of them are traced again by the complete walk of `clacad.tracing.reference.walk`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clacad.optics.rays import Fate
+from clacad.optics.surface import ULP
+from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, sheet_position
+from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference.face import cross, height, in_zone
+from clacad.tracing.reference.launch import Beam, launch, on_to, sheet_xy, to_array
+from clacad.tracing.reference.walk import walk
+
+BLOCK = 8192
+"""Rays at a time: the temporaries of one block stay in the second-level cache."""
+
+BEHIND = 8 * ULP
+"""Share of a ray's travel by which the first face may seem to lie behind its start: rounding."""
+
+
+def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence[float]) -> None:
+    """Trace the launched rays `rows` and write their rows of the ledger.
+
+    Parameters
+    ----------
+    indices : one refractive index a body
+    """
+    for first in range(0, len(rows), BLOCK):
+        chosen = rows[first : first + BLOCK]
+        first_body = layout.bodies[0]
+        beam, carried = launch(layout, first_body, ledger.position, ledger.direction, chosen)
+        if len(beam) == 0:
+            continue
+        beam = to_array(layout, beam, first_body.arrays[0])
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            passage = in_cell(layout, indices, beam, carried)
+        passage.enter(layout, ledger)
+        rest = np.flatnonzero(~passage.good)
+        if len(rest):
+            walk(layout, ledger, indices, beam.take(rest), carried[rest])
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """A block of rays after the straight trace.
+
+    Attributes
+    ----------
+    good : (m,) bool
+        The trace holds; the other rays need the walk.
+    beam : Beam
+        On the last face, after it.
+    cells : list of (m, 2) ints
+        Cell of each structured face, in the order of the light.
+    optical_path : (m,)
+    hits : list of Beam, one a face
+        On the face, after refraction.
+    """
+
+    good: Mask
+    beam: Beam
+    cells: list[Ints]
+    optical_path: Floats
+    hits: list[Beam]
+
+    def enter(self, layout: Layout, ledger: Ledger) -> None:
+        """Write the rays whose trace holds."""
+        kept = np.flatnonzero(self.good)
+        rows = self.beam.rows[kept]
+        first = self.cells[0][kept]
+        order = self.cells[-1][kept] - first
+        for other in self.cells[1:-1]:
+            differs = other[kept] - first
+            order = np.where((order == 0).all(axis=1, keepdims=True), differs, order)
+        ghost = (order != 0).any(axis=1)
+        fate = np.where(ghost, np.uint8(Fate.GHOST), np.uint8(Fate.ALIVE)).astype(np.uint8)
+        if len(ledger.hits):
+            for k, hit in enumerate(self.hits):
+                ledger.record(k, rows, _sheet(layout, k // 2, hit.take(kept)), hit.direction[kept])
+        end = self.beam.take(kept)
+        position = _sheet(layout, len(layout.bodies) - 1, end)
+        ledger.end(rows, fate, position, end.direction, self.optical_path[kept], 2 * len(layout.bodies) - 1)
+        ledger.cell[rows] = first
+        ledger.order[rows] = order
+
+
+def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Floats) -> Passage:
+    """Trace rays straight through the faces of the cells they are over, and tell for which this is right."""
+    good = np.ones(len(beam), dtype=bool)
+    path = np.zeros(len(beam))
+    cells: list[Ints] = []
+    hits: list[Beam] = []
+    left = np.empty((0, 2))
+    for b, body in enumerate(layout.bodies):
+        if b:
+            left = beam.local
+            beam, gap = on_to(layout, beam, layout.bodies[b - 1], body)
+        else:
+            gap = carried
+        through = _columns if body.columnar else _sheets
+        beam, lengths, ok, crossed, seen = through(layout, body, indices[b], beam)
+        good &= ok
+        before = gap + lengths[0]
+        if b == 0:
+            good &= before >= -BEHIND * (np.abs(gap) + np.abs(lengths[0]))
+        elif layout.window.baffle is not None:
+            order = crossed[0] - cells[-1]
+            good &= np.isinf(honeycomb.reach(layout, left, seen[0].local, order))
+        path = path + before + indices[b] * lengths[1]
+        cells += crossed
+        hits += seen
+    return Passage(good, beam, cells, path, hits)
+
+
+Through = tuple[Beam, tuple[Floats, Floats], Mask, list[Ints], list[Beam]]
+
+
+def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
+    """Through a body whose two faces share an array: one cell from the plane below to the plane above."""
+    front, back = body.front, body.back
+    good = layout.lattice.contains(beam.cell) & _steeper(beam.direction, front.slope)
+    beam, first, ok = _through(layout, front, beam, 1.0, index)
+    good &= ok & _steeper(beam.direction, max(front.slope, back.slope))
+    if not body.covered:
+        good &= height(back, beam.local) >= beam.z
+    seen = [beam]
+    beam, second, ok = _through(layout, back, beam, index, 1.0)
+    good &= ok & _steeper(beam.direction, back.slope)
+    if not body.covered:
+        good &= height(front, beam.local) <= beam.z
+    good &= in_zone(layout, _at(beam, body.high), 0.0)
+    seen.append(beam)
+    return beam, (first, second), good, [beam.cell, beam.cell], seen
+
+
+def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
+    """Through a body whose faces are apart: each structured face has its own cell and its own two planes.
+
+    Between those planes a ray must keep to the optical zone: a lenslet with a seam is an island with walls.
+    """
+    if not body.covered:
+        return beam, (beam.z, beam.z), np.zeros(len(beam), dtype=bool), [beam.cell], [beam, beam]
+    good = np.ones(len(beam), dtype=bool)
+    crossed, seen, lengths = [], [], []
+    for face, n1, n2 in ((body.front, 1.0, index), (body.back, index, 1.0)):
+        z = beam.z
+        structured = face.array is not None
+        if structured:
+            local = _at(beam, face.low)
+            before = (face.low - z) / beam.direction[:, 2]
+            beam = to_array(
+                layout, replace(beam, local=local, z=np.full(len(beam), face.low)), face.array or 0
+            )
+            good &= layout.lattice.contains(beam.cell) & _steeper(beam.direction, face.slope)
+            good &= in_zone(layout, beam.local, layout.margin)
+            crossed.append(beam.cell)
+        else:
+            before = np.zeros(len(beam))
+        beam, length, ok = _through(layout, face, beam, n1, n2, within=structured)
+        good &= ok & _in_inner(layout, body, beam)
+        if structured:
+            good &= _steeper(beam.direction, face.slope) & in_zone(
+                layout, _at(beam, face.high), layout.margin
+            )
+        lengths.append(before + length)
+        seen.append(beam)
+    return beam, (lengths[0], lengths[1]), good, crossed, seen
+
+
+def _through(
+    layout: Layout, face: FacePlan, beam: Beam, n1: float, n2: float, within: bool = True
+) -> tuple[Beam, Floats, Mask]:
+    """Cross one face; tell which rays met the lens itself, upright, in the cell's optical zone."""
+    hit = cross(face, beam.local, beam.z, beam.direction, n1, n2)
+    good = hit.upright & (hit.direction[:, 2] > 0.0)
+    if within:
+        good &= in_zone(layout, hit.local, layout.margin)
+    if not face.whole and not np.isnan(face.land):
+        good &= (hit.z - face.land) * face.surface.side <= 0.0
+    return replace(beam, local=hit.local, z=hit.z, direction=hit.direction), hit.distance, good
+
+
+def _at(beam: Beam, z: float) -> Floats:
+    """Local x, y of rays where they cross the plane z, still seen from their cell."""
+    return np.asarray(beam.local + ((z - beam.z) / beam.direction[:, 2])[:, None] * beam.direction[:, :2])
+
+
+def _steeper(direction: Floats, slope: float) -> Mask:
+    """Whether rays climb faster than a face of that slope: then they cross it once at most."""
+    lateral = direction[:, 0] ** 2 + direction[:, 1] ** 2
+    return np.asarray(direction[:, 2] ** 2 >= slope * slope * lateral)
+
+
+def _in_inner(layout: Layout, body: BodyPlan, beam: Beam) -> Mask:
+    """Whether rays are certainly over the body: what lies between two such points is the body too."""
+    x, y = (sheet_xy(layout, beam) - np.asarray(body.centre)).T
+    half_x, half_y, radius = body.inner
+    inside = (np.abs(x) < half_x) & (np.abs(y) < half_y)
+    return np.asarray(inside & (x * x + y * y < radius * radius) & (radius > 0.0))
+
+
+def _sheet(layout: Layout, body: int, beam: Beam) -> Floats:
+    return sheet_position(layout, beam.array, beam.cell, beam.local, beam.z + layout.bodies[body].level)

@@ -1,0 +1,317 @@
+"""Rung "thin": ideal lenslets with cells. Offset, vignetting and ghosts appear; aberrations do not.
+
+The lens of a cell is the plane patch through its centre, normal to its axis, cut by the cell's column. In the
+lens frame a ray of slope t that meets it at x leaves with slope t − x/f, per meridian. Where neighbouring
+patches step, a ray may slip between them: it goes on straight, as LAND. The patch is also met only once: a
+thin lens has no thickness that a ray could meet again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clacad.optics.rays import NO_CELL, Fate
+from clacad.sheet.lattice import Circle, Rectangle
+from clacad.tracing.layout import Floats, Ints, Layout, Mask, less_steps, relocate, sheet_position
+from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference.column import along_normal
+from clacad.tracing.reference.face import in_zone
+from clacad.tracing.reference.launch import Beam, box_span, launch, sheet_xy, to_array
+
+BLOCK = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """The thin lens of one array.
+
+    Attributes
+    ----------
+    array : 0 or 1
+    vertex : (3,) lengths
+        Lens centre: x, y from the cell's centre, z from `level`.
+    rotation : (3, 3), lens → sheet
+    power : (1/f_x, 1/f_y)
+    level, low, high, box
+        The room the patches and the land round them take, see `Extent`.
+    centre : (x, y)
+        Of the window's outline, sheet frame.
+    """
+
+    array: int
+    vertex: tuple[float, float, float]
+    rotation: Floats
+    power: tuple[float, float]
+    level: float
+    low: float
+    high: float
+    box: tuple[float, float, float, float]
+    centre: tuple[float, float]
+
+    def over(self, local: Floats, z: Floats) -> Floats:
+        """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
+        axis = self.rotation[:, 2]
+        vx, vy, vz = self.vertex
+        return np.asarray((local[:, 0] - vx) * axis[0] + (local[:, 1] - vy) * axis[1] + (z - vz) * axis[2])
+
+    def bend(self, local: Floats, z: Floats, direction: Floats) -> Floats:
+        """Unit directions (m, 3) behind the lens of rays that meet it at the given points."""
+        offset = np.column_stack([local - self.vertex[:2], z - self.vertex[2]])
+        u, v, n = self.rotation.T
+        p, q = offset @ u, offset @ v
+        along = direction @ n
+        x = direction @ u - p * self.power[0] * along
+        y = direction @ v - q * self.power[1] * along
+        out = x[:, None] * u + y[:, None] * v + along[:, None] * n
+        return np.asarray(out / np.linalg.norm(out, axis=1)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """What rays met in one array: a patch, a gap between two, nothing.
+
+    Attributes
+    ----------
+    beam : Beam
+        At the point met, in its cell.
+    distance : (m,) lengths
+    lens, land, beside : (m,) bool
+        On the optical zone of a patch; between patches, on seam or border; outside the sheet.
+    solid : (m,) bool
+        Land of which there is material: opaque land stops light there, a gap does not.
+    """
+
+    beam: Beam
+    distance: Floats
+    lens: Mask
+    land: Mask
+    beside: Mask
+    solid: Mask
+
+
+def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
+    """Trace rays through the window's thin pair and write their rows."""
+    layout = thin_layout(layout)
+    patches = _patches(layout)
+    for first in range(0, len(rows), BLOCK):
+        with np.errstate(all="ignore"):
+            _trace_block(layout, patches, ledger, rows[first : first + BLOCK])
+
+
+def thin_layout(layout: Layout) -> Layout:
+    """The same window with array 2's cells where the thin pair has them."""
+    shift = layout.window.thin.shift
+    steps, residual = relocate(layout.lattice, np.array([shift]))
+    window = replace(layout.window, shifts=((0.0, 0.0), shift))
+    return replace(layout, window=window, whole_steps=steps[0], residual=residual[0])
+
+
+def _patches(layout: Layout) -> tuple[Patch, Patch]:
+    """Both arrays of patches: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
+    pair = layout.window.thin
+    first, second = (
+        _patch(layout, array, vertex, shift)
+        for array, vertex, shift in (
+            (0, (0.0, 0.0, 0.0), (0.0, 0.0)),
+            (1, (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2]), pair.shift),
+        )
+    )
+    return first, second
+
+
+def _patch(
+    layout: Layout,
+    array: int,
+    vertex: tuple[float, float, float],
+    shift: tuple[float, float],
+) -> Patch:
+    pair = layout.window.thin
+    x0, x1, y0, y1 = layout.lattice.extent()
+    box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
+    centre = (0.0, 0.0) if layout.window.form == "slab" else shift
+    outline = layout.window.outline
+    if outline is not None:
+        hx, hy = (
+            (0.5 * outline.diameter, 0.5 * outline.diameter)
+            if isinstance(outline, Circle)
+            else (0.5 * outline.width, 0.5 * outline.height)
+        )
+        cx, cy = centre
+        box = (min(box[0], cx - hx), max(box[1], cx + hx), min(box[2], cy - hy), max(box[3], cy + hy))
+    axis = pair.rotation[:, 2]
+    tile = layout.lattice.tile() - np.array(vertex[:2])
+    heights = -(tile @ axis[:2]) / axis[2]
+    pad = 1e-9 * layout.lattice.circumradius
+    f_x, f_y = pair.focal_length[array]
+    return Patch(
+        array=array,
+        vertex=(vertex[0], vertex[1], 0.0),
+        rotation=pair.rotation,
+        power=(1.0 / f_x, 1.0 / f_y),
+        level=vertex[2],
+        low=float(heights.min()) - pad,
+        high=float(heights.max()) + pad,
+        box=box,
+        centre=centre,
+    )
+
+
+def _trace_block(layout: Layout, patches: tuple[Patch, Patch], ledger: Ledger, rows: Rows) -> None:
+    first, second = patches
+    beam, carried = launch(layout, first, ledger.position, ledger.direction, rows)
+    one = _meet(layout, first, beam)
+    path = carried + one.distance
+    on = ~one.beside & (path >= 0.0)
+    one, path = _take(one, on), path[on]
+    here, out = _go_on(layout, ledger, first, one, path)
+    one, path, out = _take(one, here), path[here], out[here]
+    start = replace(one.beam, direction=out)
+    left_at = _position(layout, first, start)
+    gap = (second.level + second.low - first.level - start.z) / out[:, 2]
+    local = start.local + gap[:, None] * out[:, :2]
+    beam = to_array(layout, replace(start, local=local, z=np.full(len(gap), second.low)), 1)
+    two = _meet(layout, second, beam)
+    length = gap + two.distance
+    passes = ~two.beside
+    if layout.window.baffle is not None:
+        order = two.beam.cell - one.beam.cell
+        share = honeycomb.reach(layout, start.local, two.beam.local, order)
+        stopped = np.isfinite(share) | two.beside
+        run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
+        at = left_at[stopped] + run[:, None] * out[stopped]
+        _end(layout, ledger, _take(one, stopped), Fate.VIGNETTED, at, out[stopped], path[stopped] + run, 0)
+        passes &= ~stopped
+    else:
+        ledger.miss(start.rows[two.beside])
+        ledger.cell[start.rows[two.beside]] = _named(layout, one.beam)[two.beside]
+    _leave(layout, ledger, second, _take(one, passes), _take(two, passes), (path + length)[passes])
+
+
+def _go_on(layout: Layout, ledger: Ledger, patch: Patch, met: Met, path: Floats) -> tuple[Mask, Floats]:
+    """Bend at a patch; end what is opaque or turned back. Returns who goes on and all directions."""
+    beam = met.beam
+    at = _position(layout, patch, beam)
+    bent = patch.bend(beam.local, beam.z, beam.direction)
+    out = np.where(met.lens[:, None], bent, beam.direction)
+    opaque = met.land & met.solid & layout.window.land.opaque
+    backward = ~opaque & (~(out[:, 2] > 0.0) | ~(beam.direction @ patch.rotation[:, 2] > 0.0))
+    stopped = opaque | backward
+    ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
+    for ended, fate in ((opaque, Fate.VIGNETTED), (backward, Fate.BACKWARD)):
+        if patch.array == 0:
+            _end(layout, ledger, _take(met, ended), fate, at[ended], beam.direction[ended], path[ended], 0)
+    return ~stopped, out
+
+
+def _leave(layout: Layout, ledger: Ledger, patch: Patch, one: Met, two: Met, path: Floats) -> None:
+    """Bend at lens 2 and write the rays."""
+    goes, out = _go_on(layout, ledger, patch, two, path)
+    rows = two.beam.rows
+    first, last = _named(layout, one.beam), _named(layout, two.beam)
+    ghost = (first != last).any(axis=1)
+    land = one.land | two.land
+    fate = np.select([land, ghost], [Fate.LAND, Fate.GHOST], Fate.ALIVE)
+    opaque = two.land & two.solid & layout.window.land.opaque
+    fate = np.select([opaque, ~goes], [Fate.VIGNETTED, Fate.BACKWARD], fate).astype(np.uint8)
+    direction = np.where(goes[:, None], out, two.beam.direction)
+    ledger.end(rows, fate, _position(layout, patch, two.beam), direction, path, 1)
+    ledger.cell[rows] = first
+    known = (first != NO_CELL).all(axis=1) & (last != NO_CELL).all(axis=1)
+    ledger.order[rows] = np.where(known[:, None], last - first, NO_CELL)
+
+
+def _end(
+    layout: Layout,
+    ledger: Ledger,
+    met: Met,
+    fate: Fate,
+    at: Floats,
+    direction: Floats,
+    path: Floats,
+    surface: int,
+) -> None:
+    rows = met.beam.rows
+    ledger.record(surface + 1, rows, at, direction)
+    ledger.end(rows, fate, at, direction, path, surface)
+    ledger.cell[rows] = _named(layout, met.beam)
+
+
+def _meet(layout: Layout, patch: Patch, beam: Beam) -> Met:
+    """Find the patch, or the gap between patches, that rays pass through on their way up."""
+    m = len(beam)
+    span = (patch.high - beam.z) / beam.direction[:, 2]
+    steps, since = np.zeros_like(beam.cell), np.zeros(m)
+    at, slipped, found = np.maximum(span, 0.0), np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
+    leave = box_span(layout, patch, sheet_xy(layout, beam), beam.direction)[1]
+    active = np.flatnonzero((leave >= 0.0) & (span >= 0.0))
+    climb = beam.direction @ patch.rotation[:, 2]
+    borders = np.array(layout.lattice.steps)
+    while len(active):
+        local = less_steps(layout.lattice, beam.local[active], steps[active])
+        ray = beam.direction[active]
+        kept = layout.lattice.contains(beam.cell[active] + steps[active])
+        end, across = _next_border(layout, local, ray)
+        rise = -patch.over(local, beam.z[active])
+        crossing = rise / climb[active]
+        above = since[active] * climb[active] >= rise  # already over this patch where the column begins
+        slips = kept & above & (since[active] > 0.0)
+        hits = kept & ~slips & (climb[active] > 0.0) & (crossing <= end)
+        at[active[slips]] = since[active[slips]]
+        at[active[hits]] = crossing[hits]
+        slipped[active[slips]] = True
+        found[active[hits | slips]] = True
+        done = hits | slips | (end >= span[active]) | (end >= leave[active])
+        on = ~done
+        steps[active[on]] += borders[across[on]]
+        since[active[on]] = np.maximum(end[on], since[active[on]])
+        active = active[on]
+    local = less_steps(layout.lattice, beam.local, steps) + at[:, None] * beam.direction[:, :2]
+    end_beam = replace(beam, cell=beam.cell + steps, local=local, z=beam.z + at * beam.direction[:, 2])
+    zone = in_zone(layout, local, layout.margin)
+    lens = found & ~slipped & zone
+    xy = sheet_xy(layout, end_beam)
+    border = ~found & _in_outline(layout, patch, xy)
+    land = (found & ~lens) | border
+    return Met(end_beam, at, lens, land, ~(lens | land), land & ~slipped)
+
+
+def _next_border(layout: Layout, local: Floats, ray: Floats) -> tuple[Floats, Ints]:
+    nearest, across = np.full(len(local), np.inf), np.zeros(len(local), dtype=np.int64)
+    for n, half in enumerate(layout.halves):
+        here, speed = along_normal(layout, n, local), along_normal(layout, n, ray)
+        t = np.where(speed == 0.0, np.inf, (np.copysign(half, speed) - here) / speed)
+        closer = t < nearest
+        nearest = np.where(closer, t, nearest)
+        across = np.where(closer, n + len(layout.halves) * (speed < 0.0), across)
+    return nearest, across
+
+
+def _in_outline(layout: Layout, patch: Patch, xy: Floats) -> Mask:
+    """Which points lie on the border land inside the window's outline."""
+    outline = layout.window.outline
+    x, y = (xy - np.asarray(patch.centre)).T
+    if isinstance(outline, Circle):
+        return np.asarray(np.hypot(x, y) <= 0.5 * outline.diameter)
+    if isinstance(outline, Rectangle):
+        return np.asarray((np.abs(x) <= 0.5 * outline.width) & (np.abs(y) <= 0.5 * outline.height))
+    return np.zeros(len(xy), dtype=bool)
+
+
+def _named(layout: Layout, beam: Beam) -> Ints:
+    """Cells (m, 2) as results name them: NO_CELL where no kept cell is."""
+    kept = layout.lattice.contains(beam.cell)
+    return np.where(kept[:, None], beam.cell, NO_CELL)
+
+
+def _position(layout: Layout, patch: Patch, beam: Beam) -> Floats:
+    return sheet_position(layout, patch.array, beam.cell, beam.local, beam.z + patch.level)
+
+
+def _take(met: Met, chosen: Mask) -> Met:
+    return Met(
+        met.beam.take(chosen), met.distance[chosen], met.lens[chosen], met.land[chosen],
+        met.beside[chosen], met.solid[chosen],
+    )  # fmt: skip

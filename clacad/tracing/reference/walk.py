@@ -1,0 +1,409 @@
+"""The complete walk of rays through the sheet: every fate, whatever is met, body by body.
+
+`clacad.tracing.reference.column` finds the first thing a ray meets; here it is refracted there, or ended. Nothing is
+assumed about slopes, steps, displacements or directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import NO_CELL, Fate
+from clacad.optics.surface import ULP
+from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, sheet_position
+from clacad.tracing.ledger import Ledger
+from clacad.tracing.reference import honeycomb
+from clacad.tracing.reference.column import (
+    ABOVE,
+    ASIDE,
+    BACK,
+    BACK_LAND,
+    FRONT,
+    FRONT_LAND,
+    Event,
+    first_change,
+)
+from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint
+from clacad.tracing.reference.launch import Beam, box_span, on_to, sheet_xy, to_array
+
+BEHIND = 8 * ULP
+"""Share of a ray's travel by which the first face may seem to lie behind its start: rounding."""
+
+SAME = 1e-6
+"""Share of a cell by which two roots of one crossing may differ: far above rounding, far below two crossings."""
+
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Walkers:
+    """Rays in the walk and what they have met so far.
+
+    Attributes
+    ----------
+    beam : Beam
+    path : (m,) lengths
+        Optical path from the start.
+    position : (m, 3) sheet frame
+        Last point met; the start before that.
+    first, last, odd : (m, 2) ints
+        Cell of the first structured face met, of the latest, and of the first that differed.
+    second : (m,) bool
+        A face of array 1 has been met.
+    ghost, land : (m,) bool
+        Lens faces of different telescopelets were crossed; land or a hole was.
+    surface : (m,) ints
+        Last face met.
+    """
+
+    beam: Beam
+    path: Floats
+    position: Floats
+    first: Ints
+    last: Ints
+    odd: Ints
+    second: Mask
+    ghost: Mask
+    land: Mask
+    surface: Ints
+
+    def take(self, chosen: Rows | Mask) -> Walkers:
+        """The chosen rays."""
+        rest = (getattr(self, f.name)[chosen] for f in fields(self)[1:])
+        return Walkers(self.beam.take(chosen), *rest)
+
+    def __len__(self) -> int:
+        return len(self.path)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a walk needs to know at one body."""
+
+    layout: Layout
+    ledger: Ledger
+    number: int
+    index: float
+
+    @property
+    def body(self) -> BodyPlan:
+        """The body walked through."""
+        return self.layout.bodies[self.number]
+
+    def sheet(self, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
+        """Sheet-frame points (m, 3)."""
+        return sheet_position(self.layout, array, cell, local, z + self.body.level)
+
+
+def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, carried: Floats) -> None:
+    """Trace rays from the launch plane to their end and write their rows.
+
+    Parameters
+    ----------
+    indices : one refractive index a body
+    beam, carried
+        From `launch`: on the first body's reference plane, and how far that is from the start.
+    """
+    m = len(beam)
+    none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)
+    walkers = Walkers(
+        beam, np.zeros(m), ledger.position[beam.rows], none, none, none, no, no, no,
+        np.full(m, NO_CELL, dtype=np.int64),
+    )  # fmt: skip
+    with np.errstate(all="ignore"):
+        for b, index in enumerate(indices):
+            scene = Scene(layout, ledger, b, index)
+            left = walkers
+            if b:
+                walkers, left, carried = _cross_gap(scene, walkers)
+            walkers = _through_body(scene, walkers, left, carried)
+            if not len(walkers):
+                return
+    _finish(scene, walkers)
+
+
+# -- one body ----------------------------------------------------------------------------------
+
+
+def _through_body(scene: Scene, walkers: Walkers, left: Walkers, gap: Floats) -> Walkers:
+    """Enter, cross and leave one body; rays that end are written, the others returned."""
+    entering, passing = _approach(scene, walkers, left, gap)
+    if len(entering):
+        event = first_change(scene.layout, scene.body, entering.beam, inside=True)
+        out = np.isin(event.kind, (BACK, BACK_LAND))
+        stuck = np.flatnonzero(~out)
+        _end_at(scene, entering.take(stuck), event.take(stuck), scene.index)
+        leaving = _refract(scene, entering, event, np.flatnonzero(out), 1, scene.index, 1.0)
+        entering = _depart(scene, leaving)
+    return _joined(entering, passing)
+
+
+def _approach(scene: Scene, walkers: Walkers, left: Walkers, gap: Floats) -> tuple[Walkers, Walkers]:
+    """From the reference plane to the first face: those that enter, and those that pass through a hole."""
+    body, layout = scene.body, scene.layout
+    event = first_change(layout, body, walkers.beam, inside=False)
+    travelled = gap + event.distance
+    missed = event.kind == ASIDE
+    if scene.number == 0:
+        missed |= travelled < -BEHIND * (np.abs(gap) + np.abs(event.distance))
+    risen = event.kind == ABOVE
+    over = sheet_xy(layout, walkers.beam) + event.distance[:, None] * walkers.beam.direction[:, :2]
+    beyond = to_array(layout, _advanced(walkers.beam, event.distance), body.arrays[0])
+    hole = risen & in_footprint(body, over, layout.lattice.contains(beyond.cell))
+    missed |= risen & ~hole
+    if scene.number and layout.window.baffle is not None:
+        blocked = _stop_at_baffle(scene, walkers, left, event, gap)
+        missed &= ~blocked
+    else:
+        blocked = np.zeros(len(walkers), dtype=bool)
+    _miss(scene, walkers.take(missed))
+    going = ~(missed | blocked)
+    path = walkers.path + gap
+    walkers = replace(walkers, path=path)
+    enters = going & np.isin(event.kind, (FRONT, FRONT_LAND))
+    ends = np.flatnonzero(going & ~enters & ~hole)
+    _end_at(scene, walkers.take(ends), event.take(ends), 1.0)
+    entering = _refract(scene, walkers, event, np.flatnonzero(enters), 0, 1.0, scene.index)
+    return entering, _pass_hole(scene, walkers, np.flatnonzero(going & hole), event)
+
+
+def _refract(
+    scene: Scene, walkers: Walkers, event: Event, rows: Rows, side: int, n1: float, n2: float
+) -> Walkers:
+    """Refract the rays `rows` at the front (side 0) or back (1) they met; write those that end there."""
+    body = scene.body
+    face = (body.front, body.back)[side]
+    walkers, event = walkers.take(rows), event.take(rows)
+    if not len(rows):
+        return walkers
+    on_lens = np.isin(event.kind, (FRONT, BACK))
+    beam, distance, out = _cross_face(scene, face, walkers.beam, event, on_lens, n1, n2)
+    walkers = replace(
+        walkers,
+        beam=beam,
+        path=walkers.path + n1 * distance,
+        position=scene.sheet(beam.array, beam.cell, beam.local, beam.z),
+        surface=np.full(len(rows), 2 * scene.number + side, dtype=np.int64),
+    )
+    if face.array is not None or not on_lens.all():
+        walkers = _note_cell(scene, walkers, face, on_lens)
+    opaque = ~on_lens & scene.layout.window.land.opaque
+    total = ~opaque & ~np.isfinite(out[:, 0])
+    after = np.where((opaque | total)[:, None], beam.direction, out)
+    scene.ledger.record(2 * scene.number + side, beam.rows, walkers.position, after)
+    _end(scene, walkers.take(opaque), Fate.VIGNETTED)
+    _end(scene, walkers.take(total), Fate.TIR)
+    on = ~(opaque | total)
+    walkers = walkers.take(on)
+    return replace(walkers, beam=replace(walkers.beam, direction=out[on]))
+
+
+def _cross_face(
+    scene: Scene, face: FacePlan, beam: Beam, event: Event, on_lens: Mask, n1: float, n2: float
+) -> tuple[Beam, Floats, Floats]:
+    """Beams on the face, distances gone and directions behind it, for lens and land alike."""
+    array = scene.body.arrays[0] if face.array is None else face.array
+    start = event.starts[array]
+    hit = cross(face, start, beam.z, beam.direction, n1, n2)
+    other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * scene.layout.halves.max())
+    if other.any():
+        hit = _where(other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2), hit)
+    land = start + event.distance[:, None] * beam.direction[:, :2]
+    level = face.land if np.isfinite(face.land) else 0.0
+    flat = cross_land(beam.direction, n1, n2)
+    local = np.where(on_lens[:, None], hit.local, land)
+    z = np.where(on_lens, hit.z, level)
+    distance = np.where(on_lens, hit.distance, event.distance)
+    out = np.where(on_lens[:, None], hit.direction, flat)
+    return Beam(beam.rows, array, event.cells[array], local, z, beam.direction), distance, out
+
+
+def _where(chosen: Mask, one: Hit, other: Hit) -> Hit:
+    """Chosen rows of one, the rest of the other."""
+    column = chosen[:, None]
+    return Hit(
+        local=np.where(column, one.local, other.local),
+        z=np.where(chosen, one.z, other.z),
+        distance=np.where(chosen, one.distance, other.distance),
+        direction=np.where(column, one.direction, other.direction),
+        upright=np.where(chosen, one.upright, other.upright),
+    )
+
+
+def _depart(scene: Scene, walkers: Walkers) -> Walkers:
+    """Follow rays that left the back face until they are clear of the body."""
+    backward = ~(walkers.beam.direction[:, 2] > 0.0)
+    _end(scene, walkers.take(backward), Fate.BACKWARD)
+    walkers = walkers.take(~backward)
+    if not len(walkers):
+        return walkers
+    event = first_change(scene.layout, scene.body, walkers.beam, inside=False)
+    clear = np.isin(event.kind, (ABOVE, ASIDE))
+    back = np.flatnonzero(~clear)
+    _end_at(scene, walkers.take(back), event.take(back), 1.0)
+    return walkers.take(clear)
+
+
+def _pass_hole(scene: Scene, walkers: Walkers, rows: Rows, event: Event) -> Walkers:
+    """Rays that rose past the body over its footprint without meeting it, put on its highest level."""
+    walkers, distance = walkers.take(rows), event.distance[rows]
+    for face in (scene.body.front, scene.body.back):
+        if face.array is None or not len(rows):
+            continue
+        beam = to_array(scene.layout, _advanced(walkers.beam, distance), face.array)
+        walkers = replace(walkers, beam=beam, path=walkers.path + distance)
+        walkers = _note_cell(scene, walkers, face, np.zeros(len(rows), dtype=bool))
+        distance = np.zeros(len(rows))
+    beam = walkers.beam
+    return replace(walkers, position=scene.sheet(beam.array, beam.cell, beam.local, beam.z))
+
+
+def _advanced(beam: Beam, distance: Floats) -> Beam:
+    step = distance[:, None] * beam.direction
+    return replace(beam, local=beam.local + step[:, :2], z=beam.z + step[:, 2])
+
+
+def _note_cell(scene: Scene, walkers: Walkers, face: FacePlan, on_lens: Mask) -> Walkers:
+    """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
+    kept = scene.layout.lattice.contains(walkers.beam.cell)
+    cell = np.where(kept[:, None], walkers.beam.cell, NO_CELL)
+    unmet = (walkers.first == NO_CELL).all(axis=1, keepdims=True)
+    first = np.where(unmet, cell, walkers.first)
+    differs = (cell != first).any(axis=1)
+    fresh = differs & (walkers.odd == first).all(axis=1)
+    odd = np.where(unmet, first, np.where(fresh[:, None], cell, walkers.odd))
+    return replace(
+        walkers,
+        first=first,
+        last=cell,
+        odd=odd,
+        second=walkers.second | (face.array == 1),
+        ghost=walkers.ghost | (differs & on_lens),
+        land=walkers.land | ~on_lens,
+    )
+
+
+# -- between bodies ----------------------------------------------------------------------------
+
+
+def _cross_gap(scene: Scene, walkers: Walkers) -> tuple[Walkers, Walkers, Floats]:
+    """Carry rays to the next body's reference plane, or to where they come alongside it above that plane."""
+    layout, body = scene.layout, scene.body
+    left = walkers
+    beam, gap = on_to(layout, walkers.beam, layout.bodies[scene.number - 1], body)
+    enter, leave = box_span(layout, body, sheet_xy(layout, beam), beam.direction)
+    span = (body.high - body.low) / beam.direction[:, 2]
+    reaches = (enter <= leave) & (leave >= 0.0) & (enter <= span) & np.isfinite(gap)
+    if scene.layout.window.baffle is not None:
+        # rays that pass beside array 2 have long since met the honeycomb
+        stray = np.flatnonzero(~reaches)
+        _vignette(scene, left.take(stray), gap[stray], np.zeros(len(stray)))
+    else:
+        _miss(scene, left.take(~reaches))
+    late = np.where(enter > 0.0, enter, 0.0)[reaches]
+    beam = to_array(layout, _advanced(beam.take(reaches), late), beam.array)
+    return replace(walkers.take(reaches), beam=beam), left.take(reaches), gap[reaches] + late
+
+
+def _stop_at_baffle(scene: Scene, walkers: Walkers, left: Walkers, event: Event, gap: Floats) -> Mask:
+    """End rays that the honeycomb between the arrays stops; tell which."""
+    array = scene.body.arrays[0]
+    met = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]
+    order = event.cells[array] - left.beam.cell
+    share = honeycomb.reach(scene.layout, left.beam.local, met, order)
+    blocked = np.isfinite(share)
+    rows = np.flatnonzero(blocked)
+    _vignette(scene, left.take(rows), (gap + event.distance)[rows], share[rows])
+    return blocked
+
+
+def _vignette(scene: Scene, left: Walkers, length: Floats, share: Floats) -> None:
+    """End rays on the honeycomb, `share` of the way across the gap."""
+    run = np.where(np.isfinite(length), share * length, 0.0)
+    position = left.position + run[:, None] * left.beam.direction
+    left = replace(left, position=position, path=left.path + run)
+    _record_end(scene, left)
+    _end(scene, left, Fate.VIGNETTED)
+
+
+# -- ends --------------------------------------------------------------------------------------
+
+
+def _end_at(scene: Scene, walkers: Walkers, event: Event, index: float) -> None:
+    """End rays at a wall, or at a face met from its wrong side, which no sequence of faces goes on from."""
+    if not len(walkers):
+        return
+    array = scene.body.arrays[0]
+    local = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]
+    z = walkers.beam.z + event.distance * walkers.beam.direction[:, 2]
+    wrong = np.select(
+        [np.isin(event.kind, (FRONT, FRONT_LAND)), np.isin(event.kind, (BACK, BACK_LAND))],
+        [2 * scene.number, 2 * scene.number + 1],
+        walkers.surface,
+    )
+    position = scene.sheet(array, event.cells[array], local, z)
+    walkers = replace(walkers, position=position, path=walkers.path + index * event.distance)
+    _record_end(scene, walkers)
+    _end(scene, replace(walkers, surface=wrong), Fate.WALL)
+
+
+def _end(scene: Scene, walkers: Walkers, fate: Fate) -> None:
+    if len(walkers):
+        _write(scene, walkers, np.full(len(walkers), fate, dtype=np.uint8))
+
+
+def _finish(scene: Scene, walkers: Walkers) -> None:
+    """Write rays that crossed every body."""
+    _record_end(scene, walkers)
+    fate = np.where(walkers.land, Fate.LAND, np.where(walkers.ghost, Fate.GHOST, Fate.ALIVE))
+    _write(scene, walkers, fate.astype(np.uint8))
+
+
+def _write(scene: Scene, walkers: Walkers, fate: NDArray[np.uint8]) -> None:
+    ledger, rows = scene.ledger, walkers.beam.rows
+    ledger.end(rows, fate, walkers.position, walkers.beam.direction, walkers.path, walkers.surface)
+    ledger.cell[rows] = walkers.first
+    ledger.order[rows] = _order(walkers)
+
+
+def _record_end(scene: Scene, walkers: Walkers) -> None:
+    """Repeat the last point at every face that was not met."""
+    for face in range(len(scene.ledger.hits)):
+        on = walkers.surface < face
+        position, direction = walkers.position[on], walkers.beam.direction[on]
+        scene.ledger.record(face, walkers.beam.rows[on], position, direction)
+
+
+def _order(walkers: Walkers) -> Ints:
+    """Cell of lens 2 minus cell 1; where they agree but a face between did not, that face's."""
+    both = walkers.second & (walkers.first != NO_CELL).all(axis=1) & (walkers.last != NO_CELL).all(axis=1)
+    order = walkers.last - walkers.first
+    same = (order == 0).all(axis=1) & (walkers.odd != NO_CELL).all(axis=1)
+    order = np.where(same[:, None], walkers.odd - walkers.first, order)
+    return np.where(both[:, None], order, NO_CELL)
+
+
+def _miss(scene: Scene, walkers: Walkers) -> None:
+    """Give rays back as launched; the cell of lens 1 stays known if one was met."""
+    rows = walkers.beam.rows
+    scene.ledger.miss(rows)
+    scene.ledger.cell[rows] = walkers.first
+
+
+def _joined(a: Walkers, b: Walkers) -> Walkers:
+    """Two groups in one, each in its own cells of the same array."""
+    if not len(a):
+        return b
+    if not len(b):
+        return a
+    beam = Beam(
+        np.concatenate([a.beam.rows, b.beam.rows]), a.beam.array,
+        np.concatenate([a.beam.cell, b.beam.cell]), np.concatenate([a.beam.local, b.beam.local]),
+        np.concatenate([a.beam.z, b.beam.z]), np.concatenate([a.beam.direction, b.beam.direction]),
+    )  # fmt: skip
+    rest = (np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(a)[1:])
+    return Walkers(beam, *rest)

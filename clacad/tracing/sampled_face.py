@@ -1,0 +1,190 @@
+"""A face given by heights on a grid, as maps and point files hold it: a bicubic surface that light can meet.
+
+The surface is the cubic spline through the samples of one cell. Beyond the border of the cell, where the samples are
+another lens's, and where land covers the lens, it goes on as the design's lens does, displaced as the nearest sample is:
+a spline must not ring at an edge that the part has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+RINGS = 3
+"""Nodes by which the grid reaches beyond the samples."""
+
+ROUNDS = 30
+SAME = 1e-13
+"""Height over the pitch at which a ray has met the surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledFace:
+    """One face over one cell as a bicubic spline.
+
+    face : Face
+        Of the design: for its land.
+    origin : (3,) lengths
+        Centre of the face's cell in the sheet frame, z = 0.
+    window : Window
+        Whose optical zone ends the face.
+    low, step : (2,) lengths
+        First node, cell frame, and distance of nodes.
+    coefficients : (nx + 2, ny + 2) lengths
+        Of cubic B-splines; node (i, j) is the middle of the 3 × 3 block that begins at [i, j].
+    """
+
+    face: Face
+    origin: Floats
+    window: Window
+    low: Floats
+    step: Floats
+    coefficients: Floats
+
+
+def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, step: Floats) -> SampledFace:
+    """Lay a bicubic surface through samples of one cell.
+
+    Parameters
+    ----------
+    window, face
+    origin : (3,) lengths
+        Centre of the face's cell in the sheet frame, z = 0.
+    samples : (m, 3) lengths
+        x and y in the cell frame, on a grid; z in the sheet frame.
+    step : (2,) lengths
+        Distance of samples along x and y.
+
+    Raises
+    ------
+    ValueError
+        Fewer than 4 × 4 samples lie on the lens.
+    """
+    here = np.isfinite(samples).all(axis=1) & in_optical_tile(window, samples[:, 0], samples[:, 1])
+    flat = ~(
+        face_height(window, face, samples[:, 0], samples[:, 1])
+        == lens_height(face, samples[:, 0], samples[:, 1])
+    )
+    known = samples[here & ~flat]
+    if len(known) < 16:
+        raise ValueError(
+            f"{len(known)} samples lie on the lens of a cell; 16 and more make a bicubic surface"
+        )
+    first = known[:, :2].min(axis=0)
+    index = np.rint((known[:, :2] - first) / step).astype(np.int64)
+    low = first - RINGS * step
+    count = index.max(axis=0) + 1 + 2 * RINGS
+    x, y = (low[k] + step[k] * np.arange(count[k]) for k in (0, 1))
+    off = np.full(tuple(count), np.nan)
+    off[index[:, 0] + RINGS, index[:, 1] + RINGS] = known[:, 2] - _lens(face, known[:, 0], known[:, 1])
+    gx, gy = np.meshgrid(x, y, indexing="ij")
+    height = _lens(face, gx.ravel(), gy.ravel()).reshape(gx.shape) + _nearest(off)
+    rows = _interpolation(count[0])
+    columns = _interpolation(count[1])
+    padded = np.zeros((count[0] + 2, count[1] + 2))
+    padded[1:-1, 1:-1] = height
+    coefficients = np.linalg.solve(columns, np.linalg.solve(rows, padded).T).T
+    return SampledFace(face, np.asarray(origin), window, low, np.asarray(step), coefficients)
+
+
+def _lens(face: Face, x: Floats, y: Floats) -> Floats:
+    """Height of the design's lens; beyond its equator that of its apex, which no light reaches."""
+    z = lens_height(face, x, y)
+    return np.where(np.isfinite(z), z, face.vertex[2])
+
+
+def _nearest(values: Floats) -> Floats:
+    """Fill what is NaN in a table (m, n) by its nearest known neighbours, ring after ring."""
+    filled = values.copy()
+    while np.isnan(filled).any():
+        padded = np.pad(filled, 1, constant_values=np.nan)
+        around = np.stack([
+            padded[1 + i : padded.shape[0] - 1 + i, 1 + j : padded.shape[1] - 1 + j]
+            for i in (-1, 0, 1) for j in (-1, 0, 1)
+        ])  # fmt: skip
+        known = np.isfinite(around)
+        count = known.sum(axis=0)
+        mean = np.where(known, around, 0.0).sum(axis=0) / np.maximum(count, 1)
+        filled = np.where(np.isnan(filled) & (count > 0), mean, filled)
+    return filled
+
+
+def _interpolation(count: int) -> Floats:
+    """Matrix (n + 2, n + 2) from coefficients to heights at n nodes; the outer rows: no third derivative at the ends."""
+    matrix = np.zeros((count + 2, count + 2))
+    for k in range(count):
+        matrix[k + 1, k : k + 3] = (1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0)
+    matrix[0, :4] = matrix[-1, -4:] = (-1.0, 3.0, -3.0, 1.0)
+    return matrix
+
+
+def height_and_slope(face: SampledFace, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Height (n,) of the surface at places of its cell frame, and its derivatives along x and y."""
+    cells, values, slopes = [], [], []
+    for k, at in enumerate((x, y)):
+        most = face.coefficients.shape[k] - 4
+        u = np.clip((at - face.low[k]) / face.step[k], 0.0, most + 1.0)
+        cell = np.minimum(u.astype(np.int64), most)
+        t = u - cell
+        cells.append(cell)
+        values.append(
+            np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6.0
+        )
+        slopes.append(
+            np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / (2.0 * face.step[k])
+        )
+    z, dx, dy = (np.zeros(len(x)) for _ in range(3))
+    for i in range(4):
+        for j in range(4):
+            c = face.coefficients[cells[0] + i, cells[1] + j]
+            z += c * values[0][i] * values[1][j]
+            dx += c * slopes[0][i] * values[1][j]
+            dy += c * values[0][i] * slopes[1][j]
+    return z, dx, dy
+
+
+def meet_sampled(
+    face: SampledFace, position: Floats, direction: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Meet rays with a bicubic surface.
+
+    Parameters
+    ----------
+    face : SampledFace
+    position, direction : (n, 3) arrays
+        Sheet frame; unit directions with d_z > 0.
+
+    Returns
+    -------
+    distance : (n,) lengths
+        NaN where the surface is not met ahead within the optical zone of its cell.
+    normal : (n, 3)
+        Towards +z, not unit.
+    land : (n,) bool
+        Where the design covers the lens with land.
+    """
+    local = position - face.origin
+    distance = (face.face.vertex[2] - local[:, 2]) / direction[:, 2]
+    size = min(face.window.lattice.pitch)
+    z, dx, dy = (np.zeros(len(local)) for _ in range(3))
+    gap = np.full(len(local), np.inf)
+    for _ in range(ROUNDS):
+        x, y, height = (local + distance[:, None] * direction).T
+        z, dx, dy = height_and_slope(face, x, y)
+        gap = height - z
+        if not (np.abs(gap) > SAME * size).any():
+            break
+        rate = direction[:, 2] - dx * direction[:, 0] - dy * direction[:, 1]
+        distance = distance - gap / np.where(rate > 0.0, rate, 1.0)
+    x, y, _ = (local + distance[:, None] * direction).T
+    inside = in_optical_tile(face.window, x, y)
+    met = inside & (np.abs(gap) <= 1e3 * SAME * size) & (distance >= 0.0)
+    land = met & ~(face_height(face.window, face.face, x, y) == lens_height(face.face, x, y))
+    return np.where(met, distance, np.nan), np.column_stack([-dx, -dy, np.ones(len(dx))]), land

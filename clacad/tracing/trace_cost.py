@@ -1,0 +1,51 @@
+"""What tracing a file of rays costs in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from clacad.tracing.trace import worth_compiled
+
+FIXED = 0.03
+"""Archives opened, the result put together."""
+
+COMPILED = 0.7
+"""Loading what compiles and the kernels that it kept."""
+
+PER_RAY = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 4.2e-7, "mesh": 5e-7}
+"""Reading, tracing and writing a ray."""
+
+PLAIN = 2.6e-6
+"""The same for exact surfaces where there are too few rays for compiled kernels."""
+
+PER_EFFECT = 2e-6
+PER_BYTE = 4e-7
+"""Of a file of triangles: read, sorted into a tree."""
+
+
+def seconds(rays: int, rung: str, effects: Sequence[str] = (), faces: int = 4, mesh_bytes: int = 0) -> float:
+    """Processor seconds.
+
+    Parameters
+    ----------
+    rays : int
+    rung : "law", "thin", "surfaces" or "mesh"
+    effects : sequence of str
+    faces : int
+        Refracting surfaces of the sheet.
+    mesh_bytes : int
+        Size of the file of triangles, if there is one.
+    """
+    plain = rung == "surfaces" and not worth_compiled(rays, faces)
+    fixed = FIXED + (COMPILED if rung in ("surfaces", "mesh") and not plain else 0.0)
+    each = PLAIN if plain else PER_RAY.get(rung, PER_RAY["surfaces"])
+    return fixed + rays * (each + PER_EFFECT * len(effects)) + PER_BYTE * mesh_bytes
+
+
+def task(
+    rung: str, effects: Sequence[str] = (), rays: int = 0, faces: int = 4, from_file: bool = False
+) -> str:
+    """Name under which such a trace is noted: what decides how long a ray takes."""
+    plain = rung == "surfaces" and not worth_compiled(rays, faces)
+    parts = ["trace", rung, "numpy" if plain else "", "file" if from_file else "", *sorted(effects)]
+    return " ".join(part for part in parts if part)

@@ -1,0 +1,245 @@
+"""Light through the very triangles of a file, one telescopelet at a time, in double precision.
+
+A file is known here only as triangles. Those over one cell are gathered, and rays meet in each body the
+first facet that faces outward against them, then the first that faces outward along them; walls (facets
+nearly parallel to z) let nothing through. Nothing of the mesher or of the exact surfaces is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.optics.surface import meet, refract
+from clacad.sheet.window import Face, Window, in_optical_tile
+from clacad.tracing.sampled_face import SampledFace, meet_sampled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WALL = 0.05
+"""Facets whose |n_z| is below this are walls."""
+
+SLACK = 1e-10
+"""Part of a facet's area by which a hit on its edge may lie outside: no ray slips between two facets."""
+
+
+@dataclass(frozen=True, eq=False)
+class FacetFace:
+    """The facets of one side of one body over one cell, binned in x and y.
+
+    corners : (t, 3, 3) lengths
+        Relative to `origin`; wound counter-clockwise seen from outside.
+    normals : (t, 3)
+        Outward, length twice the facet's area.
+    origin : (3,) lengths
+        Sheet frame.
+    low, size : (2,) lengths; bins : int
+        The square grid of bins: its corner, the size of one, their number a side.
+    start : (bins + 1,) ints, member : ints
+        Facets of bin b are member[start[b] : start[b + 1]].
+    z_range : (low, high), lengths, relative to origin
+    land : (t,) bool
+        Facets that are flat land: light through them is no lens light.
+    """
+
+    corners: Floats
+    normals: Floats
+    origin: Floats
+    low: Floats
+    size: Floats
+    bins: int
+    start: Ints
+    member: Ints
+    z_range: tuple[float, float]
+    land: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ExactFace:
+    """A face of the design in place of facets, where a file holds only one of two bodies.
+
+    face : Face
+    origin : (3,) lengths
+        Centre of the face's cell in the sheet frame, z = 0.
+    window : Window or None
+        Whose optical zone ends the face; None: it goes on.
+    """
+
+    face: Face
+    origin: Floats
+    window: Window | None = None
+
+
+AnyFace = FacetFace | ExactFace | SampledFace
+
+
+@dataclass(frozen=True, eq=False)
+class FacetBody:
+    """Front and back of one body over one cell, and its refractive index."""
+
+    front: AnyFace
+    back: AnyFace
+    index: float
+
+
+def facet_face(corners: Floats, origin: Floats, land: NDArray[np.bool_] | None = None) -> FacetFace:
+    """Bin facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
+    flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
+    local = np.asarray(corners, dtype=np.float64) - origin
+    normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
+    if len(local) == 0:
+        return FacetFace(
+            local, normals, origin, np.zeros(2), np.ones(2), 1, np.zeros(2, dtype=np.int64),
+            np.empty(0, dtype=np.int64), (0.0, 0.0), flat_land,
+        )  # fmt: skip
+    flat = local[..., :2]
+    least, most = flat.min(axis=1), flat.max(axis=1)
+    low, high = least.min(axis=0), most.max(axis=0)
+    count = max(1, int(np.sqrt(0.5 * len(local))))
+    size = np.maximum((high - low) / count, 1e-300)
+    first = _bin(least, low, size, count)
+    last = _bin(most, low, size, count)
+    facet, bin_x, bin_y = _spread(first, last)
+    number = bin_x * count + bin_y
+    order = np.argsort(number, kind="stable")
+    start = np.searchsorted(number[order], np.arange(count * count + 1))
+    return FacetFace(
+        local, normals, origin, low, size, count, start.astype(np.int64), facet[order],
+        (float(local[..., 2].min()), float(local[..., 2].max())), flat_land,
+    )  # fmt: skip
+
+
+def _bin(points: Floats, low: Floats, size: Floats, count: int) -> Ints:
+    # a hair of overlap, so that a facet on a bin's border is in both bins
+    return np.clip(np.floor((points - low) / size), 0, count - 1).astype(np.int64)
+
+
+def _spread(first: Ints, last: Ints) -> tuple[Ints, Ints, Ints]:
+    """Row numbers and every (x, y) of the boxes of bins first … last, (n, 2) each."""
+    wide = last - first + 1
+    many = wide[:, 0] * wide[:, 1]
+    row = np.repeat(np.arange(len(first)), many)
+    within = np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many)
+    return row, first[row, 0] + within // wide[row, 1], first[row, 1] + within % wide[row, 1]
+
+
+def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
+    """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
+    if face.land is None:
+        return np.zeros(len(corners), dtype=bool)
+    reach = max(abs(v) for v in window.z_range)
+    room = 1e-6 * min(window.lattice.pitch) + 2.0**-23 * reach
+    return np.asarray((np.abs(corners[..., 2] - face.land) <= room).all(axis=1))
+
+
+def first_crossing(
+    face: FacetFace, position: Floats, direction: Floats, entering: bool
+) -> tuple[Floats, Ints]:
+    """Distance to the first facet that light enters (or leaves) through, and its number.
+
+    Parameters
+    ----------
+    face : FacetFace
+    position, direction : (n, 3) arrays
+        Sheet frame; unit directions with d_z > 0.
+    entering : bool
+        Facets facing the light (outward normal against it), else those facing along it.
+
+    Returns
+    -------
+    distance : (n,) array
+        NaN where no facet is met ahead.
+    facet : (n,) ints
+        −1 there.
+    """
+    distance = np.full(len(position), np.nan)
+    facet = np.full(len(position), -1, dtype=np.int64)
+    if len(face.corners) and len(position):
+        from clacad.tracing.triangles.compiled_first_facet import first_facet
+
+        first_facet(
+            face.corners, face.normals, face.low, face.size, face.bins, face.start, face.member, *face.z_range,
+            position - face.origin, np.ascontiguousarray(direction), -1.0 if entering else 1.0, SLACK, distance, facet,
+        )  # fmt: skip
+    return distance, facet
+
+
+def _meet(
+    face: AnyFace, position: Floats, direction: Floats, entering: bool
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Distance (n,) along each ray, NaN for none; normal (n, 3) turned the way the light goes; whether it is land."""
+    if isinstance(face, FacetFace):
+        if not len(face.normals):
+            return np.full(len(position), np.nan), position, np.zeros(len(position), dtype=bool)
+        distance, facet = first_crossing(face, position, direction, entering)
+        return distance, face.normals[facet] * (-1.0 if entering else 1.0), face.land[facet]
+    if isinstance(face, SampledFace):
+        return meet_sampled(face, position, direction)
+    turn = face.face.rotation
+    apex = face.origin + np.asarray(face.face.vertex)
+    met = meet(face.face.surface, (position - apex) @ turn, direction @ turn)
+    distance = np.where(met.distance >= 0.0, met.distance, np.nan)
+    if (
+        face.window is not None and face.face.array is not None
+    ):  # what it meets beyond belongs to another lens
+        x, y, _ = (position + distance[:, None] * direction - face.origin).T
+        distance = np.where(in_optical_tile(face.window, x, y), distance, np.nan)
+    return distance, met.gradient @ turn.T, np.zeros(len(position), dtype=bool)
+
+
+def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
+    """Send rays through the facets over one telescopelet.
+
+    Parameters
+    ----------
+    bodies : tuple of FacetBody
+        In the order of the light.
+    rays : Rays
+        Sheet frame.
+
+    Returns
+    -------
+    TraceResult
+        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND where it
+        did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
+    """
+    n = len(rays)
+    position = rays.position.copy()
+    direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
+    fate = np.full(n, Fate.ALIVE, dtype=np.uint8)
+    surface = np.full(n, NO_CELL, dtype=np.int32)
+    path = np.zeros(n)
+    live = np.arange(n)
+    before = 1.0
+    aside = np.zeros(n, dtype=bool)
+    steps = [
+        (f, body.index if k == 0 else 1.0, k == 0)
+        for body in bodies
+        for k, f in ((0, body.front), (1, body.back))
+    ]
+    for number, (face, after, entering) in enumerate(steps):
+        distance, normal, on_land = _meet(face, position[live], direction[live], entering)
+        met = np.isfinite(distance)
+        aside[live[met & on_land]] = True
+        fate[live[~met]] = Fate.WALL
+        live, distance, normal = live[met], distance[met], normal[met]
+        position[live] += distance[:, None] * direction[live]
+        path[live] += before * distance
+        surface[live] = number
+        root = np.einsum("ij,ij->i", normal, direction[live])
+        out, _ = refract(direction[live], normal, root, before, after)
+        reflected = np.isnan(out[:, 0])
+        fate[live[reflected]] = Fate.TIR
+        live, out = live[~reflected], out[~reflected]
+        direction[live] = out
+        back = out[:, 2] <= 0.0
+        fate[live[back]] = Fate.BACKWARD
+        live = live[~back]
+        before = after
+    fate[live[aside[live]]] = Fate.LAND
+    unknown = np.full((n, 2), NO_CELL, dtype=np.int32)
+    return TraceResult(position, direction, fate, path, unknown, unknown, surface, np.ones(n))

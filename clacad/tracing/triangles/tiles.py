@@ -1,0 +1,297 @@
+"""A mesh in the numbers the tracer needs: one cell's facets as planes over its footprint, and where to find them.
+
+A sheet's mesh is a height field of one cell's triangles, repeated. In a cell the ray's facet is looked up in
+a regular grid of bins; which neighbour lies across an edge is known; what happens at the cell's border is the
+walk's business, exactly as for smooth lenses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.window import PLANE, Body, Face, Window, lens_height_and_normal
+from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, lay_out
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+    from clacad.mesh.prototile import Prototile
+
+Normals = Literal["facet", "vertex"]
+
+LENS, LAND, VOID = 0, 1, 2
+BEYOND = 2**59
+"""Levels beyond this stand for a face that is not there."""
+
+# Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length, diagonal.
+FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, TILE_NUMBERS = range(10)
+
+
+class Tiles(NamedTuple):
+    """Facets of every tiling, one after the other.
+
+    Attributes
+    ----------
+    table : (tiles, TILE_NUMBERS)
+    of : (bodies, 2) ints
+        Tile of a body's front and back.
+    weight : (m, 3, 3)
+        Barycentric coordinate k of facet i over (x, y) is a x + b y + c; inside where all three are ≥ 0.
+    beside : (m, 3) ints
+        Facet across the edge opposite corner k, −1 at the tile's border.
+    plane : (m, 2, 3)
+        Height a x + b y + c of front and back over the body's level; NaN where there is no surface.
+    part : (m, 2) uint8
+        LENS, LAND or VOID.
+    start : (bins + 1,) ints, member : ints
+        Facets of bin b are member[start[b] : start[b + 1]], those nearest its middle first.
+    half : (2 bins,) ints
+        Facets that are just one half of a bin: 2 b below its diagonal, 2 b + 1 beyond; −1 for none.
+        Diagonals rise (SPLIT = −1) or fall (+1).
+    lens : (2 bins, 2, 3)
+        Planes of those facets where they belong to the lens, NaN elsewhere.
+    normal : (m, 2, 3, 3) or (0, 2, 3, 3)
+        Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
+    corner : (t, 3, 3), corner_normal : (t, 3, 3) or (0, 3, 3), tree : (bodies, 3) ints, box : (nodes, 6)
+        Foreign triangles instead of tilings: corners in the sheet frame, outward normals at them, and for each
+        body the first box of its tree, its first triangle and their number; see `clacad.tracing.triangles.triangle_soup`.
+    """
+
+    table: Floats
+    of: Ints
+    weight: Floats
+    beside: Ints
+    plane: Floats
+    part: NDArray[np.uint8]
+    start: Ints
+    member: Ints
+    half: Ints
+    lens: Floats
+    normal: Floats
+    corner: Floats
+    corner_normal: Floats
+    tree: Ints
+    box: Floats
+
+
+NO_TILES = Tiles(
+    np.zeros((0, TILE_NUMBERS)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3, 3)),
+    np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2, 3)), np.zeros((0, 2), dtype=np.uint8),
+    np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64),
+    np.zeros((0, 2, 3)), np.zeros((0, 2, 3, 3)),
+    np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 6)),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """One tiling of one body, facets in the cell frame.
+
+    corners : (m, 3, 2) lengths, heights : (m, 3, 2) front and back at the corners over the body's level
+    land : heights of the land as meshed, NaN where there is none
+    """
+
+    corners: Floats
+    heights: Floats
+    triangles: Ints
+    part: NDArray[np.uint8]
+    normal: Floats
+    land: tuple[float, float]
+
+
+def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, Tiles]:
+    """Prepare a window and its mesh for tracing.
+
+    Parameters
+    ----------
+    window : Window
+        Cells, land and baffle are its; heights are the mesh's.
+    mesh : Mesh
+    normals : "facet" or "vertex"
+        The facets' own, or the exact ones at the vertices, interpolated.
+
+    Raises
+    ------
+    ValueError
+        The mesh has other bodies than the window.
+    """
+    if [body.name for body in mesh.bodies] != [body.name for body in window.bodies]:
+        raise ValueError("the mesh was made from a window with other bodies")
+    exact = lay_out(window)
+    tiles: list[_Tile] = []
+    of, plans = [], []
+    for plan, body, meshed in zip(exact.bodies, window.bodies, mesh.bodies, strict=True):
+        own = [_tile(body, tiled.maker.tile, plan.level, normals) for tiled in meshed.tiled]
+        sides = [next(k for k, tile in enumerate(own) if _has(tile, side)) for side in (0, 1)]
+        of.append([len(tiles) + k for k in sides])
+        plans.append(_plan(plan, own, sides))
+        tiles += own
+    return replace(exact, bodies=tuple(plans)), _joined(tiles, np.array(of))
+
+
+def _has(tile: _Tile, side: int) -> bool:
+    return bool(np.isfinite(tile.heights[..., side]).any())
+
+
+def _tile(body: Body, prototile: Prototile, level: float, normals: Normals) -> _Tile:
+    """Read a prototile: footprint, levels, parts."""
+    plan, step = prototile.plan, prototile.step
+    levels = prototile.corner_levels()
+    heights = np.where(np.abs(levels) > BEYOND, np.nan, levels * step - level)
+    normal = np.zeros((0, 2, 3, 3))
+    if normals == "vertex":
+        per_point = np.stack([_vertex_normals(face, plan.xy) for face in (body.front, body.back)], axis=1)
+        normal = per_point[plan.triangles].transpose(0, 2, 1, 3)
+    part = prototile.part
+    front, back = (np.nan if abs(flat) > BEYOND else flat * step - level for flat in prototile.land)
+    return _Tile(plan.xy[plan.triangles], heights, plan.triangles, part, normal, (front, back))
+
+
+def _vertex_normals(face: Face, xy: Floats) -> Floats:
+    if face.array is None:
+        return np.tile([0.0, 0.0, 1.0], (len(xy), 1))
+    return lens_height_and_normal(face, xy[:, 0], xy[:, 1])[1]
+
+
+def _plan(plan: BodyPlan, tiles: list[_Tile], sides: list[int]) -> BodyPlan:
+    """The body with the mesh's bounds in place of the lenses'."""
+    front, back = (
+        _plan_face(face, tiles[k], side)
+        for side, (face, k) in enumerate(zip((plan.front, plan.back), sides, strict=True))
+    )
+    whole = all(not (tile.part == VOID).any() for tile in tiles)
+    pad = 1e-9 * float(np.ptp(tiles[0].corners))
+    return replace(
+        plan,
+        front=front,
+        back=back,
+        low=front.low - pad,
+        high=back.high + pad,
+        covered=whole if plan.columnar else front.high < back.low,
+        separate=front.high < back.low,
+    )
+
+
+def _plan_face(face: FacePlan, tile: _Tile, side: int) -> FacePlan:
+    heights, lens = tile.heights[..., side], tile.part[:, side] == LENS
+    a, b, _ = _planes(tile.corners, heights).T
+    steepest = float(np.hypot(a, b)[lens].max(initial=0.0)) if face.array is not None else 0.0
+    land = tile.land[side] if face.array is not None else face.land
+    low, high = float(np.fmin(np.nanmin(heights), land)), float(np.fmax(np.nanmax(heights), land))
+    return replace(
+        face, surface=PLANE, vertex=(0.0, 0.0, 0.0), rotation=None, low=low, high=high,
+        slope=steepest * (1.0 + 1e-12), whole=bool(lens.all()),
+        land=land,
+    )  # fmt: skip
+
+
+def _planes(corners: Floats, heights: Floats) -> Floats:
+    """Coefficients (m, 3) of z = a x + b y + c through three corners."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    p, q = heights[:, 1] - heights[:, 0], heights[:, 2] - heights[:, 0]
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    a = (p * v[:, 1] - q * u[:, 1]) / area
+    b = (q * u[:, 0] - p * v[:, 0]) / area
+    return np.stack([a, b, heights[:, 0] - a * corners[:, 0, 0] - b * corners[:, 0, 1]], axis=1)
+
+
+def _weights(corners: Floats) -> Floats:
+    """Coefficients (m, 3, 3) of the barycentric coordinates."""
+    return np.stack([_planes(corners, np.eye(3)[k] + 0.0 * corners[:, :, 0]) for k in range(3)], axis=1)
+
+
+def _beside(triangles: Ints) -> Ints:
+    """Facet across the edge opposite each corner, −1 where there is none."""
+    m = len(triangles)
+    ends = np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1)
+    key = np.sort(ends, axis=2).reshape(-1, 2)
+    code = key[:, 0] * (int(triangles.max()) + 1) + key[:, 1]
+    order = np.argsort(code, kind="stable")
+    twin = np.flatnonzero(code[order][:-1] == code[order][1:])
+    out = np.full(3 * m, -1, dtype=np.int64)
+    out[order[twin]], out[order[twin + 1]] = order[twin + 1] // 3, order[twin] // 3
+    return out.reshape(m, 3)
+
+
+def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
+    """Grid of bins over a tile: the table's numbers, starts and members."""
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    count = max(1, int(round(np.sqrt(0.5 * len(corners)))))
+    width = (high - low) / count
+    hair = 1e-9 * width  # a facet on a bin's border is in both bins
+    first = np.clip(((corners.min(axis=1) - hair - low) / width).astype(np.int64), 0, count - 1)
+    last = np.clip(((corners.max(axis=1) + hair - low) / width).astype(np.int64), 0, count - 1)
+    across = last - first + 1  # bins a facet lies in, along x and y
+    each = across[:, 0] * across[:, 1]
+    facets = np.repeat(np.arange(len(corners)), each)
+    place = np.arange(len(facets)) - np.repeat(np.cumsum(each) - each, each)
+    j, i = np.divmod(place, across[facets, 0])
+    bins = (first[facets, 1] + j) * count + first[facets, 0] + i
+    middle = low + width * (np.stack([bins % count, bins // count], axis=1) + 0.5)
+    weights = _weights(corners)[facets]
+    deep = (np.einsum("mkc,mc->mk", weights[..., :2], middle) + weights[..., 2]).min(axis=1)
+    order = np.lexsort([-deep, bins])
+    start = np.searchsorted(bins[order], np.arange(count * count + 1))
+    table = [float(count), float(count), *low.tolist(), *(1.0 / width).tolist()]
+    return table, start.astype(np.int64), facets[order].astype(np.int64)
+
+
+def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
+    """Which way a grid's diagonals go, and the facet that fills each half of each bin."""
+    nx, ny, low, per = int(table[0]), int(table[1]), np.array(table[2:4]), np.array(table[4:6])
+    place = (corners - low) * per
+    near = np.rint(place)
+    bins = near.min(axis=1).astype(np.int64)
+    u, v = (near - bins[:, None]).transpose(2, 0, 1)
+    fits = (np.abs(place - near) < 1e-9).all(axis=(1, 2)) & (u <= 1).all(axis=1) & (v <= 1).all(axis=1)
+    fits &= (bins >= 0).all(axis=1) & (bins < [nx, ny]).all(axis=1)
+    best, found = 1.0, np.full(2 * nx * ny, -1, dtype=np.int64)
+    for split in (-1.0, 1.0):
+        beyond = v.mean(axis=1) + split * u.mean(axis=1) > 0.5 + 0.5 * split
+        on = np.abs(v + split * u - (0.5 + 0.5 * split)) < 0.5  # two corners lie on the diagonal
+        chosen = np.flatnonzero(fits & (on.sum(axis=1) == 2))
+        half = np.full(2 * nx * ny, -1, dtype=np.int64)
+        half[2 * (bins[chosen, 1] * nx + bins[chosen, 0]) + beyond[chosen]] = chosen
+        if (half >= 0).sum() > (found >= 0).sum():
+            best, found = split, half
+    return best, found
+
+
+def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
+    table: list[list[float]] = []
+    starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
+    beside, halves = [], list[Ints]()
+    for tile in tiles:
+        numbers, start, member = _binned(tile.corners)
+        split, half = _halves(tile.corners, numbers)
+        halves.append(np.where(half >= 0, half + facets, -1))
+        table.append([float(facets), float(sum(len(s) - 1 for s in starts[1:])), *numbers, split])
+        starts.append(np.append(start[:-1], start[-1]) + sum(len(k) for k in members))
+        members.append(member + facets)
+        near = _beside(tile.triangles)
+        beside.append(np.where(near >= 0, near + facets, -1))
+        facets += len(tile.corners)
+    planes = [np.stack([_planes(t.corners, t.heights[..., s]) for s in (0, 1)], axis=1) for t in tiles]
+    plane = np.ascontiguousarray(np.concatenate(planes))
+    part, half = np.concatenate([t.part for t in tiles]).astype(np.uint8), np.concatenate(halves)
+    return NO_TILES._replace(
+        table=np.array(table),
+        of=of,
+        weight=np.concatenate([_weights(t.corners) for t in tiles]),
+        beside=np.concatenate(beside),
+        plane=plane,
+        part=part,
+        start=_chained(starts[1:]),
+        member=np.concatenate(members),
+        half=half,
+        lens=np.where(((half >= 0)[:, None] & (part[half] == LENS))[..., None], plane[half], np.nan),
+        normal=np.ascontiguousarray(np.concatenate([t.normal for t in tiles])),
+    )
+
+
+def _chained(starts: list[Ints]) -> Ints:
+    """Starts of consecutive grids in one list: each grid's last entry is the next one's first."""
+    return np.concatenate([*(s[:-1] for s in starts), starts[-1][-1:]])

@@ -1,0 +1,229 @@
+"""Triangles from anywhere, known by nothing but their corners: bodies told apart, and a tree to find them in.
+
+A file that came back from a shop knows no cells, faces or bodies. Triangles are joined where they share a
+corner to the last bit; each connected piece belongs to the body of the window whose heights it lies nearest.
+The tree is a complete binary one over triangles in Morton order: built by sorting, without recursion.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.sheet.window import Window
+from clacad.tracing.layout import BodyPlan, Floats, Ints, Layout, lay_out
+from clacad.tracing.triangles.tiles import NO_TILES, Normals, Tiles
+
+Search = Literal["tree", "embree"]
+
+LEAF = 4
+"""Triangles in a leaf of the tree."""
+
+UNITS = (1.0, 1000.0, 0.001, 25.4, 1.0 / 25.4)
+MATCH = 0.02
+"""Share by which the extents of a file without a unit may differ from the window's."""
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleSoup:
+    """Triangles of all bodies, sheet frame, window units.
+
+    Parameters
+    ----------
+    corners : (t, 3, 3) lengths
+        Counter-clockwise seen from outside.
+    normals : (t, 3, 3) or None
+        Unit outward normals at the corners, where the file has them.
+    search : "tree" or "embree"
+        Who finds the triangle a ray meets: the tree of this module, or Embree (with facet normals, one wavelength
+        and nothing recorded; what is not plain goes to the tree). The results are the same.
+    """
+
+    corners: Floats
+    normals: Floats | None = None
+    search: Search = "tree"
+
+
+def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tree") -> TriangleSoup:
+    """Read a mesh file (STL, 3MF, PLY, OBJ, GLB) in the window's units.
+
+    Parameters
+    ----------
+    path : path
+    window : Window
+    search : "tree" or "embree"
+        See `TriangleSoup`; the results agree to the last digits.
+
+    Raises
+    ------
+    ValueError
+        The file says no unit and its size fits the window in none, or in more than one; or Embree is asked for and
+        not installed.
+    """
+    # readers live with the formats' writers; the tracer needs them only when it is handed a path
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.tracing.triangles.embree_search import available
+
+    found = read_mesh(path)
+    if search == "embree" and not available():
+        raise ValueError('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
+    return replace(soup_of(found, window), search=search)
+
+
+def soup_of(found: Any, window: Window) -> TriangleSoup:
+    """Triangles of a `FileMesh`, every placement expanded, in the window's units."""
+    if not found.expandable:
+        raise ValueError(f"the mesh stands for {found.facet_count} triangles: too many to hold them all")
+    corners, normals = [], []
+    for part in found.parts:
+        own = part.corners(0, part.facet_count)
+        of_corners = part.corner_normals(0, part.facet_count)
+        for place in part.placements:
+            corners.append(own @ place[:3] + place[3])
+            if of_corners is not None:
+                turned = of_corners @ np.linalg.inv(place[:3]).T
+                normals.append(turned / np.linalg.norm(turned, axis=2, keepdims=True))
+    both = np.concatenate(corners) if corners else np.empty((0, 3, 3))
+    factor = found.unit / window.unit if found.unit is not None else _factor(both, window)
+    whole = len(normals) == len(corners) and normals
+    return TriangleSoup(both * factor, np.concatenate(normals) if whole else None)
+
+
+def _factor(corners: Floats, window: Window) -> float:
+    """Window units per file unit, by size."""
+    if len(corners) == 0:
+        raise ValueError("the mesh holds no triangles")
+    x0, x1, y0, y1 = window.lattice.extent()
+    if window.outline is not None:
+        boxes = [body.box for body in lay_out(window).bodies]
+        x0, x1 = min(b[0] for b in boxes), max(b[1] for b in boxes)
+        y0, y1 = min(b[2] for b in boxes), max(b[3] for b in boxes)
+    elif len(window.bodies) == 2:
+        dx, dy = np.subtract(window.shifts[1], window.shifts[0])
+        x0, x1, y0, y1 = min(x0, x0 + dx), max(x1, x1 + dx), min(y0, y0 + dy), max(y1, y1 + dy)
+    size = np.ptp(corners.reshape(-1, 3), axis=0)[:2]
+    wanted = np.array([x1 - x0, y1 - y0])
+    fits = [f for f in UNITS if (np.abs(size * f / wanted - 1.0) < MATCH).all()]
+    if len(fits) != 1:
+        raise ValueError(
+            f"the mesh is {size[0]:.6g} by {size[1]:.6g} and says no unit; the window is "
+            f"{wanted[0]:.6g} by {wanted[1]:.6g}: no unit fits"
+        )
+    return fits[0]
+
+
+def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[Layout, Tiles]:
+    """Prepare a window and foreign triangles for tracing.
+
+    Raises
+    ------
+    ValueError
+        A body of the window has no triangles, or vertex normals are asked of a file without them.
+    """
+    if normals == "vertex" and soup.normals is None:
+        raise ValueError('normals = "vertex", but the mesh has none; they are never estimated')
+    exact = lay_out(window)
+    owner = _owners(exact, soup.corners)
+    trees, plans, order = [], [], []
+    done = 0
+    for b, plan in enumerate(exact.bodies):
+        mine = np.flatnonzero(owner == b)
+        if len(mine) == 0:
+            raise ValueError(f"no triangles of the mesh belong to {window.bodies[b].name!r}")
+        rank, boxes = _tree(soup.corners[mine])
+        order.append(mine[rank])
+        trees.append((done, len(mine), boxes))
+        done += len(mine)
+        plans.append(_bounded(plan, soup.corners[mine]))
+    which = np.concatenate(order)
+    roots = np.cumsum([0, *(len(boxes) for _, _, boxes in trees)])
+    table = np.array([(roots[b], first, count) for b, (first, count, _) in enumerate(trees)], dtype=np.int64)
+    tiles = NO_TILES._replace(
+        corner=np.ascontiguousarray(soup.corners[which]),
+        corner_normal=_upward(soup, which) if normals == "vertex" else np.zeros((0, 3, 3)),
+        tree=table,
+        box=np.concatenate([boxes for _, _, boxes in trees]),
+    )
+    return replace(exact, bodies=tuple(plans)), tiles
+
+
+def _upward(soup: TriangleSoup, which: Ints) -> Floats:
+    assert soup.normals is not None
+    return np.ascontiguousarray(soup.normals[which])
+
+
+def _bounded(plan: BodyPlan, corners: Floats) -> BodyPlan:
+    """The body with the triangles' heights as its bounds."""
+    low, high = float(corners[..., 2].min()) - plan.level, float(corners[..., 2].max()) - plan.level
+    pad = 1e-9 * (plan.box[1] - plan.box[0])
+    return replace(plan, low=low - pad, high=high + pad)
+
+
+def _owners(layout: Layout, corners: Floats) -> NDArray[np.int64]:
+    """Body (t,) of each triangle: that of its connected piece, by the piece's middle height."""
+    if len(layout.bodies) == 1 or len(corners) == 0:
+        return np.zeros(len(corners), dtype=np.int64)
+    piece = _pieces(corners)
+    low = np.full(int(piece.max()) + 1, np.inf)
+    high = -low
+    np.minimum.at(low, piece, corners[..., 2].min(axis=1))
+    np.maximum.at(high, piece, corners[..., 2].max(axis=1))
+    middles = np.array([b.level + 0.5 * (b.low + b.high) for b in layout.bodies])
+    nearest = np.abs(0.5 * (low + high)[:, None] - middles).argmin(axis=1)
+    return np.asarray(nearest[piece])
+
+
+def _pieces(corners: Floats) -> Ints:
+    """Number the connected pieces: triangles are joined where they share a corner exactly."""
+    points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0  # one zero, not two
+    _, vertex = np.unique(points.view([("x", "f8"), ("y", "f8"), ("z", "f8")]).ravel(), return_inverse=True)
+    triangles = vertex.reshape(-1, 3)
+    label = np.arange(int(triangles.max()) + 1)
+    while True:  # labels fall to the least of their piece; pointers halve the way at every round
+        least = label[triangles].min(axis=1)
+        new = label.copy()
+        np.minimum.at(new, triangles.ravel(), np.repeat(least, 3))
+        new = new[new]
+        if np.array_equal(new, label):
+            break
+        label = new
+    _, piece = np.unique(label[triangles[:, 0]], return_inverse=True)
+    return np.asarray(piece.ravel(), dtype=np.int64)
+
+
+def _tree(corners: Floats) -> tuple[Ints, Floats]:
+    """Order of the triangles, and the boxes (nodes, 6) of a complete binary tree over them, root first.
+
+    Node i has children 2 i + 1 and 2 i + 2; the last level's nodes are leaves of `LEAF` triangles each.
+    """
+    middle = corners.mean(axis=1)[:, :2]
+    low, high = middle.min(axis=0), middle.max(axis=0)
+    cells = ((middle - low) / np.maximum(high - low, 1e-300) * 65535.0).astype(np.uint64)
+    rank = np.argsort(_spread(cells[:, 0]) | (_spread(cells[:, 1]) << np.uint64(1)), kind="stable")
+    ordered = corners[rank]
+    leaves = 1 << max(0, int(np.ceil(np.log2(max(1, -(-len(corners) // LEAF))))))
+    starts = np.arange(0, len(corners), LEAF)
+    boxes = np.empty((2 * leaves - 1, 6))
+    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+    level = boxes[leaves - 1 :]
+    level[: len(starts), :3] = np.minimum.reduceat(ordered.min(axis=1), starts, axis=0)
+    level[: len(starts), 3:] = np.maximum.reduceat(ordered.max(axis=1), starts, axis=0)
+    first = leaves - 1
+    while first > 0:
+        parents = slice((first - 1) // 2, first)
+        left, right = boxes[first : 2 * first + 1 : 2], boxes[first + 1 : 2 * first + 1 : 2]
+        boxes[parents, :3] = np.minimum(left[:, :3], right[:, :3])
+        boxes[parents, 3:] = np.maximum(left[:, 3:], right[:, 3:])
+        first = (first - 1) // 2
+    return rank, boxes
+
+
+def _spread(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Put a zero bit between the bits of 16-bit numbers."""
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
+    return x

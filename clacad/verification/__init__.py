@@ -1,0 +1,30 @@
+"""Verification: what was written is traced, and every number is held against what was asked.
+
+`verify` gives a `Report`; its `passed`, its JSON and the page made from it are one object. Names resolve
+when first used, so that judging a design's geometry does not load the tracer.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clacad.verification.checks import CODES, Check, passed
+    from clacad.verification.design.design_rules import design_checks
+    from clacad.verification.files.find_files import CannotRegister
+    from clacad.verification.run import Report, verify
+
+__all__ = ["CODES", "CannotRegister", "Check", "Report", "design_checks", "passed", "verify"]
+
+_HOME = {
+    "CODES": "checks", "Check": "checks", "passed": "checks", "CannotRegister": "files.find_files",
+    "design_checks": "design.design_rules", "Report": "run", "verify": "run",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module when it is first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'clacad.verification' has no attribute {name!r}")
+    return getattr(import_module(f"clacad.verification.{_HOME[name]}"), name)

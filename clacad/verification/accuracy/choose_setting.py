@@ -1,0 +1,197 @@
+"""What meets an asked error for the least: the facets of a file, and how to say that nothing does.
+
+The error of facets and the rounding of a file's numbers are measured on the design itself, by a few traces, and
+the grid follows from them; see `clacad.verification.accuracy.file_floors`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from clacad.optics.rays import Fate
+from clacad.sheet.window import Window
+from clacad.verification.accuracy.file_floors import (
+    FAMILIES,
+    SMALL,
+    Family,
+    Floor,
+    Probe,
+    family_floor,
+    probe,
+)
+from clacad.verification.accuracy.file_rounding import EXACT
+from clacad.verification.accuracy.rows import TargetOutOfReach
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+RAYS = 4096
+MOST_QUADS = 1024
+"""Facets a cell side beyond which a cell alone is minutes of meshing."""
+
+TRACED = 160
+"""Grids up to here are traced before they are chosen; finer ones follow from the finest traced."""
+
+SAFE = 0.95
+"""Part of the target that is aimed at: other bundles of rays find a few per cent more."""
+
+FACETED = ("stl", "stl-parts", "3mf", "ply", "glb")
+Normals = Literal["facet", "vertex"]
+
+
+@dataclass(frozen=True, slots=True)
+class Tessellation:
+    """The coarsest facets within a target.
+
+    Parameters
+    ----------
+    quads : int
+        A cell side.
+    error : float, radians
+        Forecast rms direction error, the worst of the formats.
+    normals : "facet" or "vertex"
+    formats : tuple of str
+        Those it was chosen for.
+    """
+
+    quads: int
+    error: float
+    normals: Normals
+    formats: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Say what was chosen and what it gives."""
+        return (
+            f"{', '.join(self.formats)}: {self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms through "
+            f"{self.normals} normals"
+        )
+
+
+def facets_for(
+    design: Design, window: Window, target: float, formats: Sequence[str], normals: Normals = "facet"
+) -> Tessellation | None:
+    """Choose the coarsest facets with which every format is within a target; None where no format has facets.
+
+    Parameters
+    ----------
+    design, window
+        The bundle is that of the design's checks.
+    target : float, radians
+        Rms direction error to the exact surfaces.
+    formats : sequence of str
+        Words of `--format`; those with exact surfaces, maps or masks are passed over.
+    normals : "facet" or "vertex"
+        What the reader of the file refracts at.
+
+    Raises
+    ------
+    TargetOutOfReach
+        Below a format's floor, or finer than can be meshed; the message names the floor and the nearest way.
+    """
+    asked = tuple(name for name in formats if name in FACETED)
+    if not asked:
+        return None
+    seen = _probe(design, window)
+    smooth = _constants(seen, ("facet", "vertex"))
+    floors = [(name, _floor(seen, name, normals, smooth)) for name in asked]
+    chosen = [_traced(seen, name, floor, target, smooth) for name, floor in floors]
+    quads = max(quads for quads, _ in chosen)
+    return Tessellation(quads, max(floor.error(quads) for _, floor in chosen), normals, asked)
+
+
+def floor_of(design: Design, window: Window, format: str, normals: Normals = "facet") -> Floor:
+    """Measure the least error a format with facets can reach."""
+    seen = _probe(design, window)
+    return _floor(seen, format, normals, _constants(seen, (normals,)))
+
+
+def out_of_reach(
+    design: Design, window: Window, target: float, format: str, floor: Floor
+) -> TargetOutOfReach:
+    """Say that a target lies below a format's floor, and what meets it."""
+    seen = _probe(design, window)
+    return _below(format, floor, target, seen, _constants(seen, ("vertex",)))
+
+
+def _probe(design: Design, window: Window) -> Probe:
+    from clacad.sheet.bundle import bundle
+    from clacad.tracing.trace import trace
+
+    rays = bundle(window, RAYS, design.check.field, design.check.field_centre).rays
+    truth = trace(window, rays, path="numba")
+    if not bool((truth.fate == Fate.ALIVE).any()):
+        raise TargetOutOfReach("no ray gets through the design: there is no error to choose by")
+    return probe(window, rays, truth)
+
+
+def _constants(seen: Probe, kinds: Sequence[Normals]) -> dict[str, float]:
+    """Error constants of facets and vertex normals without rounding."""
+    power = {"facet": 1, "vertex": 2}
+    return {kind: seen.error(seen.held(SMALL, EXACT, kind)) * SMALL ** power[kind] for kind in kinds}
+
+
+def _floor(seen: Probe, format: str, normals: str, smooth: dict[str, float]) -> Floor:
+    return family_floor(seen, _family(format, normals), smooth, confirm=False)
+
+
+def _family(format: str, normals: str) -> Family:
+    for family in FAMILIES:
+        if format in family.formats.split(", ") and family.normals == normals:
+            return family
+    raise TargetOutOfReach(
+        f"{format} holds no normals at its corners: give normals = facet, or write ply or glb"
+    )
+
+
+def _traced(
+    seen: Probe, format: str, floor: Floor, target: float, smooth: dict[str, float]
+) -> tuple[int, Floor]:
+    """Grid within the target, and the floor's constants corrected by a trace of that very grid.
+
+    The constant of facets depends a little on their size: those of two faces that a ray meets one after the other
+    err alike where the ray does not move by a facet between them.
+    """
+    power = 2 if floor.normals == "vertex" else 1
+    quads = _quads(format, floor, target, seen, smooth)
+    for _ in range(4):
+        if quads > TRACED:
+            break
+        error = seen.error(seen.held(quads, _family(format, floor.normals).holding or EXACT, floor.normals))
+        floor = replace(floor, a=error * quads**power)
+        again = _quads(format, floor, target, seen, smooth)
+        if again <= quads:
+            break
+        quads = again
+    return quads, floor
+
+
+def _quads(format: str, floor: Floor, target: float, seen: Probe, smooth: dict[str, float]) -> int:
+    quads = floor.quads_for(SAFE * target)
+    if quads is None:
+        raise _below(format, floor, target, seen, smooth)
+    if quads > MOST_QUADS:
+        raise TargetOutOfReach(
+            f"{format}: {1e3 * target:.4g} mrad takes {quads} quads a cell side, more than {MOST_QUADS}; "
+            + _other_ways(target, seen, smooth)
+        )
+    return quads
+
+
+def _below(
+    format: str, floor: Floor, target: float, seen: Probe, smooth: dict[str, float]
+) -> TargetOutOfReach:
+    where = "" if floor.best_quads is None else f", reached at {floor.best_quads:.0f} quads a cell side"
+    return TargetOutOfReach(
+        f"{format}: {1e3 * target:.4g} mrad is below its floor of {1e3 * floor.floor:.3g} mrad{where} "
+        f"({floor.note}); {_other_ways(target, seen, smooth)}"
+    )
+
+
+def _other_ways(target: float, seen: Probe, smooth: dict[str, float]) -> str:
+    by_normals = _floor(seen, "ply", "vertex", smooth).quads_for(target)
+    step = "use step, whose faces are exact"
+    if by_normals is None or by_normals > MOST_QUADS:
+        return step
+    return f"{step}, or ply read by its vertex normals ({by_normals} quads a cell side, normals = vertex)"

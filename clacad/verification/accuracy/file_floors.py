@@ -1,0 +1,253 @@
+"""Where accuracy stops paying: facets too fine for a file's numbers.
+
+Facets of a cell side over m err by a/m radians; holding their corners in a file's numbers turns each by about
+b·m. The sum in quadrature is least at m* = sqrt(a/b), and is sqrt(2 a b) there: the floor of the format. Exact
+normals at the corners, interpolated, err by a/m² and hardly feel the corners' rounding. Every constant is
+taken from traces, and the optimum (or the finest grid worth tracing) is traced itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from math import hypot, isfinite, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.mesh import Mesh
+from clacad.optics.law import angle_between
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.window import Window
+from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
+
+Floats = NDArray[np.float64]
+RAYS = 4096
+SMALL = 64
+"""Grid on which rounding is measured: fine enough to feel it, coarse enough that few rays change facets by it."""
+CONFIRM = 128
+"""Finest grid traced to confirm a forecast, quads a cell side; finer ones would take minutes."""
+RAYLEIGH = 1.2011
+"""Rms over median of the length of a vector with two normal components."""
+NORMAL_F32 = 3e-8
+"""Rms rounding of a unit normal's component in float32, radians."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Formats that hold a part the same way.
+
+    Parameters
+    ----------
+    formats : str
+        Words of `--format`.
+    holding : Holding or None
+        None: the surfaces themselves, or nothing optical.
+    normals : "facet", "vertex" or ""
+        What a reader refracts at.
+    note : str
+    """
+
+    formats: str
+    holding: Holding | None
+    normals: str = "facet"
+    note: str = ""
+
+
+FAMILIES = (
+    Family("stl, stl-parts", Holding("sheet"), "facet", "float32 in sheet coordinates"),
+    Family("glb", Holding("cell"), "facet", "float32 in the coordinates of one cell"),
+    Family("3mf, ply", Holding(kind="f64"), "facet", "double precision, heights in the mesher's steps"),
+    Family("ply", Holding(kind="f64"), "vertex", "double precision, normals exact"),
+    Family("glb", Holding("cell"), "vertex", "normals in float32"),
+    Family("tiff", Holding("face"), "facet", "heights above the face's plane, float32"),
+    Family("png, tiff", Holding("face", "levels"), "facet", "heights in 16 bits"),
+    Family("gds", Holding("face", "levels", 64), "facet", "heights in 64 layers"),
+    Family("marked-stl, marked-3mf", None, "", "as stl and 3mf: the lenses are the same facets"),
+    Family("step, brep, coupon, marked", None, "", "exact faces; see row step"),
+    Family("table, pov", None, "", "the surfaces' own numbers; see row surfaces"),
+    Family("sag, xyz", None, "", "exact heights and slopes at points; the reader interpolates"),
+    Family("mask, baffle, frame", None, "", "no refracting surface"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """How far a family of formats can be driven.
+
+    Parameters
+    ----------
+    formats, normals, note : str
+    float : str
+    a, b : float, radians
+        Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals: b), at m quads a cell side.
+    best_quads : float or None
+        Grid of the least error; None: finer is always better.
+    best_size : float or None, design lengths
+        Facet side there.
+    floor : float, radians
+    facets : float or None
+        Optical facets of the whole sheet there.
+    confirmed : tuple of (quads, forecast, traced), radians
+    """
+
+    formats: str
+    normals: str
+    float: str
+    note: str
+    a: Any = None
+    b: Any = None
+    best_quads: Any = None
+    best_size: Any = None
+    floor: Any = None
+    facets: Any = None
+    confirmed: tuple[tuple[int, Any, Any], ...] = field(default=())
+
+    def error(self, quads: Any) -> Any:
+        """Rms direction error (radians) forecast at `quads` a cell side."""
+        if self.normals == "vertex":
+            return hypot(self.a / quads**2, self.b)
+        return hypot(self.a / quads, self.b * quads)
+
+    def quads_for(self, target: Any) -> int | None:
+        """Fewest quads a cell side within `target` radians; None below the floor."""
+        if self.floor is None or not target > self.floor:
+            return None
+        if self.normals == "vertex":
+            return max(1, int(np.ceil(sqrt(self.a / sqrt(target**2 - self.b**2)))))
+        ab = self.a * self.b
+        inside = sqrt(max(0.0, (target**2 - 2.0 * ab) * (target**2 + 2.0 * ab)))
+        return max(1, int(np.ceil(sqrt(2.0 / (target**2 + inside)) * self.a)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        return asdict(self) | {
+            "confirmed": [{"quads": q, "forecast": f, "traced": t} for q, f, t in self.confirmed]
+        }
+
+
+class Probe:
+    """Traces of one bundle through meshes held in several ways, each mesh made once.
+
+    Parameters
+    ----------
+    window : Window
+    rays : Rays
+    truth : TraceResult
+        The same rays through the exact surfaces.
+    """
+
+    def __init__(self, window: Window, rays: Rays, truth: TraceResult) -> None:
+        self.window, self.rays = window, rays
+        self.truth = truth
+        self.cell = outermost_cell(window)
+        self._meshes: dict[int, Mesh] = {}
+
+    def held(self, quads: int, holding: Holding, normals: str) -> TraceResult:
+        """Trace the mesh of `quads` a cell side as a file holds it."""
+        from clacad.mesh import tessellate
+        from clacad.tracing.trace import trace
+
+        if quads not in self._meshes:
+            self._meshes[quads] = tessellate(self.window, quads=quads)
+        mesh = rounded(self._meshes[quads], self.cell, holding)
+        return trace(
+            self.window,
+            self.rays,
+            rung="mesh",
+            mesh=mesh,
+            normals="vertex" if normals == "vertex" else "facet",
+        )
+
+    def error(self, found: TraceResult) -> float:
+        """Rms angle (radians) to the exact trace, over the rays that live on both through the same lenslets."""
+        both = self._shared(found, self.truth)
+        angle = angle_between(found.direction[both], self.truth.direction[both])
+        return float(np.sqrt(np.mean(angle**2))) if both.any() else float("nan")
+
+    def moved(self, found: TraceResult, exact: TraceResult) -> float:
+        """Rms angle (radians) between two traces; by the median, so that rays that take another facet do not count."""
+        both = self._shared(found, exact)
+        if not both.any():
+            return float("nan")
+        return RAYLEIGH * float(np.median(angle_between(found.direction[both], exact.direction[both])))
+
+    @staticmethod
+    def _shared(one: TraceResult, other: TraceResult) -> NDArray[np.bool_]:
+        same = (one.cell == other.cell).all(axis=1) & (one.order == other.order).all(axis=1)
+        return np.asarray(same & (one.fate == Fate.ALIVE) & (other.fate == Fate.ALIVE))
+
+
+def probe(window: Window, rays: Rays, truth: TraceResult) -> Probe:
+    """Probe with the first `RAYS` rays of a bundle that was traced."""
+    few = Rays(rays.position[:RAYS], rays.direction[:RAYS])
+    part = TraceResult(
+        truth.position[:RAYS], truth.direction[:RAYS], truth.fate[:RAYS], truth.optical_path[:RAYS], truth.cell[:RAYS],
+        truth.order[:RAYS], truth.surface[:RAYS], truth.flux[:RAYS],
+    )  # fmt: skip
+    return Probe(window, few, part)
+
+
+def floors(seen: Probe, confirm: bool = True) -> list[Floor]:
+    """Floor of every family of formats.
+
+    Parameters
+    ----------
+    seen : Probe
+    confirm : bool
+        Trace the forecasts too.
+    """
+    finest = CONFIRM if confirm else SMALL
+    smooth = {
+        "facet": seen.error(seen.held(finest, EXACT, "facet")) * finest,
+        "vertex": seen.error(seen.held(SMALL, EXACT, "vertex")) * SMALL**2,
+    }
+    return [family_floor(seen, family, smooth, confirm) for family in FAMILIES]
+
+
+def family_floor(seen: Probe, family: Family, smooth: dict[str, float], confirm: bool) -> Floor:
+    """Floor of one family; `smooth` holds the error constants of facets and of vertex normals."""
+    holding = family.holding
+    if holding is None:
+        return Floor(family.formats, "", "", family.note)
+    a = smooth[family.normals]
+    moved = seen.moved(seen.held(SMALL, holding, family.normals), seen.held(SMALL, EXACT, family.normals))
+    plain = Floor(family.formats, family.normals, holding.kind, family.note, a, moved / SMALL)
+    if family.normals == "vertex":
+        coarse = 0.0 if holding.kind == "f64" else 2.0 * NORMAL_F32
+        return _with_confirmation(seen, family, _vertex_floor(plain, hypot(moved, coarse)), confirm)
+    if not (isfinite(a) and plain.b > 0.0):
+        return plain
+    best = sqrt(a / plain.b)
+    size = min(seen.window.lattice.pitch) / best
+    found = Floor(
+        family.formats, family.normals, holding.kind, family.note, a, plain.b, best, size, sqrt(2.0 * a * plain.b),
+        _facets(seen.window, best),
+    )  # fmt: skip
+    return _with_confirmation(seen, family, found, confirm)
+
+
+def _vertex_floor(plain: Floor, b: float) -> Floor:
+    return Floor(plain.formats, plain.normals, plain.float, plain.note, plain.a, b, None, None, b)
+
+
+def _with_confirmation(seen: Probe, family: Family, found: Floor, confirm: bool) -> Floor:
+    if not confirm or family.holding is None:
+        return found
+    if found.best_quads is None:  # vertex normals are traced exact: only where the file holds them so
+        grids = [SMALL] if family.holding.kind == "f64" else []
+    else:
+        best = max(1, round(found.best_quads))
+        grids = [q for q in (best, 2 * best) if q <= CONFIRM] or [CONFIRM]
+    rows = tuple((q, found.error(q), seen.error(seen.held(q, family.holding, family.normals))) for q in grids)
+    return Floor(**(_plain(found) | {"confirmed": rows}))
+
+
+def _plain(found: Floor) -> dict[str, Any]:
+    return {name: getattr(found, name) for name in Floor.__dataclass_fields__}
+
+
+def _facets(window: Window, quads: float) -> float:
+    """Facets of the optical faces of the whole sheet."""
+    faces = sum(face.array is not None for face in window.faces)
+    return 2.0 * quads * quads * faces * window.lattice.cell_count

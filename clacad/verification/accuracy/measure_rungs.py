@@ -1,0 +1,186 @@
+"""Sending the same rays up every rung, and taking the time."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.law import angle_between
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.window import Window
+from clacad.verification.accuracy.extended_precision import direction_errors
+from clacad.verification.accuracy.rows import Row
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+
+Floats = NDArray[np.float64]
+QUADS = (4, 8, 16, 32, 64, 128)
+"""Tessellations of the ladder, quads per cell side."""
+ORACLE_RAYS = 1000
+"""Rays traced in 50 digits."""
+REPEATS = 3
+SLOW = 1.0
+"""Seconds from which one warm run is enough."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """The rays and what is known of them.
+
+    window : Window
+    rays : Rays
+    truth : TraceResult
+        Rung surfaces, float64.
+    asked : (n, 3)
+        What the law says; NaN where it has no answer.
+    """
+
+    window: Window
+    rays: Rays
+    truth: TraceResult
+    asked: Floats
+
+    @classmethod
+    def raised(cls, window: Window, rays: Rays) -> Ladder:
+        """Trace the truth, by the compiled kernel: the one whose speed and error the table tells."""
+        from clacad.tracing.trace import trace
+
+        return cls(window, rays, trace(window, rays, path="numba"), window.law.refract(rays.direction))
+
+
+def timed(run: Callable[[], TraceResult]) -> tuple[TraceResult, float, float]:
+    """Result, processor seconds (best of 3, warm) and seconds of the first call beyond that (compiling)."""
+    began = time.process_time()
+    result = run()
+    first = time.process_time() - began
+    best = first
+    for _ in range(REPEATS if first < SLOW else 1):
+        began = time.process_time()
+        result = run()
+        best = min(best, time.process_time() - began)
+    return result, best, max(0.0, first - best)
+
+
+def peak_memory(run: Callable[[], Any]) -> int:
+    """Peak of traced allocations during a call, bytes."""
+    tracemalloc.start()
+    try:
+        run()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def row(ladder: Ladder, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0) -> Row:
+    """Measure one rung: time, memory, errors against truth and law."""
+    result, seconds, compiling = timed(run)
+    memory = peak_memory(run)
+    disagree = result.fate != ladder.truth.fate
+    if rung != "law":  # the homogeneous law has no cells: every ray is of order 0
+        disagree |= (result.order != ladder.truth.order).any(axis=1)
+        disagree |= (result.cell != ladder.truth.cell).any(axis=1)
+    both = (result.fate == Fate.ALIVE) & (ladder.truth.fate == Fate.ALIVE)
+    both &= ~disagree | (rung == "law")
+    numbers = statistics(result.direction[both], ladder.truth.direction[both], ladder.asked[both])
+    return Row(
+        rung, setting, *numbers, float(disagree.mean()), seconds, prepare + compiling, len(ladder.rays), int(both.sum()), memory=memory,
+    )  # fmt: skip
+
+
+def statistics(found: Floats, truth: Floats, asked: Floats) -> tuple[float, float, float, float, float]:
+    """Angles (radians) of directions (n, 3) to the truth, rms, 95 % and max, and to the law, rms and max."""
+    model, law = angle_between(found, truth), angle_between(found, asked)
+    law = law[np.isfinite(law)]
+    return _rms(model), _part(model, 95.0), _part(model, 100.0), _rms(law), _part(law, 100.0)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _part(values: Floats, percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
+
+
+def reference(ladder: Ladder, count: int = ORACLE_RAYS) -> dict[str, float]:
+    """Hold the truth to a 50-digit trace on its first `count` living rays."""
+    alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)[:count]
+    truth = ladder.truth
+    error = direction_errors(
+        ladder.window, ladder.rays.position[alive], ladder.rays.direction[alive], truth.direction[alive],
+        truth.cell[alive], truth.order[alive],
+    )  # fmt: skip
+    decided = error[np.isfinite(error)]
+    return {
+        "rays": float(len(alive)),
+        "rms": _rms(decided),
+        "p95": _part(decided, 95.0),
+        "max": _part(decided, 100.0),
+        "undecided": float(len(error) - len(decided)),
+        "digits": 50.0,
+    }
+
+
+def exact_rows(ladder: Ladder, checked: dict[str, float]) -> list[Row]:
+    """Rungs law, thin, surfaces in float64 and float32, the last two compiled."""
+    from clacad.tracing.trace import trace
+
+    window, rays = ladder.window, ladder.rays
+    surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays, path="numba"))
+    single = row(ladder, "surfaces", "float32", lambda: trace(window, rays, precision="float32"))
+    return [
+        row(ladder, "law", "", lambda: trace(window, rays, rung="law")),
+        row(ladder, "thin", "", lambda: trace(window, rays, rung="thin")),
+        replace(
+            surfaces, model_rms=checked["rms"], model_p95=checked["p95"], model_max=checked["max"],
+            checked=int(checked["rays"]), bytes=_surface_bytes(window),
+        ),
+        replace(single, bytes=_surface_bytes(window) // 2, float="f32"),
+    ]  # fmt: skip
+
+
+def _surface_bytes(window: Window) -> int:
+    """Numbers that describe one telescopelet: surface, vertex and rotation of each face."""
+    return len(window.faces) * (4 + 3 + 9) * 8
+
+
+def mesh_rows(ladder: Ladder, quads: int) -> list[Row]:
+    """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
+    from clacad.formats.mesh.stl import stl_bytes
+    from clacad.mesh import tessellate
+    from clacad.tracing.trace import trace
+    from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
+
+    window, rays = ladder.window, ladder.rays
+    began = time.process_time()
+    mesh = tessellate(window, quads=quads)
+    prepare = time.process_time() - began
+    cell, rows = outermost_cell(window), []
+    for kind, holding in (("f64", EXACT), ("f32", Holding("sheet"))):
+        facets = rounded(mesh, cell, holding)
+        for normals in ("facet", "vertex"):
+            run = partial(trace, window, rays, rung="mesh", mesh=facets, normals=normals)
+            setting = f"{quads} quads, {normals} normals" + (", float32 vertices" if kind == "f32" else "")
+            measured = row(ladder, "mesh", setting, run, prepare)
+            file_bytes = stl_bytes(mesh.facet_count) if kind == "f32" and normals == "facet" else None
+            rows.append(
+                replace(
+                    measured, quads=quads, normals=normals, float=kind, triangles=mesh.facet_count,
+                    bytes=_mesh_bytes(mesh) // (1 if kind == "f64" else 2), file_bytes=file_bytes,
+                )
+            )  # fmt: skip
+    return rows
+
+
+def _mesh_bytes(mesh: Mesh) -> int:
+    """Numbers of the prototiles a trace reads: points, levels, triangles."""
+    tiles = [one.maker.tile for body in mesh.bodies for one in body.tiled]
+    return sum(t.plan.xy.nbytes + t.lens.nbytes + t.plan.triangles.nbytes for t in tiles)

@@ -1,0 +1,90 @@
+"""A small ladder of accuracy for the report: the same rays up every rung, each with its error and what it costs.
+
+Seconds change from run to run and a report must not, so the page shows a forecast of the time from the rates
+below; what was really measured goes to the run facts, and into the report only when asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from clacad.sheet.window import Window
+from clacad.verification.accuracy.rows import Row
+from clacad.verification.files.cell_triangles import Progress
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+RAYS = 8192
+ORACLE_RAYS = 128
+QUADS = (4, 8, 16, 32)
+
+MICROSECONDS = {"law": 0.8, "thin": 1.5, "surfaces": 1.8, "mesh": 0.8, "mesh, a quad of the side": 0.007}
+"""Forecast of the processor's time for one ray, by rung. Taken from traces of 131 072 rays on one core of an ordinary
+server; other machines differ by a factor, which moves all points of the plot alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """Rows of the ladder, their forecast microseconds a ray, and how well the truth itself is known.
+
+    rows : tuple of clacad.verification.accuracy.accuracy_table.Row
+    forecast : tuple of float, microseconds
+    reference : float, radians
+        Rms of the truth against a trace in 50 digits.
+    """
+
+    rows: tuple[Row, ...]
+    forecast: tuple[float, ...]
+    reference: float
+
+    def measured(self) -> list[dict[str, Any]]:
+        """Run facts: seconds of this run, rung by rung."""
+        return [
+            {"rung": r.rung, "setting": r.setting, "seconds": r.seconds, "prepare_s": r.prepare_s, "rays": r.rays}
+            for r in self.rows
+        ]  # fmt: skip
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """Numbers for the report; no measured time among them."""
+        return [
+            {
+                "rung": r.rung, "setting": r.setting, "model_rms": r.model_rms, "model_max": r.model_max,
+                "law_rms": r.law_rms, "law_max": r.law_max, "disagree": r.disagree, "rays": r.rays, "quads": r.quads,
+                "normals": r.normals, "triangles": r.triangles, "forecast_us": us,
+            }
+            for r, us in zip(self.rows, self.forecast, strict=True)
+        ]  # fmt: skip
+
+
+def climb(design: Design, window: Window, progress: Progress) -> Ladder:
+    """Send one bundle up the rungs law, thin, surfaces, and mesh at some refinements."""
+    from functools import partial
+
+    from clacad.mesh import tessellate
+    from clacad.sheet.bundle import bundle
+    from clacad.tracing.trace import trace
+    from clacad.verification.accuracy import measure_rungs
+
+    lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
+    ladder = measure_rungs.Ladder(
+        window, lit.rays, trace(window, lit.rays), window.law.refract(lit.rays.direction)
+    )
+    known = measure_rungs.reference(ladder, ORACLE_RAYS)["rms"]
+    rows, forecast = [], []
+    exact: tuple[Literal["law", "thin", "surfaces"], ...] = ("law", "thin", "surfaces")
+    for number, rung in enumerate(exact):
+        progress("accuracy against time", 0.1 * number)
+        found = measure_rungs.row(ladder, rung, "exact", partial(trace, window, lit.rays, rung=rung))
+        rows.append(replace(found, model_rms=known) if rung == "surfaces" else found)
+        forecast.append(MICROSECONDS[rung])
+    for number, quads in enumerate(QUADS):
+        progress("accuracy against time", 0.3 + 0.7 * number / len(QUADS))
+        mesh = tessellate(window, quads=quads)
+        for normals in ("facet", "vertex"):
+            run = partial(trace, window, lit.rays, rung="mesh", mesh=mesh, normals=normals)
+            found = measure_rungs.row(ladder, "mesh", f"{quads} quads, {normals} normals", run)
+            rows.append(replace(found, quads=quads, normals=normals, triangles=mesh.facet_count))
+            forecast.append(MICROSECONDS["mesh"] + MICROSECONDS["mesh, a quad of the side"] * quads)
+    return Ladder(tuple(rows), tuple(forecast), known)

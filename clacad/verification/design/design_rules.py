@@ -1,0 +1,308 @@
+"""Checks of the design rules: can the part exist, and can the chosen process make it?
+
+Nothing is traced here; values are the derived numbers of `clacad.sheet.feasibility`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import hypot, inf, isfinite, tan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.design.process_profiles import profile
+from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, least_thickness
+from clacad.sheet.window import Window
+from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
+from clacad.verification.design.process_rules import making_checks, process_limit
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+CONTRACT = "default"
+
+
+def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[Check, ...]:
+    """Judge a window by the design rules.
+
+    Parameters
+    ----------
+    design : Design
+        For limits and the process.
+    window : Window
+    facts : Feasibility
+        Of this window.
+    """
+    found: list[Check] = [_one_piece(body) for body in facts.bodies]
+    found += [_cover(design, window, lens) for lens in facts.lenses]
+    found += [_graph(design, lens) for lens in facts.lenses]
+    found += _process_checks(design, facts)
+    found += making_checks(design, window, facts)
+    found += [_field(design, facts), _fresnel_number(design, facts), _residual(design, window)]
+    return accepted(found, design)
+
+
+def _one_piece(body: BodyFacts) -> Check:
+    whole = body.pieces == 1 and body.holes == 0
+    if whole:
+        sentence = f"{body.name} is one piece without holes"
+    elif body.pieces > 1:
+        widest = max(body.borders, key=lambda b: -b.joint)
+        sentence = (
+            f"{body.name} falls into {body.pieces} pieces with {body.holes} holes: neighbours do not touch across "
+            f"step {widest.step}, they miss each other by {-widest.joint:.4g}; a thicker lens, a web or a smaller "
+            "pitch joins them"
+        )
+    else:
+        sentence = (
+            f"{body.name} is one piece with {body.holes} pinholes where the corners of the lenses do not meet; they "
+            f"lack {-body.edge:.4g} of thickness there"
+        )
+    return Check(
+        "one_piece", "pass" if whole else "fail", sentence, f"{body.pieces} pieces, {body.holes} holes",
+        "1 piece, 0 holes", relation="=", subject=body.name, where="geometry (closed form)", source=CONTRACT,
+        detail={"pieces": body.pieces, "holes": body.holes},
+    )  # fmt: skip
+
+
+def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
+    name = f"lens {lens.array + 1}"
+    limit = design.check.cover
+    if lens.cover >= limit:
+        sentence = f"{name} fills its cell"
+    else:
+        x, y = lens.rim_at
+        sentence = (
+            f"{name} fills {lens.cover:.3f} of its cell: its rim ends at {lens.rim[0]:.4g}, {lens.rim[1]:.4g} along "
+            f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness. {_way_to_cover(design, window, lens)}"
+        )
+    return judge(
+        "cover", lens.cover, limit, sentence, relation=">=", subject=name, source=CONTRACT,
+        detail={"rim": lens.rim, "least_thickness": lens.least_thickness, "corner": lens.corner},
+    )  # fmt: skip
+
+
+def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
+    """The numbers that would cover the cell; found by building, since the radii follow the thickness."""
+    if not isfinite(lens.least_thickness):
+        return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
+    ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
+    if design.pair.form == "biconvex":
+        solved = _covering_thickness(design, lens)
+        if solved is not None:
+            ways = [f"thickness >= {_round_up(solved)} for {('lens 1', 'lens 2')[lens.array]}"]
+    index = _covering_index(design, lens)
+    if index is not None:
+        ways.append(f"index >= {index:.3f}")
+    shrink = _covering_shrink(window, lens)
+    if shrink is not None:
+        ways.append(f"pitch <= {_round_down(max(design.lattice.pitch) * shrink)}")
+    return ", or ".join(ways) + ' would cover it (or thickness = "auto")'
+
+
+def _round_up(value: float) -> str:
+    """Three digits, never below the value."""
+    from math import ceil, floor, log10
+
+    step = 10.0 ** (floor(log10(value)) - 2)
+    return f"{ceil(value / step) * step:.3g}"
+
+
+def _round_down(value: float) -> str:
+    """Three digits, never above the value."""
+    from math import floor, log10
+
+    step = 10.0 ** (floor(log10(value)) - 2)
+    return f"{floor(value / step) * step:.3g}"
+
+
+def _covering_shrink(window: Window, lens: LensFacts) -> float | None:
+    """Factor on the pitch at which the lens as built covers its cell; None if none is found."""
+    factor, wanted = 1.0, lens.least_thickness
+    for _ in range(12):
+        factor *= float(np.sqrt(lens.thickness / wanted))
+        pitch = (window.lattice.pitch[0] * factor, window.lattice.pitch[1] * factor)
+        wanted = least_thickness(replace(window, lattice=replace(window.lattice, pitch=pitch)), lens.array)
+        if not (isfinite(wanted) and wanted > 0.0):
+            return None
+        if abs(wanted - lens.thickness) <= 1e-4 * lens.thickness:
+            return factor * (1.0 - 1e-4)
+    return None
+
+
+def _covering_thickness(design: Design, lens: LensFacts) -> float | None:
+    """Centre thickness that covers the cell when the radii are solved again for it; None if none is found."""
+    from clacad.design import DesignError
+    from clacad.prescription.prescribe import prescribe
+
+    given = design.pair.thicknesses
+    if given is None:
+        return None
+    thickness, wanted = list(given), lens.least_thickness
+    for _ in range(12):
+        thickness[lens.array] = wanted
+        try:
+            window = prescribe(design.replace({"pair.thickness": list(thickness)}))
+        except DesignError:
+            return None
+        found = least_thickness(window, lens.array)
+        if not isfinite(found):
+            return None
+        if abs(found - wanted) <= 1e-6 * wanted:
+            return found
+        wanted = found
+    return None
+
+
+def _covering_index(design: Design, lens: LensFacts) -> float | None:
+    """Refractive index at which the thickness as given covers the cell, rounded up; None if there is none below 4.
+
+    Radii grow as n − 1 and sags fall as its inverse, so n − 1 ← (n − 1) T_min/T closes in fast.
+    """
+    from clacad.design import DesignError
+    from clacad.prescription.prescribe import prescribe
+
+    if design.pair.index is None or design.pair.thicknesses is None or design.pair.form != "biconvex":
+        return None
+    thickness, wanted, index = design.pair.thicknesses[lens.array], lens.least_thickness, design.pair.index
+    for _ in range(12):
+        index = 1.0 + (index - 1.0) * wanted / thickness
+        if not 1.0 < index < 4.0:
+            return None
+        try:
+            wanted = least_thickness(prescribe(design.replace({"pair.index": index})), lens.array)
+        except DesignError:
+            return None
+        if not isfinite(wanted):
+            return None
+        if abs(wanted - thickness) <= 1e-4 * thickness:
+            return float(np.ceil(1e3 * index) / 1e3)
+    return None
+
+
+def _graph(design: Design, lens: LensFacts) -> Check:
+    value, limit = lens.least_normal_z, design.check.graph
+    name = f"lens {lens.array + 1}"
+    if value >= limit:
+        slope = np.degrees(np.arccos(min(1.0, value)))
+        sentence = f"steepest slope of {name} against the sheet is {slope:.3g} deg"
+    else:
+        sentence = (
+            f"{name} is too steep or undercut at its border: a larger radius, a smaller pitch or less tilt"
+        )
+    return judge("graph", value, limit, sentence, relation=">=", subject=name, source=CONTRACT)
+
+
+def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
+    rules = profile(design.check.process)
+    unit = design.unit
+    found: list[Check] = []
+    if isfinite(facts.clearance):
+        limit, source = process_limit(design, rules, "clearance")
+        found.append(
+            _at_least(
+                "clearance",
+                facts.clearance,
+                limit,
+                source,
+                unit,
+                "gap between the two bodies, steps included",
+            )
+        )
+    for body in facts.bodies:
+        limit, source = process_limit(design, rules, "edge")
+        found.append(
+            _at_least("edge", body.edge, limit, source, unit, f"least thickness along the outer side of {body.name}", body.name)
+        )  # fmt: skip
+        limit, source = process_limit(design, rules, "neck")
+        if isfinite(body.neck):
+            text = f"least thickness that joins neighbours in {body.name} after the step between them"
+            found.append(_at_least("neck", body.neck, limit, source, unit, text, body.name))
+    for lens in facts.lenses:
+        name = f"lens {lens.array + 1}"
+        limit, source = process_limit(design, rules, "radius")
+        smallest = min(abs(r) for r in lens.radius)
+        found.append(
+            _at_least("radius", smallest, limit, source, unit, f"smallest apex radius of {name}", name)
+        )
+        limit, source = process_limit(design, rules, "sag")
+        text = f"height of {name} over its cell is {lens.sag:.4g} {unit}"
+        found.append(judge("sag", lens.sag, limit, text, near=NEAR, unit=unit, subject=name, source=source))
+    limit, source = process_limit(design, rules, "pitch")
+    found.append(_at_least("pitch", min(design.lattice.pitch), limit, source, unit, "pitch of the lattice"))
+    return found
+
+
+def _at_least(
+    id: str, value: float, limit: float, source: str, unit: str, text: str, subject: str = ""
+) -> Check:
+    """Judge a length that must reach its limit; where the limit is 0 it must be above it."""
+    sentence = f"{text}: {value:.4g} {unit}"
+    if value <= 0.0:
+        sentence += (
+            "; the part has no material there" if id != "clearance" else "; the bodies run into one another"
+        )
+    check = judge(
+        id, value, limit, sentence, relation=">=", near=NEAR, unit=unit, subject=subject, source=source
+    )
+    if limit == 0.0:  # 0 itself does not do
+        return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
+    return check
+
+
+def _field(design: Design, facts: Feasibility) -> Check:
+    """Does the sheet's normal, with the cone of test rays about it, lie in the field of view?"""
+    off = [abs(a) for a in facts.aperture]
+    reach = tan(design.check.field)
+    half = min(facts.half_field)
+    value = hypot(*off) + reach
+    if value <= half:
+        sentence = "the sheet's normal and the cone of test rays about it lie inside the field of view"
+    else:
+        sentence = (
+            f"light along the sheet's normal is {hypot(*off):.4g} in slope off the middle of the field of view, whose "
+            f"half width is {half:.4g}; lattice.aperture steers the field"
+        )
+    state: State = "pass" if value <= half else "warn"
+    return Check(
+        "field", state, sentence, value, half, "slope", where="thin", required=False, source=CONTRACT,
+        detail={"aperture": facts.aperture, "half_field": facts.half_field, "ghost_onset": facts.ghost_onset},
+    )  # fmt: skip
+
+
+def _fresnel_number(design: Design, facts: Feasibility) -> Check:
+    value, limit = facts.fresnel_number, design.check.fresnel_number
+    sentence = f"Fresnel number {value:.4g}"
+    if value < 1.0:
+        return Check(
+            "fresnel_number", "fail", f"{sentence}: below 1 the ray picture is void; a larger pitch or a shorter "
+            "separation", value, 1.0, relation=">=", where="thin", source=CONTRACT,
+        )  # fmt: skip
+    if value < limit:
+        sentence += f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad"
+    state: State = "warn" if value < limit else "pass"
+    return Check(
+        "fresnel_number", state, sentence, value, limit, relation=">=", where="thin", source=CONTRACT
+    )
+
+
+def _residual(design: Design, window: Window) -> Check:
+    """What the recipe itself leaves along the axis ray: parabasal law error and decollimation."""
+    left = [float(v) for v in window.residual.values()]
+    if not left:
+        return not_run(
+            "residual", "the window does not say what its recipe leaves", unit="rad", required=False
+        )
+    value, limit = max(left, default=inf), design.check.law_rms
+    sentence = f"along the axis ray the recipe leaves {1e3 * value:.3g} mrad"
+    if value == inf:
+        sentence = (
+            "the ray along the lens axis does not get through: it misses a lens or is totally reflected"
+        )
+    elif value > limit:
+        sentence += "; another recipe, less tilt or another form would leave less"
+    return judge(
+        "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", source="law_rms",
+        detail=dict(window.residual),
+    )  # fmt: skip

@@ -1,0 +1,117 @@
+"""Design rules of a process: what the tool, the mould, the light or the printer cannot do. Warnings, with numbers.
+
+A warning can be allowed in the design file, with a reason: `[check] allow`.
+"""
+
+from __future__ import annotations
+
+from math import degrees, inf, pi
+from typing import TYPE_CHECKING
+
+from clacad.design.process_profiles import Profile, profile
+from clacad.sheet.feasibility import Feasibility
+from clacad.sheet.feasibility.process_features import (
+    FINE,
+    Named,
+    draft,
+    groove,
+    narrowest,
+    shallowest,
+    steepest,
+    tallest,
+    wall,
+)
+from clacad.sheet.window import Window
+from clacad.verification.checks import Check, State
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+LOST = 0.1
+"""Share of a cell's width that a tool may leave rounded."""
+
+PURE = ("draft", "slope", "aspect")
+"""Limits that are no lengths."""
+
+NEGLIGIBLE = 1e-7
+"""Metres; walls lower than this are roughness."""
+
+
+def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Check]:
+    """Judge a window by the rules of the design's process; rules without a limit there are left out."""
+    rules, unit = profile(design.check.process), design.unit
+    found: list[Check] = []
+    tool, source = process_limit(design, rules, "tool")
+    if tool > 0.0:
+        seen = groove(window, tool)
+        found.append(_rule("tool", seen, LOST, "<=", "", source, (
+            f"a nose radius of {tool:.4g} {unit} leaves {100 * seen.value:.3g} % of a cell's width rounded at "
+            f"{seen.what}"), "a smaller tool, larger radii, or a seam where the rounding may lie"))  # fmt: skip
+    highest, source = process_limit(design, rules, "wall")
+    if highest < inf:
+        seen = wall(window, facts)
+        found.append(_rule("wall", seen, highest, "<=", unit, source, f"{seen.what} is {seen.value:.4g} {unit} high",
+                           "less tilt, aligned meridians, or a seam"))  # fmt: skip
+    least, source = process_limit(design, rules, "draft")
+    if least > 0.0:
+        seen = draft(window, facts, NEGLIGIBLE / design.unit_m)
+        found.append(_rule("draft", seen, least, ">=", "rad", source,
+                           f"{seen.what} stands at {degrees(seen.value):.3g} deg to the sheet's normal, "
+                           f"{degrees(least):.3g} are needed", "a seam with room for sloping walls, or less tilt"))  # fmt: skip
+    most, source = process_limit(design, rules, "slope")
+    if most < 0.5 * pi:
+        seen = steepest(facts)
+        found.append(_rule("slope", seen, most, "<=", "rad", source,
+                           f"{seen.what} is up to {degrees(seen.value):.3g} deg steep, {degrees(most):.3g} can be made",
+                           "larger radii, a smaller pitch or less tilt"))  # fmt: skip
+    voxel, source = process_limit(design, rules, "voxel")
+    if voxel > 0.0:
+        seen = narrowest(window)
+        found.append(_rule("voxel", seen, voxel, ">=", unit, source,
+                           f"{seen.what} is {seen.value:.4g} {unit}, a voxel {voxel:.4g}",
+                           "a larger pitch or wider seams and walls"))  # fmt: skip
+    layer, source = process_limit(design, rules, "layer")
+    if layer > 0.0:
+        seen = shallowest(facts)
+        found.append(_rule("layer", seen, layer, ">=", unit, source,
+                           f"{seen.what} is {seen.value:.4g} {unit}, a layer {layer:.4g}: it takes "
+                           f"{FINE * seen.value / layer:.3g} layers, {FINE} are the least",
+                           "smaller radii or a larger pitch: steeper lenses have more layers"))  # fmt: skip
+    ratio, source = process_limit(design, rules, "aspect")
+    if ratio < inf:
+        seen = tallest(window, facts)
+        found.append(_rule("aspect", seen, ratio, "<=", "", source, f"{seen.what} is {seen.value:.4g}",
+                           "wider walls and seams, or shallower ones"))  # fmt: skip
+    if not rules.undercut:
+        found.append(_undercut(facts, rules))
+    return found
+
+
+def process_limit(design: Design, rules: Profile, name: str) -> tuple[float, str]:
+    """Limit (lengths in design units) and where it comes from: the design's own key, else the process profile."""
+    own = getattr(design.check, name)
+    if own is not None:
+        return float(own), "design file"
+    value = float(getattr(rules, name))
+    return (value if name in PURE else value / design.unit_m), f"{rules.name}: {rules.source}"
+
+
+def _rule(
+    id: str, seen: Named, limit: float, relation: str, unit: str, source: str, sentence: str, way_out: str
+) -> Check:
+    good = seen.value <= limit if relation == "<=" else seen.value >= limit
+    state: State = "pass" if good else "warn"
+    return Check(
+        id, state, sentence if good else f"{sentence}; {way_out}", seen.value, limit, unit, relation, source=source,
+        detail={"where": seen.what},
+    )  # fmt: skip
+
+
+def _undercut(facts: Feasibility, rules: Profile) -> Check:
+    lens = min(facts.lenses, key=lambda lens: lens.least_normal_z)
+    return _rule(
+        "undercut", Named(lens.least_normal_z, f"lens {lens.array + 1}"), 0.0, ">=", "",
+        f"{rules.name}: {rules.source}",
+        f"the normals of lens {lens.array + 1} lean to a z component of {lens.least_normal_z:.3g}",
+        "less tilt or larger radii: what overhangs cannot be reached",
+    )  # fmt: skip

@@ -1,0 +1,60 @@
+"""An asked direction error in a verification: how many rays it takes, and whether the files are within it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil, log2
+from typing import TYPE_CHECKING
+
+from clacad.verification.checks import Check, judge
+
+if TYPE_CHECKING:
+    from clacad.verification.run import Report
+
+FEWEST, MOST = 1 << 14, 1 << 20
+"""With fewer than the first the fits through a file's triangles have too few rays that get through."""
+SURE = 10.0
+"""Standard errors of a mean that fit into the target."""
+
+
+def rays_for(target: float, spread: float) -> int:
+    """Fewest rays, a power of two, whose mean is known to a tenth of a target.
+
+    Parameters
+    ----------
+    target : float, radians
+        Rms direction error that matters.
+    spread : float, radians
+        Rms of a single ray's error; the mean of n has spread/√n of it (Sobol points do better).
+    """
+    needed = (SURE * spread / target) ** 2
+    if needed >= MOST:
+        return MOST
+    return max(FEWEST, 1 << ceil(log2(max(1.0, needed))))
+
+
+def judged_by(report: Report, target: float) -> Report:
+    """Add to a report whether light through each of its files is within a target of the exact surfaces (radians)."""
+    return replace(report, checks=(*report.checks, *target_checks(report.checks, target)))
+
+
+def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
+    """One check a file whose light was measured."""
+    found = []
+    for check in checks:
+        if check.id != "faithful_rms":
+            continue
+        if not isinstance(check.value, float):
+            found.append(replace(check, id="file_target", limit=target, detail={}))
+            continue
+        within = "within" if check.value <= target else "not within"
+        text = (
+            f"light through it is {1e3 * check.value:.4g} mrad rms off the exact surfaces, {within} the "
+            f"{1e3 * target:.4g} mrad asked"
+        )
+        found.append(
+            judge("file_target", check.value, target, text, unit="rad", source="--target", bundle=check.bundle,
+                  where=check.where, subject=check.subject)
+        )  # fmt: skip
+    return found

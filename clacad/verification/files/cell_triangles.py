@@ -1,0 +1,298 @@
+"""Pick the triangles of a few cells out of a file of any size, in one pass and bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.exporting.compare import rounding
+from clacad.exporting.compare_instances import levels as levels
+from clacad.exporting.compare_instances import owner as owner
+from clacad.mesh.saddle_bevel import in_corners
+from clacad.sheet.bundle import central_cell
+from clacad.sheet.volume_and_extent import distance_to_face
+from clacad.sheet.window import Face, Window, lens_height
+from clacad.solid.marks import pockets
+from clacad.tracing.triangles.telescopelet_facets import (
+    WALL,
+    AnyFace,
+    ExactFace,
+    FacetBody,
+    FacetFace,
+    Floats,
+    facet_face,
+    on_land,
+)
+
+RANDOM_CELLS = 4
+SLIVER = 1e-4
+"""Twice a facet's area over the square of its longest edge, below which its own normal says little."""
+
+UNIT_ROOM = 1e-3
+"""How far from 1 the length of a stored normal may be."""
+
+Cell = tuple[int, int]
+Key = tuple[int, int, int]
+"""Body, side (0 front, 1 back), number of the chosen cell."""
+
+
+def chosen_cells(window: Window) -> tuple[Cell, ...]:
+    """Cells of the sheet that are looked at: the middle, the four corners, the middles of the four sides, and a
+    few at random (seed 0); the middle first, none twice.
+    """
+    lattice = window.lattice
+    middle = central_cell(window)
+    cells = lattice.cells() if lattice.cell_count <= 4_000_000 else lattice.row(middle[1])
+    centres = lattice.centres(cells)
+    towards = [(x, y) for x in (-1, 1) for y in (-1, 1)] + [(1, 0), (-1, 0), (0, 1), (0, -1)]
+    picked = [middle]
+    for x, y in towards:
+        # corners: farthest along the diagonal; sides: farthest along the axis, nearest its middle
+        reach = centres @ np.array([x, y], dtype=np.float64)
+        aside = np.abs(centres @ np.array([-y, x], dtype=np.float64))
+        best = cells[int(np.lexsort((aside, -np.round(reach / lattice.circumradius, 6)))[0])]
+        picked.append((int(best[0]), int(best[1])))
+    for row in np.random.default_rng(0).integers(0, len(cells), RANDOM_CELLS):
+        picked.append((int(cells[row, 0]), int(cells[row, 1])))
+    return tuple(dict.fromkeys(picked))
+
+
+@dataclass
+class Gathered:
+    """Facets of the chosen cells, by body, side and cell, and what was counted on the way.
+
+    Attributes
+    ----------
+    cells : tuple of (i, j)
+    facets : mapping
+        Key → list of (k, 3, 3) arrays, sheet frame, design units.
+    optical, walls, degenerate : int
+        Facets of each kind in the whole file; degenerate ones have no area.
+    farthest : float
+        Largest distance of the middle of any facet of the whole file from the exact face under it, design units.
+    farthest_cell : (i, j) or None
+        Where that is.
+    engraved : float
+        Volume of the letters engraved where the design has room for them (length³): their floors' area times depth.
+    normals : mapping
+        Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the file has none.
+    stored, odd, inward : int
+        Facets that were met with stored normals; with one that is no unit vector, and with one that points inward.
+    repeats : mapping
+        Key → list of (number of a chosen cell, (3,) shift): this cell's facets are, besides its own, those of that
+        cell moved. So an instanced file costs one cell.
+    """
+
+    cells: tuple[Cell, ...]
+    facets: dict[Key, list[Floats]] = field(default_factory=dict)
+    optical: int = 0
+    walls: int = 0
+    degenerate: int = 0
+    farthest: float = 0.0
+    farthest_cell: Cell | None = None
+    engraved: float = 0.0
+    normals: dict[Key, list[Floats]] = field(default_factory=dict)
+    stored: int = 0
+    odd: int = 0
+    inward: int = 0
+    repeats: dict[Key, list[tuple[int, Floats]]] = field(default_factory=dict)
+    binned: dict[tuple[Key, bool], FacetFace] = field(default_factory=dict, repr=False)
+
+    def corners(self, body: int, side: int, cell: int) -> Floats:
+        """Facets (k, 3, 3) of one side of one body over one of the chosen cells."""
+        found = list(self.facets.get((body, side, cell), []))
+        for source, shift in self.repeats.get((body, side, cell), []):
+            found += [corners + shift for corners in self.facets.get((body, side, source), [])]
+        return np.concatenate(found) if found else np.empty((0, 3, 3))
+
+    def corner_normals(self, body: int, side: int, cell: int) -> Floats | None:
+        """Normals (k, 3, 3) stored for the corners of those facets, in their order; None where the file has none."""
+        cells = [cell, *(source for source, _ in self.repeats.get((body, side, cell), []))]
+        found = [normals for c in cells for normals in self.normals.get((body, side, c), [])]
+        return np.concatenate(found) if found else None
+
+    def source(self, cell: int) -> int:
+        """The chosen cell of which this one is nothing but a copy, displaced by whole pitches; itself if it is none."""
+        keys = [key for key in (*self.facets, *self.repeats) if key[2] == cell]
+        sources = {source for key in keys for source, _ in self.repeats.get(key, [])}
+        alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
+        return sources.pop() if alone and len(sources) == 1 else cell
+
+
+class Gatherer:
+    """Looks at chunks of a file and keeps the facets of the chosen cells.
+
+    A facet belongs to the body whose height range holds its centroid, to the front if its outward normal
+    points to −z and to the back if to +z, and to the cell its centroid lies over, in the grid of that face's
+    own array. Where a file states bevels at saddles, facets there belong to none; nor do the floors of letters
+    engraved in the border, at the depth and in the room that the design has for them.
+    """
+
+    def __init__(self, window: Window, cells: Iterable[Cell], bevel: float = 0.0) -> None:
+        self.window, self._bevel = window, bevel
+        self.result = Gathered(tuple(cells))
+        self._levels = levels(window)
+        self._pockets, self._room = pockets(window), rounding(window, single=True)
+        index = np.array(self.result.cells, dtype=np.int64)
+        self._first = index.min(axis=0)
+        self._table = np.full(tuple(np.ptp(index, axis=0) + 1), -1, dtype=np.int64)
+        for number, (i, j) in enumerate(self.result.cells):
+            self._table[i - self._first[0], j - self._first[1]] = number
+
+    def look(self, corners: Floats, normals: Floats | None = None, times: int = 1) -> None:
+        """Take a chunk (k, 3, 3) in design units, with the normals stored for its corners.
+
+        times : places where these facets stand; they are counted so often, and kept where they are.
+        """
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        optical = np.abs(normal[:, 2]) > WALL * length
+        self.result.degenerate += times * int((length == 0.0).sum())
+        self.result.optical += times * int(optical.sum())
+        self.result.walls += times * int((~optical).sum())
+        if normals is not None:
+            self._weigh(corners, normal, normals, times)
+        upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
+        middle = corners.mean(axis=1)
+        if self._bevel > 0.0:  # bevels at saddles are no optical faces
+            optical &= ~in_corners(self.window, middle, self._bevel)
+        for pocket in self._pockets:
+            floor = optical & (normal[:, 2] < 0.0) & pocket.on_floor(corners, self._room)
+            self.result.engraved -= 0.5 * float(normal[floor, 2].sum()) * (pocket.floor - pocket.land)
+            optical &= ~floor
+        body = np.searchsorted(self._levels, middle[:, 2])
+        back = normal[:, 2] > 0.0
+        for number, piece in enumerate(self.window.bodies):
+            for side, face in enumerate((piece.front, piece.back)):
+                rows = np.flatnonzero(optical & (body == number) & (back == bool(side)))
+                if len(rows):
+                    self._keep(number, side, owner(piece, face), corners[rows], middle[rows])
+                    self._hold(face, owner(piece, face), middle[rows], upright[rows])
+                    if normals is not None:
+                        self._keep_normals(number, side, owner(piece, face), normals[rows], middle[rows])
+
+    def _weigh(self, corners: Floats, normal: Floats, normals: Floats, times: int) -> None:
+        """Count facets whose stored normals are no unit vectors, or point inward."""
+        longest = np.abs(np.roll(corners, 1, axis=1) - corners).max(axis=(1, 2))
+        broad = np.linalg.norm(normal, axis=1) > SLIVER * longest**2  # which way a sliver looks is rounding
+        with np.errstate(invalid="ignore", over="ignore"):
+            unit = np.abs(np.linalg.norm(normals, axis=2) - 1.0) <= UNIT_ROOM
+            inward = broad & (np.einsum("kcx,kx->k", normals, normal) < 0.0)
+        self.result.stored += times * len(normals)
+        self.result.odd += times * int((~unit).any(axis=1).sum())
+        self.result.inward += times * int(inward.sum())
+
+    def hold(self, corners: Floats) -> None:
+        """Hold facets (k, 3, 3) of one more place against the design; they are not counted and not kept."""
+        aside = Gatherer(self.window, self.result.cells[:1], self._bevel)
+        aside.look(corners)
+        if aside.result.farthest > self.result.farthest:
+            self.result.farthest, self.result.farthest_cell = (
+                aside.result.farthest,
+                aside.result.farthest_cell,
+            )
+
+    def _hold(self, face: Face, array: int, middle: Floats, upright: Floats) -> None:
+        """Hold every facet against the face it is on: a lenslet that is not among the chosen may be wrong too."""
+        off = distance_to_face(self.window, face, middle[:, None], middle[:, :2])[:, 0] * upright
+        worst = int(np.argmax(off))
+        if off[worst] > self.result.farthest:
+            shift = self.window.shifts[array]
+            place = middle[worst : worst + 1]
+            index, _, _ = self.window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+            self.result.farthest = float(off[worst])
+            self.result.farthest_cell = (int(index[0, 0]), int(index[0, 1]))
+
+    def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
+        number = self._chosen(array, middle)
+        for cell in np.unique(number[number >= 0]):
+            self.result.facets.setdefault((body, side, int(cell)), []).append(corners[number == cell].copy())
+
+    def _keep_normals(self, body: int, side: int, array: int, normals: Floats, middle: Floats) -> None:
+        number = self._chosen(array, middle)
+        for cell in np.unique(number[number >= 0]):
+            self.result.normals.setdefault((body, side, int(cell)), []).append(normals[number == cell].copy())
+
+    def _chosen(self, array: int, middle: Floats) -> NDArray[np.int64]:
+        """Number of the chosen cell (k,) under each point (k, 3); −1 for the other cells."""
+        shift = self.window.shifts[array]
+        index, _, _ = self.window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
+        place = index - self._first
+        known = ((place >= 0) & (place < self._table.shape)).all(axis=1)
+        number = np.full(len(place), -1, dtype=np.int64)
+        number[known] = self._table[place[known, 0], place[known, 1]]
+        return number
+
+
+def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[str] | None = None,
+                 onto_design: bool = False) -> tuple[FacetBody, ...]:  # fmt: skip
+    """Facets over one chosen telescopelet: cell i, j of each array, ready to be traced.
+
+    Parameters
+    ----------
+    present : names of the bodies the file holds, or None for all
+        The others are taken from the design.
+    onto_design : bool
+        Move every corner along z onto the design's own face: the design, faceted as the file is.
+    """
+    index = np.array([found.cells[cell]], dtype=np.int64)
+    centre = window.lattice.centres(index)[0]
+    bodies = []
+    for number, body in enumerate(window.bodies):
+        faces: list[AnyFace] = []
+        for side, face in enumerate((body.front, body.back)):
+            shift = window.shifts[owner(body, face)]
+            place = centre + np.asarray(shift)
+            if present is None or body.name in present:
+                faces.append(_faceted(window, found, (number, side, cell), place, onto_design))
+            else:
+                faces.append(ExactFace(face, np.array([*place, 0.0]), window))
+        bodies.append(FacetBody(faces[0], faces[1], body.index))
+    return tuple(bodies)
+
+
+def _faceted(window: Window, found: Gathered, key: Key, place: Floats, onto_design: bool) -> FacetFace:
+    """The facets of one side of a body over the chosen cell at `place` (2,); of copies of a cell, its moved."""
+    number, side, cell = key
+    source = found.source(cell)
+    if source != cell:
+        steps = np.array([found.cells[source], found.cells[cell]], dtype=np.int64)
+        whole = np.diff(window.lattice.centres(steps), axis=0)[0]
+        one = _faceted(window, found, (number, side, source), place - whole, onto_design)
+        shift = found.repeats[key][0][1] if key in found.repeats else np.array([*whole, 0.0])
+        return replace(one, origin=one.origin + shift)
+    if (key, onto_design) in found.binned:
+        return found.binned[key, onto_design]
+    body = window.bodies[number]
+    face = (body.front, body.back)[side]
+    corners = found.corners(number, side, cell)
+    flat = on_land(window, face, corners)
+    corners = onto_face(window, face, corners, place) if onto_design else corners
+    made = facet_face(corners, np.array([*place, body.front.vertex[2]]), flat)
+    if found.repeats:
+        found.binned[key, onto_design] = made
+    return made
+
+
+def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:
+    """Height (k, m) of the design under points (k, m, ≥ 2) of facets, cell frame: of the land under land facets,
+    else of the lens, beyond its border too; NaN where it has none.
+    """
+    if face.array is None:
+        return np.full(points.shape[:2], face.vertex[2])
+    z = lens_height(face, points[..., 0].ravel(), points[..., 1].ravel()).reshape(points.shape[:2])
+    return z if face.land is None else np.where(flat[:, None], face.land, z)
+
+
+def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Floats:
+    """Facets (k, 3, 3) with the heights of the design's face over the cell at `place`; kept where it has none."""
+    moved = corners.copy()
+    z = exact_height(face, on_land(window, face, corners), corners - [*place, 0.0])
+    moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])
+    return moved
+
+
+Progress = Callable[[str, float], None]

@@ -1,0 +1,180 @@
+"""A delivery as a whole: what in it carries no light of the law, what its manifest withholds, and which bodies it lacks.
+
+A manifest is somebody's word. It may call a file a frame or a coupon, but a file that it keeps from being judged by
+light cannot help a delivery to pass, and one that measures as the design does is no frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.exporting.roles import NOT_OPTICAL, Role
+from clacad.formats.mesh.file_mesh import FileMesh
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.sheet.window import Window
+from clacad.storage.errors import ExportError
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.find_files import FACTORS, SAME_EXTENT, SUFFIXES, Subject
+from clacad.verification.files.map_file import format_of
+
+FIXTURES = frozenset({"baffle", "spacer", "retainer1", "retainer2", "coupon"})
+"""Names of the parts beside the optics that an export writes."""
+
+SAME_VOLUME = 1e-6
+"""Relative difference up to which a part beside the optics has the volume its manifest states."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a file is not judged by light.
+
+    note : str
+        What is said of it in the list of files.
+    withheld : str
+        Why it should have been; "" for what rightly carries no light.
+    """
+
+    note: str
+    withheld: str = ""
+
+
+def no_optics(window: Window, subject: Subject) -> Reason | None:
+    """Why a file of a manifest carries no light of the law; None for one that does."""
+    names, named = {body.name for body in window.bodies}, set(subject.bodies)
+    if subject.format in NOT_OPTICAL and not (subject.is_mesh or subject.path.suffix.lower() in SUFFIXES):
+        return Reason("no part of the optics: judged by its bytes")
+    if not (subject.is_mesh or subject.is_solid or format_of(subject) is not None):
+        return Reason(
+            "not judged",
+            f"the manifest calls it {subject.format!r}, which is no format of an export: nothing of it was judged",
+        )
+    if subject.role is not Role.OTHER and (not named or named & names):
+        return None
+    if named & names or not named <= FIXTURES:
+        listed = ", ".join(sorted(named))
+        return Reason(
+            "not judged",
+            f"the manifest lists {listed} in it, and keeps it from being judged by light; the design has {', '.join(sorted(names))}",
+        )
+    if _measures_as(window, subject):
+        return Reason(
+            "not judged",
+            f"the manifest says it is {', '.join(sorted(named))}, but it measures as the design does: it was not judged by light",
+        )
+    return Reason("no part of the optics: judged by its bytes and shape")
+
+
+def _measures_as(window: Window, subject: Subject) -> bool:
+    """Whether a file is as large as the design or one of its bodies, in any unit and however it is turned."""
+    try:
+        box = _box(subject)
+    except (ExportError, OSError, ValueError):
+        return False
+    x0, x1, y0, y1 = whole_extent(window)
+    heights = [window.z_range[1] - window.z_range[0]]
+    heights += [high - low for low, high in (body_range(window, body) for body in window.bodies)]
+    size = np.sort(box)
+    for height in heights:
+        want = np.sort([x1 - x0, y1 - y0, height]) * window.unit
+        if any((np.abs(size * metres / want - 1.0) <= SAME_EXTENT).all() for _, metres in FACTORS):
+            return True
+    return False
+
+
+def _box(subject: Subject) -> NDArray[np.float64]:
+    """Extents (3,) of a file, in its unit."""
+    if subject.is_solid:
+        from clacad.formats.step.text_health import scan_step
+
+        points = scan_step(subject.path).points.lookup().values
+        return np.asarray(np.ptp(points, axis=0))
+    from clacad.formats.mesh.readers import read_mesh
+
+    return _extent(read_mesh(subject.path))
+
+
+def _extent(mesh: FileMesh) -> NDArray[np.float64]:
+    """Extents (3,) of a mesh; instances count by the corners of their boxes."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for part in mesh.parts:
+        inner = [part.corners(k, k + 65536).reshape(-1, 3) for k in range(0, part.facet_count, 65536)]
+        ends = np.stack(
+            [np.min([c.min(axis=0) for c in inner], axis=0), np.max([c.max(axis=0) for c in inner], axis=0)]
+        )
+        corners = np.array(
+            [[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        )
+        places = np.einsum("cx,pxy->pcy", corners, part.placements[:, :3]) + part.placements[:, None, 3]
+        low, high = np.minimum(low, places.min(axis=(0, 1))), np.maximum(high, places.max(axis=(0, 1)))
+    return np.asarray(high - low)
+
+
+def judge_other(window: Window, subject: Subject, reason: Reason) -> list[Check]:
+    """Judge a file beside the optics by its shape; one that is withheld from judgement says so."""
+    common: dict[str, Any] = {"where": "file", "subject": subject.name}
+    if reason.withheld:
+        return [Check("delivery", "fail", f"{subject.name}: {reason.withheld}", **common)]
+    try:
+        return _shape(subject, common)
+    except (ExportError, OSError, ValueError) as error:
+        return [Check("readable", "fail", f"it cannot be read: {error}", **common)]
+
+
+def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
+    if subject.is_solid and subject.format != "brep":
+        from clacad.formats.step.text_health import scan_step
+
+        scan = scan_step(subject.path)
+        loose = scan.open_edges + scan.dangling
+        sentence = f"{scan.open_edges} edges have one face, {scan.dangling} references lead nowhere"
+        state = Check("closed", "fail" if loose else "pass", sentence, float(loose), 0.0, **common)
+        return [Check("readable", "pass", f"{scan.solids} solids with {scan.faces} faces", **common), state]
+    if not subject.is_mesh:
+        return [Check("readable", "pass", "judged by its bytes", required=False, **common)]
+    from clacad.formats.mesh.closed_stream import measure
+    from clacad.formats.mesh.readers import read_mesh
+
+    found = measure(read_mesh(subject.path).chunks())
+    checks = [
+        Check("readable", "pass", f"{found.facets} facets", **common),
+        Check("closed", "pass" if found.closed else "fail", "every edge is met once in each direction"
+              if found.closed else "the surface is not closed or not consistently wound", **common),
+    ]  # fmt: skip
+    stated = subject.entry.get("volume")
+    if isinstance(stated, (int, float)) and stated > 0.0:
+        text = f"it encloses {found.volume:.9g}, {stated:.9g} stated"
+        checks.append(judge("volume", abs(found.volume / stated - 1.0), SAME_VOLUME, text, unit="relative",
+                            source="stated volume of the file", **common))  # fmt: skip
+    return checks
+
+
+def whole_delivery(
+    window: Window, judged: Iterable[tuple[Subject, Role, Sequence[str] | None]]
+) -> list[Check]:
+    """Say whether anything was judged by light, and which bodies no file holds.
+
+    judged : (file, role it was judged as, names of the bodies in it or None where its manifest says)
+    """
+    held: set[str] = set()
+    optical = 0
+    names = [body.name for body in window.bodies]
+    for subject, role, present in judged:
+        if role is Role.OTHER or not subject.sha256:
+            continue
+        optical += 1
+        held |= set(present if present is not None else subject.bodies or names)
+    if not optical:
+        text = "no file of this delivery was judged by light: nothing says that a part made from it obeys the law"
+        return [not_run("delivery", text, where="file")]
+    lacking = [name for name in names if name not in held]
+    if not lacking:
+        return []
+    text = f"no file holds {' or '.join(lacking)}: the light was traced with {'it' if len(lacking) == 1 else 'them'} taken from the design"
+    return [Check("bodies", "warn", text, ", ".join(sorted(held)), ", ".join(names), relation="=", where="file",
+                  required=False)]  # fmt: skip

@@ -1,0 +1,144 @@
+"""How far facets lie from the design's faces, in height and in slope, and what that does to light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.sheet.bundle import over_cell
+from clacad.sheet.vignetting import focal_ratio
+from clacad.sheet.window import Face, Window, column, lens_height_and_normal
+from clacad.tracing.triangles.telescopelet_facets import (
+    FacetBody,
+    FacetFace,
+    Floats,
+    Ints,
+    first_crossing,
+    on_land,
+)
+from clacad.verification.files.cell_triangles import exact_height
+
+POINTS = 8192
+"""Places over the middle cell at which facets are compared with the exact faces."""
+
+FEWER = 1024
+"""The same over each other cell."""
+
+_ASIDE = np.sqrt([2.0, 3.0]) % 1.0
+"""Shift of those places: on a cell's own diagonals slivers without area would count like facets."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """Facets of one telescopelet against the design's faces, in the order of the light.
+
+    slope : (faces, n, 2) slopes along lens x, y
+        Facet slope less exact slope at the same n places of the cell; NaN where a facet or a lens is missing, 0
+        for a plane or a face that is not in the file.
+    distance : (faces,) lengths
+        Largest distance along the normal.
+    met : (faces,)
+        Share of the places with material where a facet was found.
+    """
+
+    slope: Floats
+    distance: Floats
+    met: Floats
+
+    @property
+    def slope_rms(self) -> Floats:
+        """(faces,) rms slope error, radians."""
+        found = []
+        for slope in self.slope:
+            known = slope[np.isfinite(slope).all(axis=1)]
+            found.append(float(np.sqrt((known**2).sum(axis=1).mean())) if len(known) else np.nan)
+        return np.array(found)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every face has facets over nearly all of the cell."""
+        return bool((self.met > 0.9).all())
+
+
+def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINTS) -> Deviation:
+    """Compare the facets of a telescopelet with the exact faces at `places` spread evenly over the cell."""
+    points = over_cell(window, (sobol(places, 2) + _ASIDE) % 1.0)
+    slope, distance, met = [], [], []
+    for piece, body in zip(bodies, window.bodies, strict=True):
+        for facets, face in ((piece.front, body.front), (piece.back, body.back)):
+            if not isinstance(facets, FacetFace):
+                slope.append(np.zeros_like(points))
+                distance.append(0.0)
+                met.append(1.0)
+                continue
+            turn, off, number = _compare(window, facets, face, points, entering=facets is piece.front)
+            front, back = column(window, body, points[:, 0], points[:, 1])
+            solid = np.isfinite(front if facets is piece.front else back)
+            slope.append(turn)
+            distance.append(off)
+            met.append(float((number[solid] >= 0).mean()) if solid.any() else 1.0)
+    return Deviation(np.array(slope), np.array(distance), np.array(met))
+
+
+def _compare(
+    window: Window, facets: FacetFace, face: Face, points: Floats, entering: bool
+) -> tuple[Floats, float, Ints]:
+    """Slope error (n, 2), largest distance, and the facet over each place; vertical light finds it."""
+    below = facets.origin[2] + facets.z_range[0] - np.ptp(facets.z_range) - window.lattice.circumradius
+    start = np.column_stack([points + facets.origin[:2], np.full(len(points), below)])
+    height, number = first_crossing(facets, start, np.broadcast_to([0.0, 0.0, 1.0], start.shape), entering)
+    if not (number >= 0).any():
+        return np.full_like(points, np.nan), np.nan, number
+    here = np.column_stack([points, start[:, 2] + height])
+    flat = facets.land[number] & (number >= 0)
+    off = np.abs(here[:, 2] - exact_height(face, flat, points[:, None])[:, 0])
+    if face.array is None:
+        return np.zeros_like(points), float(np.nanmax(off)), number
+    _, normal = lens_height_and_normal(face, points[:, 0], points[:, 1])
+    way = facets.normals[number]
+    turn = (-way[:, :2] / way[:, 2:] + normal[:, :2] / normal[:, 2:]) @ face.rotation[:2, :2]
+    turn[flat | (number < 0)] = np.nan
+    off = off * np.where(flat, 1.0, normal[:, 2])
+    known = np.isfinite(off)
+    return turn, float(off[known].max()) if known.any() else np.nan, number
+
+
+def forecast_rms(window: Window, found: Deviation) -> float:
+    """Direction error (radians) that the facets' slope errors make.
+
+    A lens turns light by (n − 1) times the slope of its thickness, so the errors of its two faces at one place
+    are added before they are squared (they agree where both faces are cut alike); lens 1's error leaves the
+    pair as 1/m per meridian.
+    """
+    ratio = np.array(focal_ratio(window.thin))
+    turns: dict[int, Floats] = {}
+    number = 0
+    for body in window.bodies:
+        for face, sign in ((body.front, -1.0), (body.back, 1.0)):
+            if face.array is not None:
+                error = sign * (body.index - 1.0) * found.slope[number]
+                turns[face.array] = turns.get(face.array, 0.0) + error
+            number += 1
+    total = 0.0
+    for array, turn in turns.items():
+        known = np.isfinite(turn).all(axis=1)
+        if not known.any():
+            return float("nan")
+        gain = 1.0 / ratio if array == 0 else np.ones(2)
+        total += float(((turn[known] * gain) ** 2).sum(axis=1).mean())
+    return sqrt(total)
+
+
+def corner_distance(window: Window, face: Face, corners: Floats, place: Floats) -> float:
+    """Largest distance of facet corners (k, 3, 3) from the design's face over the cell at `place` (length)."""
+    local = corners - [*place, 0.0]
+    flat = on_land(window, face, corners)
+    off = np.abs(local[..., 2] - exact_height(face, flat, local))
+    if face.array is not None:
+        _, normal = lens_height_and_normal(face, local[..., 0].ravel(), local[..., 1].ravel())
+        off = off * np.where(flat[:, None], 1.0, normal[:, 2].reshape(off.shape))
+    known = np.isfinite(off)
+    return float(off[known].max()) if known.any() else float("nan")

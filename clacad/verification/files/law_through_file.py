@@ -1,0 +1,323 @@
+"""Light through a file, held against the law: the checks that alone let a file be called an optical master.
+
+The same rays go through the file's own triangles or faces and through the exact surfaces. What is asked of a design
+(section E of the contract: rms, bias, η, δ, confocality, throughput) is asked of the file, within the design's limits.
+Fits over a field of a degree are moved by aberration alone (2 % for the paper's sheet), so η, δ and confocality are
+differences: file less exact, over the same rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.roles import Role
+from clacad.optics.law import Law, angle_between
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.bundle import Bundle, Floats, bundle, field_points
+from clacad.sheet.vignetting import share, thin_cells
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace, trace_sequence
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.light.confocality import interfaces
+from clacad.verification.light.law_checks import FEWEST, SHARE_DIRECTIONS, Tracer
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+IDS = (
+    "file_law_rms",
+    "file_law_bias",
+    "file_law_eta",
+    "file_law_delta",
+    "file_confocality",
+    "file_throughput",
+)
+"""Checks of light through a file."""
+
+POINT_RAYS = 4096
+"""Rays of each of the nine field points through triangles."""
+
+SLIDE = 1e-3
+"""Trial shift of array 2 over the distance between the lenses, for the change of directions with it."""
+
+
+SHIFT_RAYS = 65536
+"""Rays that tell the shift, at most: the slopes of facets must cancel in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileLight:
+    """What light through a file does, radians.
+
+    Attributes
+    ----------
+    rays : Bundle
+    rms, worst : float
+        Over the rays ALIVE through the file in the cell that was lit most.
+    bias : (9,)
+        Angle of the mean exit direction to the law, for nine directions of the field; NaN where too dark.
+    law, exact : Law or None
+        Fitted through the file and through the exact surfaces, over the rays ALIVE in both.
+    shift : (2,)
+        Shift of array 2 along the sheet's normal that makes the rms to the law least, file less exact, per lens axis,
+        over the distance between the lenses; NaN in an axis without power.
+    middle, field : (float, float)
+        ALIVE share in the middle of the field and over it, as (through the file, closed form).
+    seen, truth : TraceResult
+        Of the main bundle, through the file and through the exact surfaces.
+    """
+
+    rays: Bundle
+    rms: float
+    worst: float
+    bias: Floats
+    law: Law | None
+    exact: Law | None
+    shift: Floats
+    middle: tuple[float, float]
+    field: tuple[float, float]
+    seen: TraceResult
+    truth: TraceResult
+
+
+def measure_light(
+    design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS,
+    cell: tuple[int, int] | None = None,
+) -> FileLight:  # fmt: skip
+    """Send the rays of the checks through a file.
+
+    Parameters
+    ----------
+    design, window
+    send : callable
+        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every body of one
+        telescopelet.
+    rays, point_rays : int
+        Of the main bundle, and of each of the nine field points.
+    cell : (i, j) or None
+        Cell that is lit; default the central one.
+    """
+    spec = design.check
+    main = bundle(window, rays, spec.field, spec.field_centre, cell=cell)
+    seen, truth = send(main), trace(window, main.rays)
+    alive = seen.fate == Fate.ALIVE
+    asked = window.law.refract(main.rays.direction)
+    error = angle_between(seen.direction[alive], asked[alive])
+    error = error[np.isfinite(error)]
+    known = len(error) >= FEWEST
+    both = alive & (truth.fate == Fate.ALIVE) & np.isfinite(asked).all(axis=1)
+    law, exact = _fits(window, main, seen, truth, both)
+    bias, middle = _field(design, window, send, point_rays, main.cell)
+    closed = float(share(thin_cells(window), main.rays.direction[:SHARE_DIRECTIONS]).mean())
+    return FileLight(
+        main,
+        float(np.sqrt(np.mean(error**2))) if known else np.nan,
+        float(error.max()) if known else np.nan,
+        bias, law, exact, _shift(window, main, seen, truth, both), middle,
+        (float(alive.mean()), closed), seen, truth,
+    )  # fmt: skip
+
+
+def _fits(
+    window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: np.ndarray[Any, Any]
+) -> tuple[Law | None, Law | None]:
+    if both.sum() < FEWEST:
+        return None, None
+    into = main.rays.direction[both]
+    try:
+        laws = [Law.fit(into, found.direction[both], axes=window.law).law for found in (seen, truth)]
+    except ValueError:  # light that leaves without depending on how it came
+        return None, None
+    return laws[0], laws[1]
+
+
+def _field(
+    design: Design, window: Window, send: Tracer, rays: int, cell: tuple[int, int]
+) -> tuple[Floats, tuple[float, float]]:
+    """Bias (9,) at the points of the field, and the share (file, closed form) in its middle."""
+    found = []
+    middle = (np.nan, np.nan)
+    for number, direction in enumerate(field_points(window, design.check.field, design.check.field_centre)):
+        lit = bundle(window, rays, 0.0, middle=direction, cell=cell)
+        seen = send(lit)
+        alive = seen.fate == Fate.ALIVE
+        if number == 0:
+            middle = float(alive.mean()), float(share(thin_cells(window), direction[None])[0])
+        expected = window.law.refract(direction[None])[0]
+        dark = alive.sum() < FEWEST or not np.isfinite(expected).all()
+        found.append(np.nan if dark else float(angle_between(seen.direction[alive].mean(axis=0), expected)))
+    return np.array(found), middle
+
+
+def _shift(
+    window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: np.ndarray[Any, Any]
+) -> Floats:
+    """Least-squares shift of array 2 (2,), file less exact, over the distance between the lenses.
+
+    One step of Gauss and Newton with the change of directions of the exact surfaces: facets' own slopes do not change
+    by a small shift, but their mean over a lens is the lens's.
+    """
+    if both.sum() < FEWEST:
+        return np.full(2, np.nan)
+    distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+    few = np.flatnonzero(both)[:SHIFT_RAYS]
+    centre = window.lattice.centres(np.array([main.cell], dtype=np.int64))[0]
+    rays = Rays(main.rays.position[few] - [*centre, 0.0], main.rays.direction[few])
+    through = [
+        trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
+        for slide in (-SLIDE, SLIDE)
+    ]
+    good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
+    across = window.thin.rotation[:, :2]
+    low, high = (one.direction[good] @ across for one in through)
+    change = (high - low) / (2.0 * SLIDE)
+    less = (seen.direction[few] - truth.direction[few])[good] @ across
+    weight = (change**2).sum(axis=0)
+    powered = weight > 1e-12 * max(float(weight.max(initial=0.0)), 1e-300)
+    found = -(less * change).sum(axis=0) / np.where(powered, weight, 1.0)
+    return np.asarray(np.where(powered & good.any(), found, np.nan))
+
+
+# -- judging ------------------------------------------------------------------------------------
+
+
+def light_checks(
+    design: Design, found: FileLight, role: Role, subject: str, what: str = "triangles", *,
+    rms: Sequence[float] = (), cells: Sequence[tuple[int, int]] = (), noise: float = 0.0,
+) -> list[Check]:  # fmt: skip
+    """Judge light through a file by the limits of the design.
+
+    Parameters
+    ----------
+    design : Design
+    found : FileLight
+        Of the cell lit most.
+    role : Role
+        A master fails beyond a limit; a preview is warned of. A scan fails by the part of its rms that its facets and
+        their noise do not explain; of the rest it is warned.
+    subject : str
+        File name.
+    what : str
+        What the light went through: triangles, or faces.
+    rms : radians of every cell looked at, the middle one first; cells : their numbers
+        The worst is judged.
+    noise : float, radians
+        Scans: what the facets' own slopes, noise included, make of the direction error.
+    """
+    common: dict[str, Any] = {"where": "file", "subject": subject}
+    checks = [
+        _rms(design, found, role, what, rms, cells, noise, common), _bias(design, found, what, common),
+        *_fitted(design, found, what, common), _confocality(design, found, common),
+        _throughput(design, found, what, common),
+    ]  # fmt: skip
+    if (
+        role is Role.SCAN
+    ):  # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
+        return [checks[0], *(softened(check) for check in checks[1:])]
+    return [softened(check) if role is Role.PREVIEW else check for check in checks]
+
+
+def softened(check: Check) -> Check:
+    """What fails a master is a warning for what is only looked at."""
+    return replace(check, state="warn" if check.state == "fail" else check.state, required=False)
+
+
+def _rms(
+    design: Design, found: FileLight, role: Role, what: str, rms: Sequence[float], cells: Sequence[tuple[int, int]],
+    noise: float, common: Mapping[str, Any],
+) -> Check:  # fmt: skip
+    spec = design.check
+    limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
+    source = "law_rms" if spec.mesh_law_rms is None else "design file"
+    if found.rms != found.rms:
+        return not_run(
+            "file_law_rms",
+            f"too little light gets through the file's {what}",
+            limit=limit,
+            unit="rad",
+            **common,
+        )
+    every = np.array([found.rms, *rms[1:]])
+    worst = int(np.nanargmax(every))
+    value = float(every[worst])
+    where = (
+        f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
+    )
+    sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
+    if role is Role.SCAN and value > limit and noise > 0.0:
+        rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
+        sentence += (
+            f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same noise "
+            f"are worse), {1e3 * rest:.4g} is left"
+        )
+        check = judge("file_law_rms", rest, limit, sentence, unit="rad", bundle=str(found.rays), source=source,
+                      detail={"with_noise": value, "noise": noise, "by_cell": every, "cells": cells}, **common)  # fmt: skip
+        return replace(check, state="warn") if check.state == "pass" else check
+    return judge("file_law_rms", value, limit, sentence, unit="rad", bundle=str(found.rays), source=source,
+                 detail={"worst": found.worst, "by_cell": every, "cells": cells}, **common)  # fmt: skip
+
+
+def _bias(design: Design, found: FileLight, what: str, common: Mapping[str, Any]) -> Check:
+    limit = design.check.law_bias
+    if np.isnan(found.bias).all():
+        return not_run("file_law_bias", f"no field point passes enough light through the {what}", limit=limit,
+                       unit="rad", **common)  # fmt: skip
+    worst = int(np.nanargmax(found.bias))
+    value = float(found.bias[worst])
+    place = "in the middle" if worst == 0 else f"at the rim, {45 * (worst - 1)} deg from +x,"
+    return judge(
+        "file_law_bias", value, limit,
+        f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from the law",
+        unit="rad", source="law_bias", bundle="9 directions over the whole cell",
+        detail={"by_field_point": found.bias}, **common,
+    )  # fmt: skip
+
+
+def _fitted(design: Design, found: FileLight, what: str, common: Mapping[str, Any]) -> list[Check]:
+    law, exact, spec = found.law, found.exact, design.check
+    if law is None or exact is None:
+        why = f"too little light gets through the file's {what} to fit a law"
+        return [not_run(name, why, **common) for name in ("file_law_eta", "file_law_delta")]
+    eta = max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0))
+    delta = max(abs(law.delta_x - exact.delta_x), abs(law.delta_y - exact.delta_y))
+    text = "fitted over the same rays, {0} = {1:.6g}, {2:.6g} through the file's " + what
+    text += " and {3:.6g}, {4:.6g} through the exact surfaces"
+    return [
+        judge("file_law_eta", eta, spec.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
+              unit="relative", source="eta", bundle=str(found.rays),
+              detail={"measured": (law.eta_x, law.eta_y), "exact": (exact.eta_x, exact.eta_y)}, **common),
+        judge("file_law_delta", delta, spec.delta,
+              text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope", source="delta",
+              bundle=str(found.rays),
+              detail={"measured": (law.delta_x, law.delta_y), "exact": (exact.delta_x, exact.delta_y)}, **common),
+    ]  # fmt: skip
+
+
+def _confocality(design: Design, found: FileLight, common: Mapping[str, Any]) -> Check:
+    limit = design.check.confocality
+    if np.isnan(found.shift).all():
+        return not_run(
+            "file_confocality", "too little light gets through the file to say", limit=limit, **common
+        )
+    value = float(np.nanmax(np.abs(found.shift)))
+    sentence = (
+        f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "
+        f"keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y {found.shift[1]:+.4g})"
+    )
+    return judge("file_confocality", value, limit, sentence, unit="of separation", source="confocality",
+                 bundle=str(found.rays), detail={"shift": found.shift}, **common)  # fmt: skip
+
+
+def _throughput(design: Design, found: FileLight, what: str, common: Mapping[str, Any]) -> Check:
+    ratios = [a / b if b > 0.0 else np.nan for a, b in (found.middle, found.field)]
+    value = float(np.nanmin(ratios)) if not np.isnan(ratios).all() else np.nan
+    sentence = (
+        f"{found.middle[0]:.3f} of the light passes the file's {what} in the middle of the field (closed form "
+        f"{found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
+    )
+    return judge("file_throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form",
+                 source="throughput", bundle=str(found.rays), **common)  # fmt: skip

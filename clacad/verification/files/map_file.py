@@ -1,0 +1,327 @@
+"""Judge maps, point clouds, grids, tables and masks: every number in them is held against the design's own faces.
+
+A file with a manifest is of the format that says; one without is of the format of its suffix, and may be of any of the
+design's structured faces: the one it fits best is named.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Mapping
+from itertools import islice
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.formats.maps.gds import GRID, gds_misfit, grey_cell, layer_counts
+from clacad.formats.maps.mask import mask_misfit
+from clacad.formats.maps.pose_table import pose_lines, surface_table
+from clacad.formats.maps.raster import Pixels, read_png, read_tiff
+from clacad.formats.maps.sag import (
+    NO_DATA,
+    Floats,
+    HeightMap,
+    check_grid_sag,
+    height_map,
+    samples_per_cell,
+    structured_faces,
+)
+from clacad.sheet.window import Body, Face, Window, face_height, lens_height_and_normal
+from clacad.storage.errors import ExportError, UnreadableFile
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.find_files import Subject
+from clacad.verification.files.map_light import map_light
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+SUFFIXES: Mapping[str, str] = {
+    ".f32.tiff": "tiff32", ".u16.tiff": "tiff16", ".u16.png": "png16", ".xyz": "xyz-normals", ".cell.dat": "grid-sag",
+    ".poses.csv": "pose-table", ".surfaces.json": "surface-table", ".mask.svg": "mask-svg", ".mask.dxf": "mask-dxf",
+    ".tiff.json": "height-calibration", ".png.json": "height-calibration",
+    ".gds": "gds", ".gds.json": "height-calibration",
+}  # fmt: skip
+"""Ends of names that exports give, and their formats: so many tables end in .csv that the whole end is asked for."""
+
+LARGEST_TEXT = 64 << 20
+SAME = 1e-9
+"""Relative difference up to which two numbers of a table are the same; also that of two heights, in pitches."""
+
+Misfit = tuple[float, float, str]
+"""Greatest deviation in millimetres (or relative, for tables), what may be left by writing it, and what was compared."""
+
+
+def format_of(subject: Subject) -> str | None:
+    """The format by which a file can be judged here, None if it cannot."""
+    if subject.entry:
+        return subject.format if subject.format in _READERS or subject.format in _FACES else None
+    name = subject.name.lower()
+    return next((word for end, word in SUFFIXES.items() if name.endswith(end)), None)
+
+
+def judge_map(design: Design, window: Window, subject: Subject, format: str, rays: int) -> list[Check]:
+    """Compare a file with the design's faces, number by number, and send light through the heights it holds.
+
+    Parameters
+    ----------
+    design : Design
+    window : Window
+        With the cells that were written.
+    subject : Subject
+    format : str
+        As `format_of` says.
+    rays : int
+        Of the bundle of the checks, at most.
+
+    Returns
+    -------
+    list of Check
+        readable, shape, and those of light where the file holds heights.
+    """
+    common: dict[str, Any] = {"where": "file", "subject": subject.name}
+    try:
+        worst, room, what, label = _compared(window, subject, format)
+    except (ExportError, OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+        why = str(error) if isinstance(error, ExportError) else f"damaged ({type(error).__name__}: {error})"
+        unread = Check("readable", "fail", f"it cannot be read: {why}", **common)
+        return [unread, not_run("shape", "the file cannot be read", **common)]
+    sentence = (
+        f"{what}: up to {worst:.3g} off the design's" if worst < inf else f"{what}: other than the design's"
+    )
+    found = Check("readable", "pass", f"{format}, {what}", **common)
+    unit = "" if format in ("surface-table", "height-calibration") else "mm"
+    return [
+        found,
+        judge("shape", worst, room, sentence, unit=unit, source="rounding of the format", **common),
+        *(map_light(design, window, subject, format, label, rays) if label else ()),
+    ]
+
+
+def _compared(window: Window, subject: Subject, format: str) -> tuple[float, float, str, str]:
+    """Misfit, and the face it is of ("" for the whole window)."""
+    if format in _READERS:
+        return *_READERS[format](window, subject.path), ""
+    best: tuple[float, float, str, str] | None = None
+    refusal: ExportError | None = None
+    for body, face, label in structured_faces(window):
+        if f".{label}." in subject.name or not _labelled(window, subject.name):
+            try:
+                one = _FACES[format](window, body, face, label, subject.path)
+            except ExportError as error:
+                refusal = error
+                continue
+            if best is None or one[0] < best[0]:
+                best = (*one, label)
+    if best is None:
+        raise refusal or UnreadableFile(f"{subject.name}: no face of the design is of its kind")
+    return best
+
+
+def _labelled(window: Window, name: str) -> bool:
+    """Whether a file's name says which face it is of."""
+    return any(f".{label}." in name for _, _, label in structured_faces(window))
+
+
+# -- of one face -------------------------------------------------------------------------------------
+
+
+def _map(kind: str) -> Callable[[Window, Body, Face, str, Path], Misfit]:
+    def compare(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+        scale = window.unit / 1e-3
+        map_ = height_map(window, body, face, label, samples_per_cell(window, None))
+        worst, count = map_misfit(map_, path, kind, scale)
+        if kind == "tiff32":
+            room = scale * (2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15)
+        else:
+            room = 0.51 * scale * map_.step
+        return worst, room, f"{count:,} heights of {label}"
+
+    return compare
+
+
+def _points(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+    scale = window.unit / 1e-3
+    worst, count = points_misfit(window, face, path, scale)
+    return worst, 2e-9 + 1e-8 * min(window.lattice.pitch) * scale, f"{count:,} points of {label}"
+
+
+def _grid(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+    check_grid_sag(window, face, path, window.unit / 1e-3)
+    return 0.0, 0.0, f"the sag of {label} at every node"
+
+
+def _mask(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+    scale = window.unit / 1e-3
+    worst, count = mask_misfit(window, body, face, path, scale)
+    return worst, SAME * min(window.lattice.pitch) * scale, f"outline and {count:,} places of {label}"
+
+
+def _layers(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+    """Layers say how many levels there are, but for some at the top that no pixel may reach."""
+    scale, refusal = window.unit / 1e-3, None
+    most = max(layer_counts(path), default=0)
+    for levels in range(max(2, most + 1), most + 4):
+        try:
+            worst, count = gds_misfit(grey_cell(window, body, face, label, levels, scale), path, scale)
+        except ExportError as error:
+            refusal = refusal or error
+            continue
+        return worst, 2.0 * GRID * 1e-3, f"{levels} levels and {count:,} places of {label}"
+    raise refusal or UnreadableFile(f"{path.name}: no layers")
+
+
+_FACES: Mapping[str, Callable[[Window, Body, Face, str, Path], Misfit]] = {
+    "tiff32": _map("tiff32"), "tiff16": _map("tiff16"), "png16": _map("png16"), "xyz-normals": _points,
+    "grid-sag": _grid, "gds": _layers, "mask-svg": _mask, "mask-dxf": _mask,
+}  # fmt: skip
+
+
+def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[float, int]:
+    """Greatest distance of any pixel from the face, millimetres, and the number of pixels; inf for a false hole.
+
+    Raises
+    ------
+    UnreadableFile
+        Damaged, or of other pixels than the map.
+    """
+    pixels: Pixels = read_png(path) if kind == "png16" else read_tiff(path)
+    if pixels.shape != (map_.height, map_.width):
+        raise UnreadableFile(
+            f"{path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {map_.label} has {map_.width} × {map_.height}"
+        )
+    worst, row = 0.0, 0
+    for want in map_.blocks():
+        got = np.asarray(pixels[row : row + len(want)], dtype=np.float64)
+        row += len(want)
+        heights = got / scale if kind == "tiff32" else map_.low + (got - 1.0) * map_.step
+        hole = ~np.isfinite(want)
+        if ((got == (NO_DATA if kind == "tiff32" else 0)) != hole).any():
+            return inf, pixels.size
+        apart = np.abs(heights - want)[~hole]
+        worst = max(worst, float(apart.max(initial=0.0))) if np.isfinite(apart).all() else inf
+    return worst * scale, pixels.size
+
+
+def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple[float, int]:
+    """Greatest distance of any point from the face, millimetres, and the number of points; inf for a false normal.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    assert face.array is not None
+    dx, dy = window.shifts[face.array]
+    worst, count = 0.0, 0
+    for table in point_blocks(path):
+        index, u, v = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
+        z = face_height(window, face, u, v)
+        lens, normal = lens_height_and_normal(face, u, v)
+        flat = ~(z == lens)
+        normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side
+        apart = np.abs(table[:, 2] - z * scale)
+        turned = np.abs(table[:, 3:] - normal).max(axis=1)
+        if not (np.isfinite(apart).all() and window.lattice.contains(index).all() and (turned < 1e-6).all()):
+            return inf, count
+        worst, count = max(worst, float(apart.max(initial=0.0))), count + len(table)
+    if not count:
+        raise UnreadableFile(f"{path.name}: no points")
+    return worst, count
+
+
+def point_blocks(path: Path) -> Iterator[Floats]:
+    """Lines of six numbers, so many at a time."""
+    with path.open(encoding="ascii", errors="replace") as stream:
+        lines = (line for line in stream if not line.startswith("#"))
+        while block := list(islice(lines, 1 << 16)):
+            try:
+                table = np.array([[float(w) for w in line.split()] for line in block])
+            except ValueError as error:
+                raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
+            if table.ndim != 2 or table.shape[1] != 6:
+                raise UnreadableFile(f"{path.name}: a line that is not six numbers")
+            yield table
+
+
+# -- of the whole window -----------------------------------------------------------------------------
+
+
+def _surfaces(window: Window, path: Path) -> Misfit:
+    found = _json(path)
+    worst = _apart(surface_table(window, window.unit / 1e-3), found)
+    return worst, SAME, "every number of the surface table, relative"
+
+
+def _calibration(window: Window, path: Path) -> Misfit:
+    found, scale = _json(path), window.unit / 1e-3
+    faces = {}
+    for body, face, label in structured_faces(window):
+        levels = found["faces"][label].get("levels")  # layers of a GDSII file, or pixels of a map
+        laid = (
+            height_map(window, body, face, label, samples_per_cell(window, None))
+            if levels is None
+            else grey_cell(window, body, face, label, int(levels), scale)
+        )
+        faces[label] = laid.calibration(scale)
+    worst = _apart({"format": 1, "unit": "mm", "faces": faces}, found)
+    return worst, SAME, "every number of the calibration, relative"
+
+
+def _json(path: Path) -> Any:
+    if path.stat().st_size > LARGEST_TEXT:
+        raise UnreadableFile(f"{path.name}: too large for a table of a design")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _apart(wanted: Any, found: Any) -> float:
+    """Greatest relative difference of numbers that stand in the same place; inf where anything else differs."""
+    if isinstance(wanted, Mapping):
+        if not isinstance(found, Mapping) or set(found) != set(wanted):
+            return inf
+        return max((_apart(value, found[key]) for key, value in wanted.items()), default=0.0)
+    if isinstance(wanted, (list, tuple)):
+        if not isinstance(found, list) or len(found) != len(wanted):
+            return inf
+        return max((_apart(a, b) for a, b in zip(wanted, found, strict=True)), default=0.0)
+    if isinstance(wanted, float) and isinstance(found, (int, float)) and not isinstance(found, bool):
+        apart = abs(found - wanted) / max(abs(wanted), abs(found), 1e-9) if found != wanted else 0.0
+        return apart if apart == apart else inf
+    return 0.0 if type(wanted) is type(found) and wanted == found else inf
+
+
+def _poses(window: Window, path: Path) -> Misfit:
+    """Every line in its place: cell, apex and angles."""
+    scale, count, worst = window.unit / 1e-3, 0, 0.0
+    rows = (window.lattice.row(j) for j in range(window.lattice.count[1]))
+    wanted = pose_lines(window, scale, rows)
+    with path.open(encoding="ascii", newline="") as stream:
+        lines = csv.reader(stream)
+        next(lines)
+        while block := list(islice(lines, 4096)):
+            expected = list(islice(wanted, len(block)))
+            if len(expected) != len(block):
+                raise UnreadableFile(f"{path.name}: more lenslets than the design has")
+            worst = max(worst, _lines_apart(expected, block))
+            count += len(block)
+    if next(wanted, None) is not None:
+        raise UnreadableFile(f"{path.name}: fewer lenslets than the design has")
+    return worst, SAME * min(window.lattice.pitch) * scale, f"places and angles of {count:,} lenslets"
+
+
+def _lines_apart(expected: list[list[str | int]], found: list[list[str]]) -> float:
+    if any([str(a) for a in want[:3]] != got[:3] for want, got in zip(expected, found, strict=True)):
+        return inf
+    want, got = (_numbers(rows) for rows in (expected, found))
+    apart = np.abs(want - got)
+    return float(apart.max()) if np.isfinite(apart).all() else inf
+
+
+def _numbers(rows: list[Any]) -> Floats:
+    return np.array([[float(word) for word in row[3:]] for row in rows])
+
+
+_READERS: Mapping[str, Callable[[Window, Path], Misfit]] = {
+    "surface-table": _surfaces, "pose-table": _poses, "height-calibration": _calibration,
+}  # fmt: skip

@@ -1,0 +1,170 @@
+"""Light through a map: the heights of one cell of a face as a bicubic surface, the other faces as the design has them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.maps.raster import read_png, read_tiff
+from clacad.formats.maps.sag import NO_DATA, HeightMap, height_map, samples_per_cell, structured_faces
+from clacad.sheet.bundle import central_cell
+from clacad.sheet.window import Body, Face, Window
+from clacad.storage.errors import ExportError
+from clacad.tracing.sampled_face import sampled_face
+from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, FacetBody, trace_facets
+from clacad.verification.checks import Check, not_run
+from clacad.verification.files.find_files import Subject
+from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+Floats = NDArray[np.float64]
+RAYS, POINT_RAYS = 8192, 1024
+"""Rays of the main bundle at most, and of each field point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Heights of one cell.
+
+    points : (m, 3) lengths
+        x and y in the cell frame, z in the sheet frame.
+    step : (2,) lengths
+    """
+
+    points: Floats
+    step: Floats
+
+
+def map_light(
+    design: Design, window: Window, subject: Subject, format: str, label: str, rays: int
+) -> list[Check]:
+    """Send the rays of the checks through what a map, grid or point file holds.
+
+    Parameters
+    ----------
+    design, window
+    subject : Subject
+    format : str
+        As `clacad.verification.files.map_file.format_of` says; none that holds heights gives no check.
+    label : str
+        Which face it is of.
+    rays : int
+        Of the main bundle at most.
+    """
+    if format not in _READ:
+        return []
+    body, face = next((b, f) for b, f, name in structured_faces(window) if name == label)
+    cell = central_cell(window)
+    try:
+        held = _READ[format](window, body, face, label, cell, subject.path)
+        through = _bodies(window, face, cell, held)
+    except (ExportError, OSError, ValueError) as error:
+        why = f"no light can be sent through it: {error}"
+        return [not_run(name, why, where="file", subject=subject.name) for name in IDS]
+    seen = measure_light(
+        design, window, lambda lit: trace_facets(through, lit.rays), min(rays, RAYS), POINT_RAYS, cell
+    )
+    what = f"bicubic surface ({format}, {label}; the other faces as designed)"
+    return light_checks(design, seen, subject.role, subject.name, what)
+
+
+def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples) -> tuple[FacetBody, ...]:
+    centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0]
+    bodies = []
+    for body in window.bodies:
+        faces: list[AnyFace] = []
+        for face in (body.front, body.back):
+            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
+            place = np.array([*(centre + np.asarray(shift)), 0.0])
+            if face is sampled:
+                faces.append(sampled_face(window, face, place, held.points, held.step))
+            else:
+                faces.append(ExactFace(face, place, window))
+        bodies.append(FacetBody(faces[0], faces[1], body.index))
+    return tuple(bodies)
+
+
+# -- heights of one cell, by format -----------------------------------------------------------------
+
+
+def _pixels(kind: str) -> Callable[..., Samples]:
+    def read(
+        window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path
+    ) -> Samples:
+        assert face.array is not None
+        scale = window.unit / 1e-3
+        map_ = height_map(window, body, face, label, samples_per_cell(window, None))
+        pixels = read_png(path) if kind == "png16" else read_tiff(path)
+        centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(
+            window.shifts[face.array]
+        )
+        columns, rows = _span(map_, window.lattice.tile(), centre)
+        got = np.asarray(pixels[rows[:, None], columns], dtype=np.float64)
+        hole = got == (NO_DATA if kind == "tiff32" else 0)
+        height = got / scale if kind == "tiff32" else map_.low + (got - 1.0) * map_.step
+        z = np.where(hole, np.nan, map_.reference - face.side * height)
+        x = map_.origin[0] + map_.pixel * (columns + 0.5) - centre[0]
+        y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows) - centre[1]
+        gx, gy = np.meshgrid(x, y)
+        return Samples(np.column_stack([gx.ravel(), gy.ravel(), z.ravel()]), np.full(2, map_.pixel))
+
+    return read
+
+
+def _span(map_: HeightMap, tile: Floats, centre: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns and rows of the pixels over the bounding box of a cell."""
+    low, high = tile.min(axis=0) + centre, tile.max(axis=0) + centre
+    first = np.floor((low - np.asarray(map_.origin)) / map_.pixel).astype(np.int64)
+    last = np.ceil((high - np.asarray(map_.origin)) / map_.pixel).astype(np.int64)
+    columns = np.arange(max(0, first[0]), min(map_.width, last[0]))
+    rows = map_.height - 1 - np.arange(max(0, first[1]), min(map_.height, last[1]))
+    return columns, rows[::-1]
+
+
+def _points(window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path) -> Samples:
+    from clacad.verification.files.map_file import point_blocks
+
+    assert face.array is not None
+    scale = window.unit / 1e-3
+    dx, dy = window.shifts[face.array]
+    kept = []
+    for table in point_blocks(path):
+        index, x, y = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
+        mine = (index == cell).all(axis=1)
+        if mine.any():
+            kept.append(np.column_stack([x, y, table[:, 2] / scale])[mine])
+    points = np.concatenate(kept) if kept else np.empty((0, 3))
+    return Samples(points, _spacing(points))
+
+
+def _spacing(points: Floats) -> Floats:
+    """Distance (2,) of the samples of a grid along x and y."""
+    found = []
+    for k in (0, 1):
+        at = np.unique(points[:, k])
+        apart = np.diff(at)
+        apart = apart[apart > 1e-6 * (np.ptp(at) if len(at) else 1.0)]
+        if not len(apart):
+            raise ValueError("its points over a cell are no grid")
+        found.append(float(np.median(apart)))
+    return np.array(found)
+
+
+def _grid(window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path) -> Samples:
+    from clacad.formats.maps.sag import read_grid_sag
+
+    points, step = read_grid_sag(face, path, window.unit / 1e-3)
+    return Samples(points, step)
+
+
+_READ: Mapping[str, Callable[..., Samples]] = {
+    "tiff32": _pixels("tiff32"), "tiff16": _pixels("tiff16"), "png16": _pixels("png16"), "xyz-normals": _points,
+    "grid-sag": _grid,
+}  # fmt: skip

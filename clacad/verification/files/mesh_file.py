@@ -1,0 +1,129 @@
+"""Judge one mesh file: is it whole, is it the design, and does light through its triangles do what it should?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.compare_instances import Standing, joined, measure_repeated, standing
+from clacad.exporting.roles import Role
+from clacad.formats.mesh.closed_stream import Measure, measure
+from clacad.formats.mesh.file_mesh import FileMesh
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.window import Window
+from clacad.tracing.triangles.telescopelet_facets import Floats
+from clacad.verification.checks import Check
+from clacad.verification.files.cell_triangles import Gatherer, Progress, chosen_cells, telescopelet
+from clacad.verification.files.facet_deviation import FEWER, POINTS, deviation
+from clacad.verification.files.mesh_light import MeshEvidence, light_checks
+from clacad.verification.files.mesh_shape import chord_volume, shape_check, volume_check
+from clacad.verification.files.mesh_wholeness import (
+    COUNTED_FACETS,
+    closed_check,
+    holding,
+    pieces_check,
+    scale_check,
+)
+from clacad.verification.files.repeated_parts import look_at_places, placement_check
+from clacad.verification.files.stored_normals import normals_check
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+def judge_mesh(
+    design: Design, window: Window, mesh: FileMesh, factor: float, name: str, stated: Mapping[str, Any], rays: int,
+    progress: Progress, present: Sequence[str] | None = None, role: Role = Role.MASTER,
+) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
+    """Measure a mesh file in one pass and judge it.
+
+    Parameters
+    ----------
+    design : Design
+    window : Window
+        With the cells that were written.
+    mesh : FileMesh
+    factor : float
+        Design units per file unit.
+    name : str
+        File name, the subject of the checks.
+    stated : mapping
+        Entry of the manifest; empty without one.
+    rays : int
+    progress : callable
+        (stage, done 0 … 1).
+    present : names of the bodies in the file, or None for all
+        Light meets the others as the design has them.
+    role : Role
+        What the file is for.
+    """
+    held = held_part(window, present)
+    bevel = (
+        float(stated.get("saddle_bevel", 0.0)) * (1.0 if stated.get("unit") == "m" else 1e-3) / window.unit
+    )
+    gatherer = Gatherer(window, chosen_cells(window), bevel)
+    places = standing(mesh, window, factor)
+    found = _measured(mesh, factor, gatherer, places, progress)
+    gathered = gatherer.result
+    pieces = pieces_check(held, found, mesh, name, stated)
+    shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
+    holds = holding(mesh, shells)
+    checks = [
+        closed_check(found, gathered, mesh, name, holds),
+        scale_check(design, held, found, name),
+        *pieces,
+    ]
+    if places is not None:
+        checks.append(placement_check(design, places, name))
+    reach = max(abs(z) for z in window.z_range)
+    checks.append(volume_check(held, reach, chord_volume(window, gathered, 0), found, gathered, name, stated))
+    off = [
+        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
+        for k in range(len(gathered.cells))
+    ]
+    checks.append(shape_check(design, window, gathered, off, name, stated, present))
+    stored = normals_check(design, window, gathered, off, name)
+    checks += [] if stored is None else [stored]
+    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
+    return checks + light, replace(evidence, facts={**evidence.facts, "holds": holds})
+
+
+def held_part(window: Window, present: Sequence[str] | None) -> Window:
+    """The window reduced to the bodies a file holds, its height range too."""
+    if present is None or set(present) == {body.name for body in window.bodies}:
+        return window
+    bodies = tuple(b for b in window.bodies if b.name in present)
+    low, high = zip(*(body_range(window, body) for body in bodies), strict=True)
+    return replace(window, bodies=bodies, z_range=(min(low), max(high)))
+
+
+def _measured(
+    mesh: FileMesh, factor: float, gatherer: Gatherer, places: Standing | None, progress: Progress
+) -> Measure:
+    """Measure a file and gather its facets: parts that stand for cells once, all else wherever it stands."""
+    cells = set() if places is None else {id(part) for p in places.places for part in p.parts}
+    repeated = measure_repeated(replace(mesh, parts=tuple(p for p in mesh.parts if id(p) in cells)), factor)
+    if places is not None and repeated.imbalance != (0, 0) and mesh.facet_count <= COUNTED_FACETS:
+        places, cells, repeated = (
+            None,
+            set(),
+            measure(()),
+        )  # open by themselves: closed by their neighbours, perhaps
+    rest = replace(mesh, parts=tuple(part for part in mesh.parts if id(part) not in cells))
+    found = measure(_looked_at(rest, factor, gatherer, progress), origin=np.zeros(3))
+    for one in () if places is None else places.places:
+        look_at_places(gatherer, one, factor, places.limit if places is not None else 0.0)
+    return joined([one for one in (found, repeated) if one.facets])
+
+
+def _looked_at(mesh: FileMesh, factor: float, gatherer: Gatherer, progress: Progress) -> Iterator[Floats]:
+    total, done = max(1, mesh.facet_count), 0
+    for chunk, normals in mesh.pairs():
+        corners = chunk * factor
+        gatherer.look(corners, normals)
+        done += len(corners)
+        progress("reading triangles", done / total)
+        yield corners

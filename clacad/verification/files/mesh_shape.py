@@ -1,0 +1,297 @@
+"""Is a mesh file the design: its volume, and the distance of its facets from the exact faces?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.formats.mesh.closed_stream import Measure
+from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
+from clacad.sheet.window import Body, Window
+from clacad.tracing.triangles.telescopelet_facets import Floats, on_land
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.cell_triangles import Gathered, exact_height, owner, telescopelet
+from clacad.verification.files.facet_deviation import (
+    FEWER,
+    POINTS,
+    Deviation,
+    corner_distance,
+    deviation,
+    forecast_rms,
+)
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+_NODES = np.array([
+    [1 / 3, 1 / 3, 1 / 3],
+    [0.797426985353087, 0.101286507323456, 0.101286507323456], [0.101286507323456, 0.797426985353087, 0.101286507323456],
+    [0.101286507323456, 0.101286507323456, 0.797426985353087], [0.059715871789770, 0.470142064105115, 0.470142064105115],
+    [0.470142064105115, 0.059715871789770, 0.470142064105115], [0.470142064105115, 0.470142064105115, 0.059715871789770],
+])  # fmt: skip
+_WEIGHTS = np.array([0.225] + [0.125939180544827] * 3 + [0.132394152788506] * 3)
+"""Seven-point rule of degree 5 on a triangle (Radon 1948)."""
+
+
+def chord_volume(window: Window, gathered: Gathered, cell: int) -> float:
+    """Volume (length³) that the facets over one chosen cell add to the exact body; negative for convex lenses."""
+    total = 0.0
+    for number, body in enumerate(window.bodies):
+        for side, face in enumerate((body.front, body.back)):
+            facets = gathered.corners(number, side, cell)
+            if face.array is None or not len(facets):
+                continue
+            shift = np.asarray(window.shifts[owner(body, face)])
+            centre = window.lattice.centres(np.array([gathered.cells[cell]], dtype=np.int64))[0] + shift
+            local = facets - [*centre, 0.0]
+            points = np.einsum("pk,tkx->tpx", _NODES, local)
+            exact = exact_height(face, on_land(window, face, facets), points)
+            known = np.isfinite(exact).all(axis=1)
+            (ax, ay), (bx, by) = ((local[known, k, :2] - local[known, 0, :2]).T for k in (1, 2))
+            area = 0.5 * np.abs(ax * by - ay * bx)
+            above = ((points[known, :, 2] - exact[known]) @ _WEIGHTS) * area
+            total += float(above.sum()) * (-1.0 if side == 0 else 1.0)
+    return total
+
+
+@lru_cache(maxsize=8)
+def volume_of(window: Window, body: Body) -> Integral | None:
+    """Volume of a body by quadrature, once for all files of a window; None where an outline cuts lenslets."""
+    return body_volume(window, body, depth=11)
+
+
+def volume_check(
+    window: Window,
+    reach: float,
+    cell_chord: float,
+    found: Measure,
+    gathered: Gathered,
+    name: str,
+    stated: Mapping[str, Any],
+) -> Check:
+    """Enclosed volume against quadrature of the design plus what facets cut off.
+
+    `window` is reduced to the bodies of the file; `reach` is the largest |z| of the whole one, whose float32
+    spacing the heights of all its bodies share.
+    """
+    common: dict[str, Any] = {"where": "file", "subject": name, "unit": "design unit³"}
+    integrals = [volume_of(window, body) for body in window.bodies]
+    known = [i for i in integrals if i is not None]
+    if len(known) < len(integrals):
+        return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand", required=False, **common)  # fmt: skip
+    if found.facets and found.volume <= 0.0:
+        return Check("volume", "fail", f"it encloses {found.volume:.4g}: its facets face inwards", found.volume, 0.0,
+                     relation=">=", **common)  # fmt: skip
+    if not any(gathered.facets):
+        return not_run("volume", "no triangles lie where the design has its cells", **common)
+    exact, error = sum(i.value for i in known), sum(i.error for i in known)
+    chord = cell_chord * window.lattice.cell_count
+    difference = found.volume - exact
+    # 2 % of what the facets cut off, and float32 corners: half a spacing on each side of the box, and a plane far
+    # from the origin moved by half a spacing as a whole, which is much of a thin body, also where it is alone in its file
+    x0, x1, y0, y1 = whole_extent(window)
+    planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
+    room = 0.02 * abs(chord) + 2.0**-24 * (4.0 * exact + planes) + error
+    sentence = (
+        f"it encloses {found.volume:.9g}; the design {exact:.9g}, of which the facets cut off {-chord:.4g} "
+        f"(difference {difference:.4g})"
+    )
+    detail = {"volume": found.volume, "exact": exact, "chord": chord, "stated": stated.get("volume")}
+    if gathered.engraved:
+        sentence += f"; letters engraved in the border take {gathered.engraved:.4g}"
+        detail["engraved"] = gathered.engraved
+    return judge(
+        "volume", abs(difference + gathered.engraved - chord), room, sentence,
+        source="forecast ± 2 % of the chord error", detail=detail, **common,
+    )  # fmt: skip
+
+
+def shape_check(
+    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], name: str,
+    stated: Mapping[str, Any], present: Sequence[str] | None,
+) -> Check:  # fmt: skip
+    """Distance of the facets from the exact faces: closely over the chosen cells, by their middles over all."""
+    common: dict[str, Any] = {"where": "file", "subject": name, "unit": design.unit}
+    if not all(d.complete for d in off):
+        dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
+        if len(dark) == len(off):
+            return not_run("shape", "no triangles lie where the design has its faces", **common)
+        return Check("shape", "fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
+    worst = float(max(d.distance.max() for d in off))
+    own = [
+        k for k in range(len(off)) if gathered.source(k) == k
+    ]  # what is a copy of another cell is as that is
+    at_corners = max(_corners(window, gathered, k, present) for k in own)
+    rms = float(np.max([d.slope_rms.max() for d in off]))
+    clean = [clean_cut(window, gathered, k, present) for k in own]
+    detail: dict[str, Any] = {
+        "distance": worst,
+        "corners": at_corners,
+        "everywhere": gathered.farthest,
+        "slope_error": off[0].slope_rms,
+        "slope_error_clean": clean[0].slope_rms,
+    }
+    reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
+    rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
+    sag = float(max(d.distance.max() for d in clean))
+    limit, source = design.check.shape * sag + rounding, "the design cut into the same facets"
+    if "sag_error_max" in stated:
+        told = float(stated["sag_error_max"]) * _millimetres(stated) / window.unit
+        if told <= design.check.file_rms * sag:  # more than such facets can be off is no promise
+            limit, source = design.check.shape * told + rounding, "stated sag error of the file"
+    sentence = (
+        f"facets lie up to {worst:.4g} {design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
+        f"slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
+    )
+    if gathered.farthest > max(worst, at_corners):
+        where = gathered.farthest_cell
+        sentence += f"; over all cells up to {gathered.farthest:.4g}, in cell {where}"
+    if "slope_error_rms" in stated:
+        told = float(stated["slope_error_rms"])
+        sentence += f" ({1e3 * told:.4g} stated)"
+        if rms > design.check.file_rms * told:
+            return Check("shape", "fail", f"{sentence}: steeper facets than stated", rms, told, detail=detail,
+                         source="stated slope error of the file", **{**common, "unit": "rad"})  # fmt: skip
+    rough, room = _roughness(design, window, gathered, own, off, clean)
+    if rough > room:
+        sentence += (
+            f": {1e3 * rough:.4g} mrad rms from those of the design cut into the same facets, which are "
+            f"{1e3 * float(np.max([d.slope_rms.max() for d in clean])):.4g} off"
+        )
+        return Check("shape", "fail", sentence, rough, room, detail=detail,
+                     source="slope error of the design cut into the same facets", **{**common, "unit": "rad"})  # fmt: skip
+    return judge(
+        "shape",
+        max(worst, at_corners, gathered.farthest),
+        limit,
+        sentence,
+        source=source,
+        detail=detail,
+        **common,
+    )
+
+
+def clean_cut(
+    window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None = None
+) -> Deviation:
+    """The design cut into the very facets of a file, against the design: what these facets cannot but be off.
+
+    Every corner over a chosen cell is moved along z onto the design's face; places are those of `deviation`.
+    """
+    bodies = telescopelet(window, gathered, cell, present, onto_design=True)
+    return deviation(window, bodies, FEWER if cell else POINTS)
+
+
+def clean_forecast(
+    window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None = None
+) -> float:
+    """Direction error (radians) that the facets of a file would make over a chosen cell if their corners lay on the
+    design's faces: `forecast_rms` of the clean cut, which noise in the file's heights cannot widen.
+    """
+    return forecast_rms(window, clean_cut(window, gathered, cell, present))
+
+
+def _roughness(
+    design: Design, window: Window, gathered: Gathered, cells: Sequence[int], off: Sequence[Deviation],
+    clean: Sequence[Deviation],
+) -> tuple[float, float]:  # fmt: skip
+    """Rms (radians) by which the slopes of a file's facets differ from those of the clean cut, and its limit: of the
+    face and cell that come nearest to theirs.
+
+    What is above the clean cut's own slope error e may be e (check.file_rms − 1), so that in the worst case all of it
+    is check.file_rms e; and what rounding to float32 does.
+    """
+    found = (0.0, np.inf)
+    for number, ideal in zip(cells, clean, strict=True):
+        apart = off[number].slope - ideal.slope
+        for face, (body, side) in enumerate((b, s) for b in range(len(window.bodies)) for s in (0, 1)):
+            known = np.isfinite(apart[face]).all(axis=1)
+            if not known.any():
+                continue
+            rms = float(np.sqrt((apart[face][known] ** 2).sum(axis=1).mean()))
+            room = (design.check.file_rms - 1.0) * float(ideal.slope_rms[face])
+            room += _rounding_slope(window, gathered.corners(body, side, number))
+            if rms * found[1] > found[0] * room or found[1] == np.inf:
+                found = rms, room
+    return found
+
+
+def _rounding_slope(window: Window, corners: Floats) -> float:
+    """Rms slope error (radians) of facets (k, 3, 3) whose coordinates are rounded to float32."""
+    (ax, ay), (bx, by) = ((corners[:, k, :2] - corners[:, 0, :2]).T for k in (1, 2))
+    twice = np.abs(ax * by - ay * bx)
+    edges = np.linalg.norm((np.roll(corners, -1, axis=1) - corners)[..., :2], axis=2).max(axis=1, initial=0.0)
+    good = twice > 1e-12 * edges**2
+    if not good.any():
+        return 0.0
+    normal = np.cross(corners[good, 1] - corners[good, 0], corners[good, 2] - corners[good, 0])
+    steep = np.linalg.norm(normal[:, :2], axis=1) / np.maximum(np.abs(normal[:, 2]), 1e-300)
+    off = 2.0**-24 * (np.abs(window.z_range).max() + steep * max(abs(v) for v in whole_extent(window)))
+    slope = (
+        2.0 * off * edges[good] / twice[good]
+    )  # two corners off in opposite senses, over the facet's least height
+    return float(np.sqrt((slope**2 * twice[good]).sum() / twice[good].sum()))
+
+
+def _corners(window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None) -> float:
+    """Largest distance of any corner of a chosen cell's facets from the design's faces."""
+    centre = window.lattice.centres(np.array([gathered.cells[cell]], dtype=np.int64))[0]
+    found = [0.0]
+    for number, body in enumerate(window.bodies):
+        if present is not None and body.name not in present:
+            continue
+        for side, face in enumerate((body.front, body.back)):
+            corners = gathered.corners(number, side, cell)
+            if len(corners):
+                place = centre + np.asarray(window.shifts[owner(body, face)])
+                found.append(corner_distance(window, face, corners, place))
+    return float(np.nanmax(found))
+
+
+def _millimetres(stated: Mapping[str, Any]) -> float:
+    return {"mm": 1e-3, "m": 1.0, "um": 1e-6, "cm": 1e-2, "in": 0.0254}[str(stated.get("unit", "mm"))]
+
+
+def own_sag_error(gathered: Gathered) -> float:
+    """Sag error (length) that facets of this size and bend make, from the facets alone: the height over the chord at
+    the middle of an edge, L² × bend/8, or over a facet's middle, which is higher where the facet has no blunt corner;
+    with the bend from neighbouring facets' slopes.
+    """
+    worst = 0.0
+    for (_, _, cell), parts in gathered.facets.items():
+        if cell:
+            continue
+        corners = np.concatenate(parts)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        slopes = normal[:, :2] / normal[:, 2:]
+        middle = corners.mean(axis=1)[:, :2]
+        if len(corners) < 8:
+            continue
+        bend = _bend(middle, slopes)
+        edges = (corners - np.roll(corners, 1, axis=1))[..., :2]
+        square = np.einsum("tei,tij,tej->te", edges, bend, edges)
+        rise = np.maximum(np.abs(square).max(axis=1) / 8.0, np.abs(square.sum(axis=1)) / 18.0)
+        worst = max(worst, float(rise.max()))
+    return worst
+
+
+CUBIC = 48
+"""Facets of a cell from which on the bend is told place by place: steep lenses bend more towards their rim."""
+
+
+def _bend(middle: Floats, slopes: Floats) -> Floats:
+    """Second derivatives (t, 2, 2) of the height at facets, from a smooth fit to their slopes (t, 2)."""
+    size = float(np.abs(middle - middle.mean(axis=0)).max())
+    x, y = ((middle - middle.mean(axis=0)) / size).T
+    one, nil = np.ones_like(x), np.zeros_like(x)
+    terms = np.stack([one, x, y], axis=1)
+    along_x, along_y = np.stack([nil, one, nil], axis=1), np.stack([nil, nil, one], axis=1)
+    if len(x) >= CUBIC:
+        terms = np.column_stack([terms, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+        along_x = np.column_stack([along_x, 2 * x, y, nil, 3 * x * x, 2 * x * y, y * y, nil])
+        along_y = np.column_stack([along_y, nil, x, 2 * y, nil, x * x, 2 * x * y, 3 * y * y])
+    found, *_ = np.linalg.lstsq(terms, slopes, rcond=None)
+    return np.stack([along_x @ found, along_y @ found], axis=1) / size

@@ -1,0 +1,196 @@
+"""Is a mesh file whole: closed, in as many pieces as designed, and as large?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.formats.mesh.closed_stream import Measure, crowded_edges, vertex_hashes, welded
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.sheet.feasibility import body_facts, components
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.sheet.window import Window
+from clacad.tracing.triangles.telescopelet_facets import Floats
+from clacad.verification.checks import Check, State, judge, not_run
+from clacad.verification.files.cell_triangles import Gathered
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+COUNTED_FACETS = 3_000_000
+"""Facets up to which edges and holes are counted one by one; beyond it closedness alone is proven."""
+
+COUNTED_PIECES = 30_000_000
+"""Facets in a file up to which connected pieces are counted: 0.2 s and 20 MB a million."""
+
+FULL = 0.6
+"""Share of a hash table that may be taken."""
+
+
+def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
+    """What a workshop finds in a mesh file: `words`, and the numbers in them.
+
+    Parameters
+    ----------
+    mesh : FileMesh
+    shells : int or None
+        Closed surfaces with every instance counted; None where they were not counted.
+    """
+    objects, places = len(mesh.parts), sum(len(part.placements) for part in mesh.parts)
+    if places > objects:
+        words = f"{places:,} instances of {objects} object{'s' * (objects != 1)}"
+    else:
+        words = f"{objects} object{'s' * (objects != 1)}"
+    if shells is not None and shells != places:
+        words += f", {shells:,} closed shell{'s' * (shells != 1)}"
+    words += f", {mesh.facet_count:,} facets"
+    if mesh.stored_count != mesh.facet_count:
+        words += f" ({mesh.stored_count:,} in the file)"
+    return {
+        "words": words, "objects": objects, "placements": places, "shells": shells, "facets": mesh.facet_count,
+        "facets_stored": mesh.stored_count,
+    }  # fmt: skip
+
+
+def closed_check(
+    found: Measure, gathered: Gathered, mesh: FileMesh, name: str, holds: Mapping[str, Any]
+) -> Check:
+    """Judge whether the surface is closed and consistently wound; where it is not, say where.
+
+    holds : from `holding`, goes into the check's detail
+    """
+    common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
+    if found.facets == 0:
+        return Check("closed", "fail", "the file holds no triangles", **common)
+    facts: dict[str, Any] = {
+        "facets": found.facets,
+        "walls": gathered.walls,
+        "degenerate": gathered.degenerate,
+        "holds": dict(holds),
+    }
+    if found.closed:
+        sentence = f"every edge of {found.facets} facets is met once in each direction"
+        if mesh.stored_count <= COUNTED_FACETS:
+            crowded = sum(crowded_edges(part.corners(0, part.facet_count)) for part in mesh.parts)
+            facts["crowded_edges"] = crowded
+            if crowded:
+                sentence += (
+                    f"; {crowded} edges are shared by four facets, where steps of both signs meet in a corner"
+                )
+        return Check("closed", "pass", sentence, 0.0, detail=facts, **common)
+    sentence = "the surface is not closed or not consistently wound"
+    value = None
+    if found.facets > COUNTED_FACETS >= mesh.stored_count:
+        counted = [_open_edges(part.corners(0, part.facet_count)) for part in mesh.parts]
+        value, place = max(counted, key=lambda one: one[0])
+        at = ", ".join(f"{v:.6g}" for v in place)
+        sentence += f": {value} edges of one instance have no partner, one at ({at}) in its own frame"
+    elif found.facets <= COUNTED_FACETS:
+        value, place = _open_edges(np.concatenate(list(mesh.chunks())))
+        at = ", ".join(f"{v:.6g}" for v in place)
+        sentence += f": {value} edges have no partner, one at ({at}) in file units"
+    return Check("closed", "fail", sentence, value, detail=facts, **common)
+
+
+def _open_edges(corners: Floats) -> tuple[int, Floats]:
+    """Count directed edges without a partner, and give the middle of one."""
+    vertices, facets = welded(corners)
+    start = facets.ravel()
+    end = np.roll(facets, -1, axis=1).ravel()
+    size = np.int64(len(vertices))
+    forward, times = np.unique(start * size + end, return_counts=True)
+    backward, answers = np.unique(end * size + start, return_counts=True)
+    both = np.concatenate([forward, backward])
+    sign = np.concatenate([times, -answers])
+    keys, place = np.unique(both, return_inverse=True)
+    balance = np.bincount(place, weights=sign)
+    open_keys = keys[balance != 0]
+    if not len(open_keys):
+        return 0, np.zeros(3)
+    a, b = divmod(int(open_keys[0]), int(size))
+    # an unmatched edge shows once from each of its ends
+    return int(np.abs(balance).sum() / 2), 0.5 * (vertices[a] + vertices[b])
+
+
+def pieces_check(
+    window: Window, found: Measure, mesh: FileMesh, name: str, stated: Mapping[str, Any]
+) -> list[Check]:
+    """Count connected pieces and holes of the file itself."""
+    common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
+    if found.facets == 0:
+        return [not_run("pieces", "the file holds no triangles", **common)]
+    if mesh.stored_count > COUNTED_PIECES:
+        why = (
+            f"not counted and not required: {mesh.stored_count} facets in the file, and pieces are counted up to "
+            f"{COUNTED_PIECES}; one_piece says what the design gives"
+        )
+        return [not_run("pieces", why, **common)]
+    bodies = [body_facts(window, body) for body in window.bodies]
+    expected = {sum(b.pieces for b in bodies), len(bodies) * window.lattice.cell_count}
+    if "solids" in stated:
+        expected = {int(stated["solids"])}
+    wanted = " or ".join(str(n) for n in sorted(expected))
+    holes: float | None = None
+    if mesh.stored_count <= COUNTED_FACETS:
+        counts = [_counted(part) for part in mesh.parts]
+        pieces, holes = sum(count[0] for count in counts), sum(count[1] for count in counts)
+        sentence = f"{pieces} connected pieces with {holes:g} holes; {wanted} pieces are expected"
+    else:
+        pieces = sum(connected(part) * len(part.placements) for part in mesh.parts)
+        sentence = f"{pieces} connected pieces; {wanted} pieces are expected"
+    state: State = "pass" if pieces in expected else "fail"
+    return [Check("pieces", state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
+
+
+def _counted(part: Part) -> tuple[int, float]:
+    """Pieces and holes of a part; one that stands at several places is counted at each (its copies may touch)."""
+    vertices, facets = welded(part.corners(0, part.facet_count))
+    pieces = components(len(vertices), facets[:, [0, 0]].T.ravel(), facets[:, [1, 2]].T.ravel())
+    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
+    count = len(np.unique(edges[:, 0] * np.int64(len(vertices)) + edges[:, 1]))
+    euler = len(vertices) - count + len(facets)
+    times = len(part.placements)
+    return pieces * times, (pieces - euler / 2) * times
+
+
+def connected(part: Part) -> int:
+    """Connected pieces of a part at one of its places, in one pass; corners are one vertex where their hashes agree."""
+    from clacad.verification.files.compiled_pieces import join, rehash
+
+    table, number = np.zeros(1 << 16, dtype=np.uint64), np.zeros(1 << 16, dtype=np.int32)
+    parent = np.zeros(1 << 16, dtype=np.int32)
+    vertices = joins = 0
+    for start in range(0, part.facet_count, CHUNK):
+        keys = vertex_hashes(part.corners(start, start + CHUNK))
+        while vertices + keys.size > FULL * len(table):
+            larger = np.zeros(2 * len(table), dtype=np.uint64), np.zeros(2 * len(table), dtype=np.int32)
+            rehash(table, number, *larger)
+            table, number = larger
+        if vertices + keys.size > len(parent):
+            parent = np.concatenate([parent, np.zeros(max(len(parent), keys.size), dtype=np.int32)])
+        vertices, more = join(keys, table, number, parent, vertices)
+        joins += more
+    return vertices - joins
+
+
+def scale_check(design: Design, window: Window, found: Measure, name: str) -> Check:
+    """Compare the file's extent with the design's, axis by axis."""
+    x0, x1, y0, y1 = whole_extent(window)
+    z0, z1 = window.z_range
+    want = np.array([x1 - x0, y1 - y0, z1 - z0])
+    got = np.subtract(found.high, found.low)
+    ratio = got / want
+    if not np.isfinite(ratio).all() or found.facets == 0:
+        return not_run("scale", "the file has no extent", where="file", subject=name)
+    # x and y alone tell a uniform shrink; facets cut a little off the top of a lens in z
+    lateral = ratio[:2]
+    value = float(np.abs(lateral - 1.0).max())
+    sentence = "extent over the design's: " + ", ".join(
+        f"{axis} {r:.6g}" for axis, r in zip("xyz", ratio, strict=True)
+    )
+    return judge(
+        "scale", value, design.check.scale, sentence, unit="relative", where="file", subject=name,
+        detail={"ratio": ratio},
+    )  # fmt: skip

@@ -1,0 +1,126 @@
+"""Is a mesh a measured surface, which never had a volume, or a broken solid?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.formats.mesh.file_mesh import FileMesh, Floats, Ints
+
+_ODD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0xBF58476D1CE4E5B9))
+
+SECTORS = 36
+"""Parts of the round that are looked at."""
+
+AROUND = 0.8
+"""Part of the sectors in which an open surface has its boundary at the rim."""
+
+AT_RIM = 0.8
+"""Part of the way from the middle to the rim beyond which a boundary edge is at the rim."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rims:
+    """Edges of a mesh that no second facet answers.
+
+    count : int
+        Directed edges without a partner.
+    place : (3,) lengths, file unit
+        Middle of one of them; NaN where there is none.
+    middles : (count, 3)
+        Of all.
+    closed_pieces : int
+        Connected pieces without such an edge: closed shells.
+    corners : (v, 3)
+        All vertices.
+    """
+
+    count: int
+    place: Floats
+    middles: Floats
+    closed_pieces: int
+    corners: Floats
+
+
+def rims(mesh: FileMesh) -> Rims:
+    """Find the boundary of a mesh of any file, and which of its pieces have none."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners, facets = _welded(np.concatenate(list(mesh.chunks())))
+    start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
+    size = np.int64(len(corners))
+    same = start == end  # a facet without area has no such edge
+    low, high = np.minimum(start, end)[~same], np.maximum(start, end)[~same]
+    keys, back = np.unique(low * size + high, return_inverse=True)
+    balance = np.bincount(back, np.where((start < end)[~same], 1.0, -1.0))
+    open_keys = keys[balance != 0.0]
+    links = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(len(corners), len(corners)))
+    number, piece = connected_components(links, directed=False)
+    is_open = np.zeros(number, dtype=bool)
+    is_open[piece[open_keys // size]] = True
+    used = np.zeros(number, dtype=bool)
+    used[piece[facets.ravel()]] = True
+    middles = 0.5 * (corners[open_keys // size] + corners[open_keys % size])
+    count = int(np.abs(balance).sum())
+    place = middles[0] if len(middles) else np.full(3, np.nan)
+    return Rims(count, place, middles, int((used & ~is_open).sum()), corners)
+
+
+def _welded(corners: Floats) -> tuple[Floats, Ints]:
+    """Vertices that agree in all bits made one: (v, 3) and facets (t, 3); told by 64-bit hashes of their numbers."""
+    points = np.ascontiguousarray(corners.reshape(-1, 3) + 0.0)
+    words = points.view(np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = words[:, 0] * _ODD[0] ^ (words[:, 1] * _ODD[1] >> np.uint64(7)) ^ words[:, 2] * _ODD[2]
+        mixed = (
+            (mixed ^ (mixed >> np.uint64(31))) * _ODD[1]
+            + words[:, 0]
+            + (words[:, 1] << np.uint64(21)) * _ODD[2]
+        )
+    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
+    if not np.array_equal(points[first][index.ravel()], points):  # two points of one hash: the slow way
+        unique, index = np.unique(points, axis=0, return_inverse=True)
+        return unique, index.reshape(-1, 3).astype(np.int64)
+    return points[first], index.reshape(-1, 3).astype(np.int64)
+
+
+def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:
+    """Whether a mesh is a surface without a volume, as a scan is, rather than a solid with something missing.
+
+    Parameters
+    ----------
+    found : Rims
+    turn : (3, 3) or None
+        File → sheet frame: the rim is looked for around the third axis.
+
+    Notes
+    -----
+    Facets that hang together by edges are a piece (union-find over vertices). A piece whose every edge is met once
+    in each direction is a closed shell: it has a volume, however small, and whoever made the file meant a solid; then
+    what is open beside it is a fault. Where no piece is closed, it is the boundary that tells: a surface that was
+    measured ends where the part does, so seen along the sheet's normal boundary edges lie at the rim all around it
+    (in four fifths of 36 sectors, in the outer fifth of the way). A solid that lacks a facet, a patch or a whole side
+    wall has its boundary around the gap only. A soup whose facets share no corner is open at every edge and counts as
+    a surface, too.
+    """
+    if found.count == 0 or found.closed_pieces:
+        return False
+    axes = np.eye(3) if turn is None else turn
+    flat, edges = found.corners @ axes[:2].T, found.middles @ axes[:2].T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * np.where(high > low, high - low, 1.0)
+    reach = _farthest((flat - middle) / half)
+    rim = _farthest((edges - middle) / half)
+    known = reach > 0.0
+    return bool((rim[known] >= AT_RIM * reach[known]).mean() >= AROUND)
+
+
+def _farthest(points: NDArray[np.float64]) -> Floats:
+    """Largest distance from the origin of points (n, 2) in each sector, (SECTORS,)."""
+    sector = ((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
+    found = np.zeros(SECTORS)
+    np.maximum.at(found, np.clip(sector, 0, SECTORS - 1), np.hypot(points[:, 0], points[:, 1]))
+    return found

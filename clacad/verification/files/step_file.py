@@ -1,0 +1,361 @@
+"""Judge one STEP or BREP file: read again by a kernel in a process of its own, held against the closed form, lit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import pi
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.roles import Role
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.vignetting import focal_ratio
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.sheet.window import Body, Window
+from clacad.storage.errors import ExportError
+from clacad.tracing.triangles.telescopelet_facets import Floats
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.cell_triangles import Progress
+from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
+from clacad.verification.files.mesh_shape import volume_of
+from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from clacad.design import Design
+    from clacad.storage.worker import Worker
+
+SHAPE_LIMIT = 1e-7
+"""Largest distance of a lens face from the closed form, in pitches."""
+
+DIRECTION_LIMIT = 1e-6
+"""Largest direction error, radians."""
+
+VOLUME_LIMIT = 1e-9
+"""Largest relative difference of volumes."""
+
+FITTED = 1e-8
+"""Relative difference that parameter curves make which another kernel fitted itself."""
+
+PART = 0.1
+"""Part of the limit of the law's rms error that faces of a file without a manifest may use up."""
+
+SECONDS = 1800.0
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """How far a file may be from the design.
+
+    direction : radians
+        Direction error that slope errors of lens faces may make.
+    shape : mm
+    source : str
+        Where the limits come from.
+    fitted : bool
+        Nobody says that the faces are exact: they may have been fitted again by another program.
+    """
+
+    direction: float
+    shape: float
+    source: str
+    fitted: bool
+
+
+def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
+    """Limits of a file: those of exact faces where a manifest says it is this program's, else what light allows.
+
+    Light allows a tenth of `law_rms`; a face whose slopes are off by less than that makes of it lies, over a pitch,
+    within slope × pitch / 2π of the exact one.
+    """
+    pitch = min(window.lattice.pitch) * window.unit * 1e3
+    # a biconic has no exact rational patch: its fit is stated to 1e-6 of the pitch
+    exact = SHAPE_LIMIT * pitch * (10.0 if design.pair.surface == "biconic" else 1.0)
+    if stated:
+        return Room(DIRECTION_LIMIT, exact, "1e-7 of the pitch", False)
+    direction = max(DIRECTION_LIMIT, PART * design.check.law_rms)
+    shape = max(exact, direction / gain(window) * pitch / (2.0 * pi))
+    return Room(direction, shape, "a tenth of law_rms: no manifest says its faces are exact", True)
+
+
+def gain(window: Window) -> float:
+    """Direction error (rad) per slope error (rad) of the lens faces, all of them off by as much, in quadrature."""
+    total = 0.0
+    smallest = min(abs(m) for m in focal_ratio(window.thin))
+    for body in window.bodies:
+        for face in (body.front, body.back):
+            if face.array is not None:
+                total += ((body.index - 1.0) * (1.0 / smallest if face.array == 0 else 1.0)) ** 2
+    return float(total**0.5)
+
+
+def judge_solid(
+    design: Design, window: Window, path: Path, stated: Mapping[str, Any], progress: Progress, rays: int = FACE_RAYS,
+    role: Role = Role.MASTER,
+) -> tuple[list[Check], Mapping[str, Any]]:  # fmt: skip
+    """Read a STEP or BREP file in a worker and judge what is found, and the light through its faces.
+
+    Parameters
+    ----------
+    design, window, path
+    stated : mapping
+        The file's entry in a manifest; empty without one.
+    progress : callable
+        (stage, done 0 … 1).
+    rays : int
+        Of the main bundle through its faces; no more than `FACE_RAYS` are sent.
+    role : Role
+
+    Returns
+    -------
+    checks : list of Check
+    found : mapping
+        What the reader says; empty if it could not read. `holds`: solids, shells, faces, prototypes, parts (name, solid,
+        faces, instances); `holds_words`: the same in words.
+    """
+    from clacad.storage.worker import Worker
+
+    common: dict[str, Any] = {"where": "file", "subject": path.name}
+    progress(f"reading {path.name}", 0.0)
+    with Worker() as worker:
+        try:
+            found = worker.run(
+                "clacad.exporting.step_record:read", str(path), window, timeout=SECONDS, progress=progress
+            )
+        except (ExportError, OSError) as error:
+            checks = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
+            later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
+            return checks + [not_run(name, "the file cannot be read", **common) for name in later], {}
+        found["holds_words"] = holds_words(found["holds"])
+        room = room_for(design, window, stated)
+        checks = [Check("readable", "pass", found["holds_words"] + _unit_words(found), **common)]
+        checks += [_closed(found, common), _solids(found, stated, common), _placement(found, room, common)]
+        checks += [_shape(found, stated, room, common), _file_rms(window, found, room, common)]
+        checks.append(_volume(window, found, stated, room, common))
+        progress("tracing through the faces", 0.0)
+        checks += _light(design, window, worker, path, found, rays, role)
+    return checks, found
+
+
+def lies_elsewhere(checks: Sequence[Check]) -> bool:
+    """Whether a readable file does not have its faces where the design has them: it holds fewer than half of the
+    lenses, or its shape is not right and fewer than half of them stand on their cells.
+    """
+    one = {check.id: check for check in checks}
+    if "readable" not in one or one["readable"].state != "pass":
+        return False
+    at = one["placement"].detail
+    if at and at["missing"] > 0.5 * at["lenses"]:  # a piece of the sheet
+        return True
+    return one["shape"].state != "pass" and not float(at.get("standing", 0.0)) >= 0.5
+
+
+def hole_words(
+    window: Window, holes: Sequence[Mapping[str, Any]], onto: Callable[[Floats], Floats] | None = None
+) -> str:
+    """Round holes of a part in a sentence, with the cells of array 1 they go through; "" for none.
+
+    onto : from the file's mm to the design's sheet frame and units; None where the file lies as the design does.
+    """
+    words = []
+    for hole in holes[:4]:
+        at = np.array([hole["at"]]) / (window.unit * 1e3) if onto is None else onto(np.array([hole["at"]]))
+        cell = window.lattice.locate(at[:, 0], at[:, 1])[0][0]
+        where = f"cell ({cell[0]}, {cell[1]})" if window.lattice.contains(cell) else "no cell"
+        words.append(f"{hole['diameter']:.4g} mm across in {where} at x {at[0, 0]:.4g}, y {at[0, 1]:.4g}")
+    return (
+        "" if not words else f"{len(holes)} hole{'s' * (len(holes) != 1)} drilled in it: " + "; ".join(words)
+    )
+
+
+def holds_words(holds: Mapping[str, Any]) -> str:
+    """What the workshop will find in a file, in a sentence: solids, shells, faces, and what is repeated."""
+    solids, faces = int(holds["solids"]), int(holds["faces"])
+    words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
+    if int(holds["shells"]) != solids:
+        words += f" in {int(holds['shells']):,} shells"
+    repeated = [part for part in holds["parts"] if int(part["instances"]) > 1]
+    if not repeated:
+        return words
+    many = int(holds["prototypes"])
+    listed = ", ".join(
+        f"{int(part['instances']):,} of {part['name'] or 'a part of ' + str(part['faces']) + ' faces'}" for part in repeated[:4]
+    )  # fmt: skip
+    return words + f", placed from {many:,} prototype{'s' * (many != 1)} ({listed})"
+
+
+def _unit_words(found: Mapping[str, Any]) -> str:
+    units = [unit for unit in found.get("units", ()) if unit != 1.0]
+    if not units:
+        return ""
+    names = {25.4: "inches", 1000.0: "metres", 10.0: "centimetres", 1e-3: "micrometres", 304.8: "feet"}
+    known = [
+        next((n for u, n in names.items() if abs(unit / u - 1.0) < 1e-9), f"units of {unit:g} mm")
+        for unit in units
+    ]
+    return "; its lengths are in " + " and ".join(known)
+
+
+def _light(
+    design: Design, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], rays: int, role: Role
+) -> list[Check]:  # fmt: skip
+    """Light through the faces, against the law."""
+    common: dict[str, Any] = {"where": "file", "subject": path.name}
+    if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
+        why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
+        return [not_run(name, why, required=False, **common) for name in IDS]
+    held = [body.name for body in _held(window, found)]
+    send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]))
+    try:
+        light = measure_light(design, window, send, min(rays, FACE_RAYS), point_rays(window))
+    except (ExportError, OSError) as error:
+        return [not_run(name, f"no light could be sent through its faces: {error}", **common) for name in IDS]
+    return light_checks(design, light, role, path.name, "faces" if found["kernel"] else "lens patches")
+
+
+def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
+    loose = int(found["open_edges"]) + int(found["dangling"])
+    bad = found.get("valid") is False
+    sentence = (
+        "every edge belongs to two faces" if not loose else f"{found['open_edges']} edges have one face, "
+        f"{found['dangling']} references lead nowhere"
+    )  # fmt: skip
+    if found["kernel"]:
+        sentence += (
+            "; the kernel finds every solid valid" if not bad else "; the kernel finds an invalid solid"
+        )
+    else:
+        sentence += "; too large for the kernel, its text was read"
+    return Check("closed", "fail" if loose or bad else "pass", sentence, float(loose), 0.0, **common)
+
+
+def _solids(found: Mapping[str, Any], stated: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
+    count = found.get("kernel_solids", found["solids"])
+    want = stated.get("solids")
+    if want is None:
+        return Check("solids", "not run", f"{count} solids; nothing says how many there should be", float(count),
+                     required=False, **common)  # fmt: skip
+    same = int(count) == int(want)
+    return Check(
+        "solids", "pass" if same else "fail", f"{count} solids, {want} stated", float(count), float(want),
+        relation="=", **common,
+    )  # fmt: skip
+
+
+def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
+    """Every lens of a repeated part stands on a cell of its own array, every cell holds each lens once."""
+    at = found.get("placement")
+    if at is None:
+        why = "no lens face was found whose cell could be told"
+        return not_run("placement", why, required=False, unit="mm", **common)
+    worst, repeated = float(at["lattice_error"]), int(at["instances"])
+    body, cell = at["lattice_body"], tuple(at["lattice_cell"])
+    wrong = []
+    if not worst <= room.shape:
+        wrong.append(
+            f"{at['moved']} of {repeated} instances stand off the lattice, {body} in cell {cell} by {worst:.3g} mm"
+        )
+    for name, word in (("missing", "is missing"), ("doubled", "stands there more than once")):
+        if at[name]:
+            body, *cells = at[f"{name}_cell"]
+            wrong.append(
+                f"in {at[name]} of {at['lenses']} places a lens {word}, such as {body} in cell {tuple(cells)}"
+            )
+    sentence = (
+        f"{repeated} instances of repeated parts stand on their cells to {worst:.3g} mm, every cell holds its lenses once"
+        if repeated
+        else f"no part is repeated; each of {at['lenses']} lenses stands over its own cell"
+    )
+    check = judge("placement", worst, room.shape, "; ".join(wrong) or sentence, unit="mm", source=room.source,
+                  detail=dict(at), **common)  # fmt: skip
+    return replace(check, state="fail") if wrong else check
+
+
+def _shape(
+    found: Mapping[str, Any], stated: Mapping[str, Any], room: Room, common: Mapping[str, Any]
+) -> Check:
+    errors = [float(found[k]) for k in ("patch_error", "lens_error") if found.get(k) is not None]
+    if not errors:
+        return not_run("shape", "no lens face was found to measure", unit="mm", **common)
+    worst = max(errors)
+    sentence = (
+        f"lens faces lie up to {worst:.3g} mm off the closed form"
+        f" ({found.get('patches', 0)} patches from the text, {found.get('lens_points', 0)} points by the kernel)"
+    )
+    if room.fitted:
+        sentence += "; what light allows is the limit, for no manifest says that they are exact"
+    return judge("shape", worst, room.shape, sentence, unit="mm", source=room.source,
+                 detail={"stated_merge": stated.get("merged_steps")}, **common)  # fmt: skip
+
+
+def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) -> Check:
+    """Direction error that the largest slope error of any patch can make."""
+    slopes = [float(found[k]) for k in ("patch_slope_error", "lens_slope_error") if found.get(k) is not None]
+    if not slopes:
+        return not_run("faithful_rms", "no lens face was found to measure", unit="rad", **common)
+    value = max(slopes) * gain(window)
+    sentence = f"the largest slope error of a lens face, {max(slopes):.3g} rad, turns light by at most {value:.3g} rad"
+    if room.fitted:
+        sentence += (
+            "; its faces are exact, as far as light can tell"
+            if max(slopes) <= DIRECTION_LIMIT
+            else "; its faces were fitted again"
+        )
+    source = "a tenth of law_rms" if room.fitted else "1e-6 rad"
+    return judge("faithful_rms", value, room.direction, sentence, unit="rad", source=source, **common)
+
+
+def _volume(
+    window: Window, found: Mapping[str, Any], stated: Mapping[str, Any], room: Room, common: Mapping[str, Any]
+) -> Check:
+    if not found["kernel"]:
+        return not_run("volume", "too large for the kernel", required=False, unit="mm³", **common)
+    bodies = _held(window, found)
+    parts = [volume_of(window, body) for body in bodies]
+    if any(p is None for p in parts):
+        return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand",
+                       required=False, unit="mm³", **common)  # fmt: skip
+    cube = (window.unit * 1e3) ** 3
+    want = sum(p.value for p in parts if p is not None) * cube
+    error = sum(p.error for p in parts if p is not None) * cube
+    got = float(found["volume"])
+    allowed = VOLUME_LIMIT * want + error
+    source = "1e-9 relative"
+    if room.fitted:  # every lens face off as far as it may be, and borders that another kernel fitted
+        x0, x1, y0, y1 = whole_extent(window)
+        area = (x1 - x0) * (y1 - y0) * (window.unit * 1e3) ** 2 * 2.0 * len(bodies)
+        allowed += room.shape * area + FITTED * want
+        source = room.source
+    merged = int(stated.get("merged_steps", 0) or 0)
+    if merged:
+        # steps closed on purpose move vertices by less than the merge height of a nanometre or so
+        allowed += 1e-8 * want
+    detail = {"volume": got, "exact": want}
+    whose = "the design" if len(bodies) == len(window.bodies) else " and ".join(body.name for body in bodies)
+    sentence = f"the kernel finds {got:.12g} mm³, quadrature of {whose} {want:.12g} mm³"
+    if engraved := float(found.get("engraved", 0.0)):
+        sentence += f"; letters engraved in the border take {engraved:.6g} mm³"
+        detail["engraved"] = engraved
+    if drilled := hole_words(window, found.get("holes", ())):
+        sentence += f"; {drilled}"
+    return judge(
+        "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", source=source, detail=detail, **common,
+    )  # fmt: skip
+
+
+def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
+    """The bodies whose lenses the file holds, or whose heights it reaches through; all where it reaches none (it lies
+    elsewhere).
+    """
+    at = found.get("placement")
+    if at is not None and at["standing_held"] >= 0.5:
+        return tuple(body for body in window.bodies if body.name in at["bodies"])
+    if "box" not in found:
+        return window.bodies
+    low, high = (corner[2] / (window.unit * 1e3) for corner in found["box"])
+    middles = [0.5 * sum(body_range(window, body)) for body in window.bodies]
+    held = tuple(body for body, z in zip(window.bodies, middles, strict=True) if low < z < high)
+    return held or window.bodies

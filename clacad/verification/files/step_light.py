@@ -1,0 +1,192 @@
+"""Light through the faces of a file of solids, for the checks of a master.
+
+The CAD kernel's own faces, in a worker that has read the file already; where the file is too large for a kernel, the
+lens patches of its text. A body the file lacks is taken from the design.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet.bundle import Bundle
+from clacad.sheet.vignetting import share, thin_cells
+from clacad.sheet.window import Body, Window, optical_tile
+from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, Floats, trace_facets
+
+if TYPE_CHECKING:
+    from clacad.storage.worker import Worker
+
+FACE_RAYS = 1024
+"""Rays of the main bundle through faces: each takes a kernel half a millisecond."""
+
+POINT_RAYS = 256
+"""Rays of each of the nine field points; four times as many where little light gets through."""
+
+MARGIN = 0.1
+"""Pitches round a telescopelet in which faces are looked for."""
+
+SECONDS = 600.0
+KERNEL, TEXT = "clacad.formats.step.occ_rays:follow_rays", "clacad.formats.step.patch_rays:follow_patches"
+
+
+def point_rays(window: Window) -> int:
+    """Rays of each field point, so that enough of them get through."""
+    middle = np.array([[0.0, 0.0, 1.0]])
+    return POINT_RAYS if float(share(thin_cells(window), middle)[0]) > 0.5 else 4 * POINT_RAYS
+
+
+@dataclass(frozen=True, eq=False)
+class FaceTracer:
+    """Sends bundles through the faces of one file.
+
+    worker : Worker
+        Which has read the file.
+    path : str
+    window : Window
+    held : names of the bodies the file holds
+    kernel : bool
+        Whether the kernel's faces are used, else the patches of the text.
+    """
+
+    worker: Worker
+    path: str
+    window: Window
+    held: Sequence[str]
+    kernel: bool
+
+    def __call__(self, lit: Bundle) -> TraceResult:
+        """ALIVE: in and out of every body through lens faces of one telescopelet, and on forwards. GHOST: through lenses of
+        several. LAND: through a face that is no lens. WALL: at a wall, or where no face was met.
+        """
+        state = _State(lit.rays)
+        for inside, bodies in groupby(self.window.bodies, lambda body: body.name in self.held):
+            if inside:
+                self._through_file(state, lit, tuple(bodies))
+            else:
+                _through_design(state, self.window, lit, tuple(bodies))
+        return state.closed()
+
+    def _through_file(self, state: _State, lit: Bundle, bodies: tuple[Body, ...]) -> None:
+        live = state.alive()
+        scale = self.window.unit * 1e3
+        low, high = column(self.window, lit.cell, bodies)
+        numbers = [
+            2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
+        ]
+        function, more = (KERNEL, ()) if self.kernel else (TEXT, (self.window, numbers))
+        found = self.worker.run(
+            function, self.path, state.position[live] * scale, state.direction[live], [body.index for body in bodies],
+            (low * scale).tolist(), (high * scale).tolist(), *more, timeout=SECONDS,
+        )  # fmt: skip
+        hits = np.array(found["hits"]).reshape(len(live), -1, 3) / scale
+        end, many = np.array(found["end"], dtype=int), np.array(found["crossings"], dtype=int)
+        lens = np.array(found["curved"], dtype=bool).reshape(len(live), -1)
+        state.position[live] = np.array(found["position"]).reshape(-1, 3) / scale
+        state.direction[live] = np.array(found["direction"]).reshape(-1, 3)
+        state.surface[live] += many.astype(np.int32)
+        state.fate[live] = np.choose(end, [Fate.ALIVE, Fate.WALL, Fate.WALL, Fate.TIR]).astype(np.uint8)
+        faces = [face for body in bodies for face in (body.front, body.back)]
+        for step, face in enumerate(faces):
+            if face.array is None:
+                continue
+            met = many > step
+            aside = ~lens[:, step] if self.kernel else ~on_lens(self.window, face, hits[:, step])
+            state.aside[live[met & aside]] = True
+            state.see(live[met], face.array, self.window, hits[met, step])
+
+
+def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
+    """Whether points (n, 3) of a lens patch lie where the lens stands proud of its land, in its optical zone."""
+    shift = np.asarray(window.shifts[face.array])
+    _, x, y = window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+    room = 1e-9 * min(window.lattice.pitch)
+    proud = np.ones(len(place), dtype=bool)
+    if face.land is not None:
+        proud = (face.land - place[:, 2]) * face.side >= -room
+    if window.land.seam > 0.0:
+        corners = optical_tile(window)
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            edge = end - start
+            proud &= edge[0] * (y - start[1]) - edge[1] * (x - start[0]) >= -room * float(np.hypot(*edge))
+    return proud
+
+
+def column(window: Window, cell: tuple[int, int], bodies: Sequence[Body]) -> tuple[Floats, Floats]:
+    """Column of x and y, low (2,) and high (2,), that holds a telescopelet, with a margin."""
+    centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0]
+    arrays = {face.array for body in bodies for face in (body.front, body.back) if face.array is not None}
+    corners = np.concatenate(
+        [window.lattice.tile() + centre + np.asarray(window.shifts[array]) for array in sorted(arrays)]
+    )
+    room = MARGIN * min(window.lattice.pitch)
+    return corners.min(axis=0) - room, corners.max(axis=0) + room
+
+
+def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Body, ...]) -> None:
+    """Bodies the file lacks, as the design has them."""
+    live = state.alive()
+    centre = window.lattice.centres(np.array([lit.cell], dtype=np.int64))[0]
+
+    def exact(face: Any) -> ExactFace:
+        shift = np.zeros(2) if face.array is None else np.asarray(window.shifts[face.array])
+        return ExactFace(face, np.append(centre + shift, 0.0))
+
+    pieces = tuple(FacetBody(exact(body.front), exact(body.back), body.index) for body in bodies)
+    found = trace_facets(pieces, Rays(state.position[live], state.direction[live]))
+    state.position[live], state.direction[live], state.fate[live] = (
+        found.position,
+        found.direction,
+        found.fate,
+    )
+    state.surface[live] += found.surface + 1
+    array = bodies[-1].back.array if bodies[-1].back.array is not None else bodies[-1].front.array
+    if array is not None:
+        through = found.fate == Fate.ALIVE
+        state.see(live[through], array, window, found.position[through])
+
+
+class _State:
+    """Rays on their way."""
+
+    def __init__(self, rays: Rays) -> None:
+        many = len(rays)
+        self.position = rays.position.copy()
+        self.direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
+        self.fate = np.full(many, Fate.ALIVE, dtype=np.uint8)
+        self.surface = np.full(many, -1, dtype=np.int32)
+        self.aside = np.zeros(many, dtype=bool)
+        self.stray = np.zeros(many, dtype=bool)
+        self.cell = np.full((many, 2), NO_CELL, dtype=np.int32)
+
+    def alive(self) -> NDArray[np.intp]:
+        """Rows that go on."""
+        return np.flatnonzero(self.fate == Fate.ALIVE)
+
+    def see(self, rows: NDArray[np.intp], array: int, window: Window, place: Floats) -> None:
+        """Note which cells of an array rays crossed; those of one telescopelet have one number."""
+        shift = window.shifts[array]
+        index, _, _ = window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+        known = self.cell[rows, 0] != NO_CELL
+        self.stray[rows[known]] |= (self.cell[rows[known]] != index[known]).any(axis=1)
+        self.stray[rows] |= ~window.lattice.contains(index)
+        self.cell[rows[~known]] = index[~known]
+
+    def closed(self) -> TraceResult:
+        """The result; direction before the sheet's far side counts only for rays that came through."""
+        through = self.fate == Fate.ALIVE
+        self.fate[through & (self.direction[:, 2] <= 0.0)] = Fate.BACKWARD
+        self.fate[(self.fate == Fate.ALIVE) & self.aside] = Fate.LAND
+        self.fate[(self.fate == Fate.ALIVE) & self.stray] = Fate.GHOST
+        many = len(self.fate)
+        unknown = np.full((many, 2), NO_CELL, dtype=np.int32)
+        surface = np.where(self.surface < 0, NO_CELL, self.surface).astype(np.int32)
+        return TraceResult(
+            self.position, self.direction, self.fate, np.zeros(many), self.cell, unknown, surface, np.ones(many)
+        )  # fmt: skip

@@ -1,0 +1,140 @@
+"""The light between the lenses: parallel rays from either side, each through its own lens, where they should meet.
+
+Light along the axis is sent through lens 1 forwards and through lens 2 backwards, in each meridian. Between the
+lenses both fans run to (or seem to come from) a focus: confocal means that it is one and the same. The envelope of
+a fan is its caustic; a lens without aberration has a point for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.bundle import Floats
+from clacad.sheet.window import Window
+from clacad.tracing.trace import Interface, trace_sequence
+from clacad.verification.light.confocality import interfaces
+
+HEIGHTS = 41
+PART = 0.9
+"""Part of the half cell that is lit."""
+NEAR_AXIS = 1e-3
+"""Height, over the half cell, of the ray that marks the parabasal focus."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """Rays of one lens in one meridian, between the lenses.
+
+    Coordinates: along the lens axis from the middle of lens 1, and across it; lengths.
+
+    height : (k,) where the rays meet their lens
+    place, slope : (k,)
+        Across at `along` = 0, and its change with it; NaN where a ray is lost.
+    focus : (2,) along, across
+        Where rays a hair beside the axis cross; NaN without power.
+    caustic : (m, 2) along, across
+        Where neighbouring rays cross.
+    """
+
+    height: Floats
+    place: Floats
+    slope: Floats
+    focus: Floats
+    caustic: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class MeridianFocus:
+    """Both fans of one meridian, and the distance between the middles of the lenses along the axis."""
+
+    lens1: Fan
+    lens2: Fan
+    distance: float
+
+    @property
+    def gap(self) -> float:
+        """Focus of lens 2 less focus of lens 1, along the axis (length); NaN without power."""
+        return float(self.lens2.focus[0] - self.lens1.focus[0])
+
+    @property
+    def length(self) -> tuple[float, float]:
+        """Longitudinal aberration of each fan: length of its caustic along the axis; NaN without power."""
+        return _spread(self.lens1.caustic), _spread(self.lens2.caustic)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers for the report, lengths in design units."""
+        return {
+            "distance": self.distance, "gap": self.gap, "relative_gap": self.gap / self.distance,
+            "focus": [self.lens1.focus, self.lens2.focus], "caustic_length": self.length,
+        }  # fmt: skip
+
+
+def _spread(caustic: Floats) -> float:
+    return float(np.ptp(caustic[:, 0])) if len(caustic) else float("nan")
+
+
+def foci(window: Window) -> tuple[MeridianFocus, MeridianFocus]:
+    """Trace both fans in both meridians of the lenses, surfaces as built."""
+    turn = window.thin.rotation
+    middle = np.array([[0.0, 0.0, 0.0], np.asarray(window.thin.offset)])
+    # the offset in air stands for a longer one where glass lies between the vertices
+    if window.form != "biconvex":
+        middle[1] = _apex(window, 1)
+    distance = float((middle[1] - middle[0]) @ turn[:, 2])
+    found = []
+    for axis in (0, 1):
+        forth = _fan(window, _of_lens(window, 0), middle[0], axis, +1.0)
+        back = _fan(window, _of_lens(window, 1)[::-1], middle[1], axis, -1.0)
+        found.append(MeridianFocus(forth, back, distance))
+    return found[0], found[1]
+
+
+def _apex(window: Window, array: int) -> Floats:
+    face = next(f for f in window.faces if f.array == array)
+    return np.asarray(face.vertex) + [*window.shifts[array], 0.0]
+
+
+def _of_lens(window: Window, number: int) -> list[Interface]:
+    """Interfaces of one lens: its body's faces; of a slab the one face, with the material behind it."""
+    every = interfaces(window)
+    if window.form == "slab":
+        return [every[number]]
+    return every[2 * number : 2 * number + 2]
+
+
+def _fan(window: Window, faces: Sequence[Interface], middle: Floats, axis: int, way: float) -> Fan:
+    turn = window.thin.rotation
+    across, along = turn[:, axis], turn[:, 2]
+    half = PART * min(window.lattice.half_widths)
+    height = np.append(np.linspace(-half, half, HEIGHTS), NEAR_AXIS * half * np.array([-1.0, 1.0]))
+    away = np.ptp(window.z_range) + max(window.lattice.pitch)
+    start = middle + height[:, None] * across - way * away * along
+    direction = np.broadcast_to(way * along, start.shape)
+    if way < 0.0:
+        faces = [replace(f, index_before=f.index_after, index_after=f.index_before) for f in faces]
+    out = trace_sequence(faces, Rays(start, np.ascontiguousarray(direction)))
+    alive = (out.fate == Fate.ALIVE) | (out.fate == Fate.BACKWARD)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = np.where(alive, (out.direction @ across) / (out.direction @ along), np.nan)
+        place = out.position @ across - slope * (out.position @ along)
+    focus = _crossing(place[-2:], slope[-2:])
+    rows = np.arange(HEIGHTS)
+    caustic = _crossing(np.stack([place[rows[:-1]], place[rows[1:]]], axis=1),
+                        np.stack([slope[rows[:-1]], slope[rows[1:]]], axis=1))  # fmt: skip
+    caustic = caustic[np.isfinite(caustic).all(axis=1)] if np.isfinite(focus).all() else caustic[:0]
+    return Fan(height[:-2], place[:-2], slope[:-2], focus, caustic)
+
+
+def _crossing(place: Floats, slope: Floats) -> Floats:
+    """Point (..., 2) where two lines across = place + slope·along cross; NaN where they are parallel."""
+    turn = slope[..., 1] - slope[..., 0]
+    parallel = ~(np.abs(turn) > 1e-9 * np.abs(place[..., 1] - place[..., 0]))
+    size = np.maximum(np.abs(slope).max(axis=-1), 1e-300)
+    parallel |= ~(np.abs(turn) > 1e-12 * size) | ~(np.abs(turn) > 1e-13)
+    along = -(place[..., 1] - place[..., 0]) / np.where(parallel, np.nan, turn)
+    return np.stack([along, place[..., 0] + slope[..., 0] * along], axis=-1)

@@ -1,0 +1,140 @@
+"""Confocality measured with light: rays a hair beside the axis ray, through the faces as built.
+
+Nothing here knows how the radii were found: the window's faces are traced as explicit surfaces, the exit
+direction is differentiated by the entrance height, and lens 2 is slid along its axis until the pair is
+afocal. That slide, over the distance between the lenses, is the defect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.window import PLANE, Window
+from clacad.tracing.trace import Interface, trace_sequence
+
+Floats = NDArray[np.float64]
+
+__all__ = ["Confocality", "confocality", "interfaces"]
+
+STEP = 2e-3
+"""Entrance height of the outer differential rays over the cell's circumradius; half of it for the inner ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Confocality:
+    """What makes the pair afocal.
+
+    shift : (2,) lengths
+        How far lens 2 must move along the axis, per lens meridian; NaN in a meridian without power.
+    distance : float, length
+        Distance between the lenses, along the axis: in glass for a slab.
+    power : (2, 2) radians/length
+        Change of exit direction with entrance height, lens frame, as built.
+    """
+
+    shift: Floats
+    distance: float
+    power: Floats
+
+    @property
+    def defect(self) -> float:
+        """Largest |shift| over the distance."""
+        return float(np.nanmax(np.abs(self.shift))) / self.distance
+
+    @property
+    def astigmatism(self) -> float:
+        """Difference of the two meridians over the distance; 0 if only one has power."""
+        return (
+            0.0 if np.isnan(self.shift).any() else float(abs(self.shift[0] - self.shift[1])) / self.distance
+        )
+
+
+def confocality(window: Window) -> Confocality:
+    """Measure how far the pair as built is from confocal, each lens met along its own axis.
+
+    Notes
+    -----
+    Lens 2 is first moved sideways so that the axis ray meets its apex: the offset δ is no part of this check.
+    The power is nearly linear in the slide, so the secant through two slides finds its zero in a few rounds.
+    """
+    turn = window.thin.rotation
+    arrays = [face.array for face in window.faces]
+    along = window.faces[arrays.index(1)].rotation[:, 2]
+    distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+    size = STEP * window.lattice.circumradius
+    start = _axis_start(window, turn[:, 2])
+    aside = _onto_axis(window, turn[:, 2], start, along)
+
+    def power(slide: float) -> Floats:
+        return _power(interfaces(window, aside + slide * along), turn, start, size)
+
+    as_built = power(0.0)
+    step = 1e-3 * distance
+    shift, powered = np.zeros(2), np.ones(2, dtype=bool)
+    for _ in range(8):
+        here = np.array([power(float(s))[k, k] for k, s in enumerate(shift)])
+        slope = (np.array([power(float(s) + step)[k, k] for k, s in enumerate(shift)]) - here) / step
+        powered = np.abs(slope) > 1e-6 * np.max(np.abs(slope))
+        change = np.where(powered, -here / np.where(powered, slope, 1.0), 0.0)
+        shift = shift + change
+        if np.max(np.abs(change)) <= 1e-10 * distance:
+            break
+    return Confocality(np.where(powered, shift, np.nan), distance, as_built)
+
+
+def _axis_start(window: Window, axis: Floats) -> Floats:
+    """Point (3,) before the window from which light along the law's axis meets the first apex of lens 1."""
+    seq = interfaces(window)
+    first = [face.array for face in window.faces].index(0)
+    apex = np.asarray(seq[first].vertex)
+    start = apex - axis * (abs(apex[2] - window.z_range[0]) + max(window.lattice.pitch)) / axis[2]
+    for _ in range(4):  # a plane face before the lens carries the ray aside: aim again
+        miss = _hit(seq[: first + 1], start, axis) - apex
+        start = start - (miss - axis * (miss @ axis))
+    return np.asarray(start)
+
+
+def _onto_axis(window: Window, axis: Floats, start: Floats, along: Floats) -> Floats:
+    """Slide (3,), across lens 2's axis, that puts its first apex on the axis ray."""
+    target = [face.array for face in window.faces].index(1)
+    aside = np.zeros(3)
+    for _ in range(6):  # sliding a tilted lens moves the landing point a little
+        seq = interfaces(window, aside)[: target + 1]
+        gap = _hit(seq, start, axis, to_plane=True) - np.asarray(seq[-1].vertex)
+        aside = aside + gap - along * (gap @ along)
+    return aside
+
+
+def _hit(seq: Sequence[Interface], start: Floats, direction: Floats, to_plane: bool = False) -> Floats:
+    """Where one ray meets the last of the interfaces, or its apex plane, (3,)."""
+    if to_plane:  # the lens itself may end before the ray reaches it: its apex plane does not
+        last = seq[-1]
+        seq = [*seq[:-1], replace(last, surface=PLANE)]
+    traced = trace_sequence(seq, Rays(start[None], direction[None]), record=True)
+    if traced.hits is None or traced.fate[0] in (Fate.MISSED, Fate.TIR):
+        raise ValueError("the axis ray does not reach lens 2")
+    return np.asarray(traced.hits[-1, 0])
+
+
+def _power(seq: Sequence[Interface], turn: Floats, start: Floats, size: float) -> Floats:
+    """Derivative (2, 2) of the exit slope by the entrance height, lens frame, radians/length.
+
+    Central differences over `size` and `size`/2, extrapolated (Richardson): error of order (size/R)^4.
+    """
+    u, v, axis = turn.T
+    heights = np.array([1.0, -1.0, 0.5, -0.5])
+    rows = np.concatenate([heights[:, None] * u, heights[:, None] * v]) * size + start
+    out = trace_sequence(seq, Rays(rows, np.broadcast_to(axis, rows.shape))).direction
+    slopes = (out @ turn[:, :2]) / (out @ axis)[:, None]
+    columns = []
+    for k in (0, 4):
+        wide = (slopes[k] - slopes[k + 1]) / (2.0 * size)
+        narrow = (slopes[k + 2] - slopes[k + 3]) / size
+        columns.append((4.0 * narrow - wide) / 3.0)
+    return np.stack(columns, axis=1)

@@ -1,0 +1,287 @@
+"""Where an error of direction comes from: five parts of it, ray by ray, that add up to the whole.
+
+The same rays are sent up a chain of models, each of which leaves out one thing less:
+
+====  ====================================================================================  =================
+      direction of a ray                                                                    what is new in it
+====  ====================================================================================  =================
+0     the law that was asked
+1     the exact surfaces, met by the ray of the same direction through the middle of lens 1  design
+2     the exact surfaces, met where the ray meets them, in 50 digits                         aberration
+3     the same in double precision: the kernel                                               kernel rounding
+4     triangles with their corners on the exact surfaces                                     tessellation
+5     the triangles as the file holds them                                                   file precision
+====  ====================================================================================  =================
+
+A part is the difference of two neighbours, a vector; the five vectors of a ray add up to its whole error. Their
+lengths do not, so each part also carries its share of the rms error, mean(part · whole)/rms(whole): the shares do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet.bundle import Bundle, Floats, bundle, launched
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace, trace_sequence
+from clacad.tracing.triangles.telescopelet_facets import trace_facets
+from clacad.verification.files.cell_triangles import Cell, Gathered, Gatherer, telescopelet
+from clacad.verification.light.confocality import interfaces
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from clacad.design import Design
+
+RAYS = 1024
+QUADS = 16
+"""Grid of the triangles where no file is given."""
+
+ASIDE = (0.618e-3, 0.414e-3)
+"""Sobol points are dyadic and would lie on the very edges of the triangles: all are moved by this part of the cell."""
+
+NAMES = ("design", "aberration", "kernel rounding", "tessellation", "file precision")
+MEANING: Mapping[str, str] = {
+    "design": "what the ray through the middle of lens 1 misses the law by: thick lenses of this form at a finite angle",
+    "aberration": "what the place within the lens adds, on exact surfaces in 50 digits",
+    "kernel rounding": "double precision instead of 50 digits",
+    "tessellation": "flat triangles instead of curved surfaces, their corners exact",
+    "file precision": "corners as the file holds them",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part of the error.
+
+    name : str, one of `NAMES`
+    vector : (n, 3)
+        Difference of the directions of two neighbouring models, ray by ray.
+    rms, half, worst : float, radians
+        Of this part alone: rms, what half of the rays stay below, largest. (A ray beside an edge of a triangle
+        changes facets when the edge moves a little: a few large errors in many small ones.)
+    share : float, radians
+        What it adds to the rms of the whole; may be negative where it takes some of the others away.
+    """
+
+    name: str
+    vector: Floats
+    rms: float
+    half: float
+    worst: float
+    share: float
+
+    @property
+    def meaning(self) -> str:
+        """What the part is, in words."""
+        return MEANING[self.name]
+
+
+@dataclass(frozen=True, eq=False)
+class Attribution:
+    """The error of some triangles, told apart.
+
+    about : str
+        The file, or what stands for it.
+    parts : tuple of five Part
+    whole : (n, 3)
+        Direction through the triangles less the law's.
+    rms : float, radians
+    cell : (i, j)
+    rays, used : int
+        Launched, and compared: ALIVE on every rung.
+    bundle : str
+    """
+
+    about: str
+    parts: tuple[Part, ...]
+    whole: Floats
+    rms: float
+    cell: Cell
+    rays: int
+    used: int
+    bundle: str
+
+    def part(self, name: str) -> Part:
+        """The part of that name.
+
+        Raises
+        ------
+        KeyError
+        """
+        return {part.name: part for part in self.parts}[name]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers for the report, radians."""
+        return {
+            "about": self.about, "rms": self.rms, "cell": list(self.cell), "rays": self.rays, "used": self.used,
+            "bundle": self.bundle,
+            "parts": [
+                {"name": p.name, "rms": p.rms, "half": p.half, "worst": p.worst, "share": p.share, "meaning": p.meaning}
+                for p in self.parts
+            ],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """Two ways to send a bundle through triangles: with exact corners, and as a file holds them."""
+
+    about: str
+    cell: Cell
+    exact: Callable[[Rays], TraceResult]
+    held: Callable[[Rays], TraceResult]
+
+
+def attribute(
+    design: Design, window: Window, facets: Facets, rays: int = RAYS, aperture: float = 1.0, angle: float | None = None
+) -> Attribution | None:  # fmt: skip
+    """Split the error of every ray of a bundle.
+
+    Parameters
+    ----------
+    design : Design
+        For the field and its middle.
+    window : Window
+    facets : Facets
+        From `as_written` or `as_it_would_be_written`.
+    rays : int
+    aperture : float
+        Linear part of the cell that is lit.
+    angle : float or None, radians
+        Half angle of the cone; default the design's field.
+
+    Returns
+    -------
+    Attribution, or None where no ray gets through every rung.
+    """
+    spec = design.check
+    lit = _off_the_edges(
+        window,
+        bundle(
+            window,
+            rays,
+            spec.field if angle is None else angle,
+            spec.field_centre,
+            aperture,
+            cell=facets.cell,
+        ),
+    )
+    truth = trace(window, lit.rays)
+    chief, chief_known = _through_middle(window, lit)
+    exact, held = facets.exact(lit.rays), facets.held(lit.rays)
+    law = window.law.refract(lit.rays.direction)
+    good = chief_known & np.isfinite(law).all(axis=1)
+    for result in (truth, exact, held):
+        good &= result.fate == Fate.ALIVE
+        if result.order[0, 0] != NO_CELL:  # triangles of one telescopelet know no other
+            good &= (result.order == 0).all(axis=1)
+    rounding = _rounding(window, lit, truth, np.flatnonzero(good))
+    rows = np.flatnonzero(good)[np.isfinite(rounding).all(axis=1)]
+    rounding = rounding[np.isfinite(rounding).all(axis=1)]
+    if not len(rows):
+        return None
+    steps = (
+        chief[rows] - law[rows],
+        (truth.direction[rows] - chief[rows]) - rounding,
+        rounding,
+        exact.direction[rows] - truth.direction[rows],
+        held.direction[rows] - exact.direction[rows],
+    )
+    whole = held.direction[rows] - law[rows]
+    rms = _rms(whole)
+    parts = tuple(_part(name, vector, whole, rms) for name, vector in zip(NAMES, steps, strict=True))
+    return Attribution(facets.about, parts, whole, rms, facets.cell, len(lit.rays), len(rows), str(lit))
+
+
+def _off_the_edges(window: Window, lit: Bundle) -> Bundle:
+    aside = lit.aperture * np.array(ASIDE) * np.array(window.lattice.pitch)
+    local = (1.0 - 2.0 * max(ASIDE)) * lit.points + aside
+    return launched(window, local, lit.rays.direction, lit.cell, lit.middle, lit.field, lit.aperture)
+
+
+def _part(name: str, vector: Floats, whole: Floats, rms: float) -> Part:
+    share = float(np.mean((vector * whole).sum(axis=1))) / rms if rms > 0.0 else 0.0
+    length = np.linalg.norm(vector, axis=1)
+    return Part(name, vector, _rms(vector), float(np.median(length)), float(length.max()), share)
+
+
+def _rms(vector: Floats) -> float:
+    return float(np.sqrt(np.mean((vector**2).sum(axis=1))))
+
+
+def _through_middle(window: Window, lit: Bundle) -> tuple[Floats, NDArray[np.bool_]]:
+    """Exit directions (n, 3) of rays of the bundle's directions through the middle of lens 1, and which there are.
+
+    Traced through the faces without cell borders: a ray through the middle belongs to its telescopelet.
+    """
+    direction = lit.rays.direction / np.linalg.norm(lit.rays.direction, axis=1, keepdims=True)
+    below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
+    start = direction * (below / direction[:, 2:])
+    start[:, :2] += np.asarray(window.shifts[0])
+    result = trace_sequence(interfaces(window), Rays(start, direction))
+    return result.direction, result.fate == Fate.ALIVE
+
+
+def _rounding(window: Window, lit: Bundle, truth: TraceResult, rows: NDArray[np.intp]) -> Floats:
+    from clacad.verification.accuracy.extended_precision import direction_differences
+
+    return direction_differences(
+        window, lit.rays.position[rows], lit.rays.direction[rows], truth.direction[rows], truth.cell[rows],
+        truth.order[rows],
+    )  # fmt: skip
+
+
+def farthest_cell(window: Window) -> Cell:
+    """Kept cell farthest from the middle of the sheet: there the numbers of a file are largest."""
+    lattice = window.lattice
+    rows = sorted({0, lattice.count[1] - 1}) if lattice.outline is None else range(lattice.count[1])
+    cells = np.concatenate([lattice.row(j) for j in rows])
+    best = cells[int(np.argmax((lattice.centres(cells) ** 2).sum(axis=1)))]
+    return int(best[0]), int(best[1])
+
+
+def as_it_would_be_written(window: Window, quads: int = QUADS) -> Facets:
+    """Triangles that an STL in millimetres would hold, over the cell where rounding to 32 bits is coarsest."""
+    from clacad.mesh import tessellate
+
+    one, cell = window.with_cells((1, 1)), farthest_cell(window)
+    gatherer = Gatherer(one, [(0, 0)])
+    for body in tessellate(one, quads=quads).bodies:
+        for rows in body.rows():
+            gatherer.look(np.asarray(rows, dtype=np.float64))
+    place = np.array([*window.lattice.centres(np.array([cell], dtype=np.int64))[0], 0.0])
+    held = Gathered((cell,))
+    for key, found in gatherer.result.facets.items():
+        held.facets[key] = [single(corners + place, window.unit * 1e3) for corners in found]
+    return as_written(
+        window, held, f"triangles as an STL would hold them: {quads} quads a cell side, 32-bit numbers"
+    )
+
+
+def single(corners: Floats, scale: float) -> Floats:
+    """Corners rounded to 32 bits in a file's unit; `scale` is file units per design unit."""
+    return np.asarray((corners * scale).astype(np.float32).astype(np.float64) / scale)
+
+
+def as_written(window: Window, gathered: Gathered, name: str, present: Sequence[str] | None = None) -> Facets:
+    """Triangles of a file over the farthest of its cells that were looked at.
+
+    "Exact corners" are those of the file moved along z onto the design's own faces.
+    """
+    centres = window.lattice.centres(np.array(gathered.cells, dtype=np.int64))
+    number = int(np.argmax((centres**2).sum(axis=1)))
+    ideal = telescopelet(window, gathered, number, present, onto_design=True)
+    held = telescopelet(window, gathered, number, present)
+    return Facets(
+        name,
+        gathered.cells[number],
+        lambda rays: trace_facets(ideal, rays),
+        lambda rays: trace_facets(held, rays),
+    )

@@ -1,0 +1,134 @@
+"""Does light through facets approach the exact surfaces as the facets shrink, at the rate physics predicts?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.light_forecast import Grader
+from clacad.exporting.limits import size_text
+from clacad.exporting.quads_and_roles import Needed, masters
+from clacad.exporting.tessellations import Meshes
+from clacad.optics.law import Law, angle_between
+from clacad.optics.rays import Fate
+from clacad.sheet.bundle import bundle
+from clacad.sheet.vignetting import half_field, thin_cells
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace
+from clacad.tracing.triangles.telescopelet_facets import Floats, trace_facets
+from clacad.verification.checks import Check, not_run
+from clacad.verification.files.cell_triangles import Gatherer, Progress, telescopelet
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+QUADS = (4, 8, 16, 32)
+RAYS = 65536
+FIT_FIELD = 0.35
+FORMATS = ("3mf", "glb", "stl", "ply")
+"""Mesh formats of which is said what a master takes."""
+ORDERS = {"direction": (0.8, 1.2), "eta": (1.5, 3.0)}
+"""Allowed orders: the direction error falls as the facet size, the mean slope and with it eta as its square."""
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """Errors against the exact surfaces at several refinements, same rays.
+
+    quads : (k,) ints
+    direction : (k,) radians, rms
+    fitted : (k,), relative error of the fitted eta
+    order_direction, order_fitted : float
+        Fitted exponents of the facet size.
+    masters : mapping
+        Format → the facets and bytes at which light through a file of it meets the design's limits; empty: at none.
+    law_rms : float, radians
+        The limit of that light.
+    """
+
+    quads: Floats
+    direction: Floats
+    fitted: Floats
+    order_direction: float
+    order_fitted: float
+    masters: Mapping[str, Needed] = field(default_factory=dict)
+    law_rms: float = 0.0
+
+
+def converge(
+    design: Design, window: Window, progress: Progress, quads: tuple[int, ...] = QUADS
+) -> Convergence:
+    """Tessellate one telescopelet at several refinements and send the same rays through each."""
+    from clacad.mesh import tessellate
+
+    one = window.with_cells((1, 1))
+    angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
+    lit = bundle(one, RAYS, angle, design.check.field_centre)
+    truth = trace(one, lit.rays)
+    good = truth.fate == Fate.ALIVE
+    into = lit.rays.direction
+    errors, etas = [], []
+    for k, number in enumerate(quads):
+        progress("refining facets", k / len(quads))
+        gatherer = Gatherer(one, [(0, 0)])
+        for body in tessellate(one, quads=number).bodies:
+            for rows in body.rows():
+                gatherer.look(np.asarray(rows, dtype=np.float64))
+        seen = trace_facets(telescopelet(one, gatherer.result, 0), lit.rays)
+        both = good & (seen.fate == Fate.ALIVE)
+        errors.append(
+            float(np.sqrt(np.mean(angle_between(seen.direction[both], truth.direction[both]) ** 2)))
+        )
+        law = Law.fit(into[both], seen.direction[both], axes=window.law).law
+        exact = Law.fit(into[both], truth.direction[both], axes=window.law).law
+        etas.append(max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0)))
+    size = np.log(1.0 / np.array(quads, dtype=np.float64))
+    slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]
+    grader = Grader.of(Meshes(window), design)
+    return Convergence(
+        np.array(quads), np.array(errors), np.array(etas), slopes[0], slopes[1],
+        masters(grader, FORMATS), grader.limits.rms,
+    )  # fmt: skip
+
+
+def convergence_check(found: Convergence | None, why: str = "") -> Check:
+    """Judge the fitted order of the direction error; that of η is told beside it."""
+    common: dict[str, Any] = {
+        "where": "mesh", "unit": "order", "relation": "in", "required": False,
+        "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "source": "facet slopes err as their size",
+    }  # fmt: skip
+    if found is None:
+        return not_run("convergence", why, **common)
+    low, high = ORDERS["direction"]
+    row = ", ".join(
+        f"{int(q)}: {1e3 * d:.3g} mrad, eta {100 * e:.2g} %"
+        for q, d, e in zip(found.quads, found.direction, found.fitted, strict=True)
+    )
+    sentence = (
+        f"quads a side: {row}; the direction error falls as the facet size to the power {found.order_direction:.2f}, "
+        f"that of eta to the power {found.order_fitted:.2f}"
+    )
+    sentence += f"; {_masters_text(found)}"
+    good = low <= found.order_direction <= high and found.fitted[-1] <= found.fitted[0]
+    return Check(
+        "convergence", "pass" if good else "fail", sentence, found.order_direction, f"{low:g} … {high:g}",
+        detail={"quads": found.quads, "direction": found.direction, "eta": found.fitted, "order_eta": found.order_fitted,
+                "masters": {name: asdict(one) for name, one in found.masters.items()}},
+        **common,
+    )  # fmt: skip
+
+
+def _masters_text(found: Convergence) -> str:
+    """At how many quads a mesh of this design is a master, and how large such a file is."""
+    limit = f"{1e3 * found.law_rms:.3g} mrad rms"
+    if not found.masters:
+        return f"no mesh of up to 1024 quads is a master (light within {limit} of the law)"
+    quads = next(iter(found.masters.values())).quads
+    files = ", ".join(
+        f"{name} {size_text(one.bytes)}{'' if one.fits else ' (beyond the limits of export)'}"
+        for name, one in found.masters.items()
+    )
+    return f"a mesh is a master (light within {limit} of the law) from {quads} quads a side: {files}"

@@ -1,0 +1,423 @@
+"""Checks by light: the law, its bias, η, δ and tilt by fit, spread, transmitted share, accounting.
+
+Exact Snell at the surfaces. Error of a ray = angle between its exit direction and `Law.refract`. Only ALIVE
+rays count, each once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import degrees, hypot, inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.optics.law import Law, angle_between
+from clacad.optics.rays import Fate, TraceResult
+from clacad.sheet.bundle import Bundle, Floats, bundle, field_points
+from clacad.sheet.vignetting import share, thin_cells
+from clacad.sheet.window import Window
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.light.confocality import confocality
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+Tracer = Callable[[Bundle], TraceResult]
+"""Sends a bundle through something: the exact surfaces, or the triangles of a file."""
+
+FIT_SCALE = 0.1
+"""Aperture and field of the bundle η and δ are fitted on, over those of the main bundle."""
+
+FEWEST = 64
+"""ALIVE rays below which a number is not given."""
+
+MERIDIANS = 0.002
+"""Difference of the two meridians' defects of confocality, over the separation, that is too much for any design."""
+
+POINT_RAYS = 4096
+SHARE_DIRECTIONS = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class FieldPoint:
+    """One direction of the field, traced over the whole cell.
+
+    direction, expected : (3,) unit
+        Before the sheet, and what the law gives.
+    points : (k, 2) lengths
+        Where its ALIVE rays cross z = 0, from the cell's centre.
+    deviation : (k, 2) radians
+        Exit direction less the law's, across the law's direction.
+    bias, spread, rms, worst : radians
+        Angle of the mean exit direction to the law; rms angle about that mean; rms and largest error.
+    share, closed_form : float
+        ALIVE rays over all, traced and in closed form.
+    counts : mapping
+        Rays of each fate.
+    """
+
+    direction: Floats
+    expected: Floats
+    points: Floats
+    deviation: Floats
+    bias: float
+    spread: float
+    rms: float
+    worst: float
+    share: float
+    closed_form: float
+    counts: Mapping[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Optics:
+    """Everything measured with light on one thing (exact surfaces, or a file's triangles).
+
+    rms, worst : radians, over the ALIVE rays of the main bundle
+    turn : Turn or None
+        Of the lens meridians about the lens axis; None where no law could be fitted.
+    field_rms : tuple of (field angle, rms), radians
+        By ring of the cone.
+    """
+
+    main: Bundle
+    result: TraceResult
+    error: Floats
+    rms: float
+    worst: float
+    points: tuple[FieldPoint, ...]
+    fit: Law | None
+    fit_bundle: Bundle
+    fit_rms: float
+    fit_sigma: Mapping[str, float]
+    turn: Turn | None
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Turn of the lens meridians about the lens axis against the asked ones, as light shows it.
+
+    angle : radians
+        In (−π/2, π/2]; positive is φ more than asked.
+    doubt : radians
+        What light that the fit leaves unexplained could make of it; infinite where η is the same in both meridians.
+    """
+
+    angle: float
+    doubt: float
+
+
+def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
+    """Trace the bundles of the checks through something and gather what they say.
+
+    Parameters
+    ----------
+    design : Design
+        For field and its middle.
+    window : Window
+    send : callable
+        Bundle → TraceResult.
+    rays : int
+        Rays of the main bundle; the fit takes a quarter.
+    """
+    spec = design.check
+    main = bundle(window, rays, spec.field, spec.field_centre)
+    result = send(main)
+    alive = result.fate == Fate.ALIVE
+    expected = window.law.refract(main.rays.direction)
+    error = np.where(alive, angle_between(result.direction, expected), np.nan)
+    known = error[np.isfinite(error)]
+    points = tuple(
+        _field_point(window, direction, send)
+        for direction in field_points(window, spec.field, spec.field_centre)
+    )
+    narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
+    law, rms, sigma, turn = _fitted(window, narrow, send(narrow))
+    return Optics(
+        main=main,
+        result=result,
+        error=error,
+        rms=float(np.sqrt(np.mean(known**2))) if len(known) >= FEWEST else np.nan,
+        worst=float(known.max()) if len(known) else np.nan,
+        points=points,
+        fit=law,
+        fit_bundle=narrow,
+        fit_rms=rms,
+        fit_sigma=sigma,
+        turn=turn,
+    )
+
+
+def _field_point(window: Window, direction: Floats, send: Tracer) -> FieldPoint:
+    lit = bundle(window, POINT_RAYS, 0.0, middle=direction)
+    result = send(lit)
+    alive = result.fate == Fate.ALIVE
+    out = result.direction[alive]
+    expected = window.law.refract(direction[None])[0]
+    closed = float(share(thin_cells(window), direction[None])[0])
+    counts = result.counts()
+    if len(out) < FEWEST or not np.isfinite(expected).all():
+        nothing = np.empty((0, 2))
+        return FieldPoint(
+            direction,
+            expected,
+            nothing,
+            nothing,
+            np.nan,
+            np.nan,
+            np.nan,
+            np.nan,
+            float(alive.mean()),
+            closed,
+            counts,
+        )
+    u = np.array([1.0, 0.0, 0.0]) - expected[0] * expected
+    u = u / np.linalg.norm(u)
+    across = np.stack([u, np.cross(expected, u)], axis=1)
+    mean = out.mean(axis=0)
+    error = angle_between(out, expected)
+    return FieldPoint(
+        direction=direction,
+        expected=expected,
+        points=lit.points[alive],
+        deviation=out @ across,
+        bias=float(angle_between(mean, expected)),
+        spread=float(np.sqrt(np.mean(angle_between(out, mean) ** 2))),
+        rms=float(np.sqrt(np.mean(error**2))),
+        worst=float(error.max()),
+        share=float(alive.mean()),
+        closed_form=closed,
+        counts=counts,
+    )
+
+
+def _fitted(
+    window: Window, narrow: Bundle, result: TraceResult
+) -> tuple[Law | None, float, Mapping[str, float], Turn | None]:
+    alive = result.fate == Fate.ALIVE
+    if alive.sum() < FEWEST:
+        return None, np.nan, {}, None
+    into, out = narrow.rays.direction[alive], result.direction[alive]
+    try:
+        fit = Law.fit(into, out, axes=window.law)
+    except ValueError:  # light that leaves without depending on how it came: no law to speak of
+        return None, np.nan, {}, None
+    return fit.law, fit.rms, fit.sigma, turn_of(into, out, window.law)
+
+
+def turn_of(into: Floats, out: Floats, law: Law) -> Turn:
+    """Measure by how much the lens meridians are turned about the lens axis.
+
+    Parameters
+    ----------
+    into, out : (n, 3) directions
+    law : Law
+        Says where the axis and the meridians should be, and which η belongs to which.
+
+    Notes
+    -----
+    In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have
+    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. So α is seen in first order, unlike a
+    lean of the axis: that shifts b alone, as δ does, and only slopes squared tell the two apart (aberration hides it).
+    """
+    before, after = into @ law.rotation, out @ law.rotation
+    slope, exit_slope = (d[:, :2] / d[:, 2:] for d in (before, after))
+    slope = slope - slope.mean(axis=0)
+    system = np.column_stack([slope, np.ones(len(slope))])
+    found = np.linalg.lstsq(system, exit_slope, rcond=None)[0]
+    rest = exit_slope - system @ found
+    unlike = 1.0 / law.eta_x - 1.0 / law.eta_y
+    sense = -1.0 if unlike < 0.0 else 1.0
+    angle = 0.5 * np.arctan2(sense * (found[0, 1] + found[1, 0]), sense * (found[0, 0] - found[1, 1]))
+    seen = abs(unlike) * float(np.sqrt(np.mean(slope**2, axis=0)).min())
+    return Turn(float(angle), float(np.sqrt(np.mean(rest**2))) / seen if seen > 0.0 else inf)
+
+
+# -- judging ------------------------------------------------------------------------------------
+
+
+def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Check]:
+    """Judge the law: law_rms, law_bias, spread, eta, delta, tilt, accounting of what was traced."""
+    spec, bundle_text = design.check, str(seen.main)
+    lost = "too few rays reach their partner to say; lattice.aperture or a smaller field would help"
+    rms = seen.rms
+    found = [
+        judge(
+            "law_rms", rms, spec.law_rms,
+            lost if rms != rms else f"light leaves {1e3 * rms:.4g} mrad rms from the law, at worst "
+            f"{1e3 * seen.worst:.4g} mrad",
+            unit="rad", where=where, bundle=bundle_text, detail={"worst": seen.worst},
+        )
+    ]  # fmt: skip
+    found += [_bias(spec.law_bias, seen, where), _spread(spec.law_rms, seen, where)]
+    found += fit_checks(design, seen, where)
+    found.append(accounting(seen, where))
+    return found
+
+
+def _bias(limit: float, seen: Optics, where: str) -> Check:
+    values = np.array([p.bias for p in seen.points])
+    text = f"9 directions, {POINT_RAYS} Sobol rays each over the whole cell"
+    if np.isnan(values).all():
+        return not_run(
+            "law_bias", "no field point passes enough light to say", limit=limit, unit="rad", where=where
+        )
+    worst = int(np.nanargmax(values))
+    sentence = f"the mean direction is at most {1e3 * values[worst]:.4g} mrad from the law, " + (
+        "in the middle of the field"
+        if worst == 0
+        else f"at the rim of the field, {45 * (worst - 1)} deg from +x"
+    )
+    if np.isnan(values).any():
+        sentence += f"; {int(np.isnan(values).sum())} of 9 field points are too dark to say"
+    return judge(
+        "law_bias", float(values[worst]), limit, sentence, unit="rad", where=where, bundle=text,
+        detail={"by_field_point": values},
+    )  # fmt: skip
+
+
+def _spread(limit: float, seen: Optics, where: str) -> Check:
+    """Position independence: do parallel rays leave parallel, wherever they hit?"""
+    values = np.array([p.spread for p in seen.points])
+    if np.isnan(values).all():
+        return not_run(
+            "spread", "no field point passes enough light to say", limit=limit, unit="rad", where=where
+        )
+    middle, worst = float(values[0]), float(np.nanmax(values))
+    sentence = (
+        f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean, whatever "
+        f"part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
+    )
+    text = f"9 directions, {POINT_RAYS} Sobol rays each over the whole cell"
+    return judge(
+        "spread", middle, limit, sentence, unit="rad", where=where, bundle=text, source="law_rms",
+        detail={"by_field_point": values},
+    )  # fmt: skip
+
+
+def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, str] = ("eta", "delta", "tilt"),
+               subject: str = "") -> list[Check]:  # fmt: skip
+    """Judge η, δ and the orientation by a fit with the asked axes held."""
+    spec, asked, law = design.check, design.law, seen.fit
+    bundle_text = str(seen.fit_bundle)
+    common: dict[str, Any] = {"where": where, "bundle": bundle_text, "subject": subject}
+    if law is None:
+        why = "too few rays reach their partner to fit a law"
+        return [not_run(name, why, **common) for name in names if name]
+    eta = np.array([law.eta_x / asked.eta_x - 1.0, law.eta_y / asked.eta_y - 1.0])
+    delta = np.array([law.delta_x - asked.delta_x, law.delta_y - asked.delta_y])
+    found = [
+        judge(
+            names[0], float(np.abs(eta).max()), spec.eta,
+            f"measured eta = {law.eta_x:.6g}, {law.eta_y:.6g}; asked {asked.eta_x:.6g}, {asked.eta_y:.6g}", unit="relative",
+            detail={"measured": (law.eta_x, law.eta_y), "asked": (asked.eta_x, asked.eta_y), "sigma": seen.fit_sigma},
+            **common,
+        ),
+        judge(
+            names[1], float(np.abs(delta).max()), spec.delta,
+            f"measured delta = {law.delta_x:.6g}, {law.delta_y:.6g}; asked {asked.delta_x:.6g}, {asked.delta_y:.6g}",
+            unit="slope",
+            detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)}, **common,
+        ),
+    ]  # fmt: skip
+    if names[2]:
+        found.append(_tilt(design, delta, seen.turn, names[2], common))
+    return found
+
+
+def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: Mapping[str, Any]) -> Check:
+    """Judge how the lenses are turned: about their axis by light, and their lean as what δ's error amounts to.
+
+    A lean of the axis and δ act as one offset, δ + (1 − η)τ to first order, so that the limit of δ is one of the lean,
+    and of the turn. A turn shows where the two η differ, and is required there.
+    """
+    asked = design.law
+    weight = np.abs([1.0 - asked.eta_x, 1.0 - asked.eta_y])
+    acts = weight > 1e-6
+    if not acts.any():
+        return not_run(name, "with eta = 1 a tilt does nothing to light", required=False, **common)
+    lean, limits = np.abs(delta[acts]) / weight[acts], design.check.delta / weight[acts]
+    value, limit = float(lean[np.argmax(lean / limits)]), float(limits[np.argmax(lean / limits)])
+    text = f"theta and delta act alike: the error of delta is that of lenses which lean by {degrees(hypot(*lean)):.3g} deg"
+    allowed = float(limits.min())
+    measured = turn is not None and (turn.doubt <= allowed or abs(turn.angle) > allowed + turn.doubt)
+    if turn is not None and measured:
+        text = f"the lenses' meridians stand turned by {degrees(turn.angle):.3g} deg about their axis; for its lean, {text}"
+        if abs(turn.angle) / allowed >= value / limit:
+            value, limit = abs(turn.angle), allowed
+    else:
+        alike = (
+            "the same" if asked.eta_x == asked.eta_y else "too alike for light to show a turn of the lenses"
+        )
+        text = f"eta_x and eta_y are {alike}, so this is delta as an angle; {text}"
+    return judge(
+        name, degrees(value), degrees(limit), text, unit="deg", source="delta", required=measured,
+        detail={"lean": lean.tolist(), "turn": None if turn is None else turn.angle,
+                "doubt": None if turn is None else turn.doubt, "measured": measured}, **common,
+    )  # fmt: skip
+
+
+def accounting(seen: Optics, where: str) -> Check:
+    """Every ray has one fate, and no ray but an INVALID one holds a NaN."""
+    result = seen.result
+    valid = result.fate != Fate.INVALID
+    nan = int((~np.isfinite(result.direction[valid])).any() + (~np.isfinite(result.position[valid])).any())
+    counts = result.counts()
+    missing = len(seen.main.rays) - sum(counts.values())
+    good = missing == 0 and nan == 0
+    listed = ", ".join(f"{name} {number}" for name, number in counts.items() if number)
+    return Check(
+        "accounting", "pass" if good else "fail", f"every ray has one fate: {listed}", float(missing + nan), 0.0,
+        where=where, bundle=str(seen.main), detail={"counts": counts},
+    )  # fmt: skip
+
+
+def throughput_check(design: Design, window: Window, seen: Optics, where: str = "surfaces") -> Check:
+    """Share of light through corresponding lenslets against the closed form of thin lenses."""
+    cells = thin_cells(window)
+    alive = float((seen.result.fate == Fate.ALIVE).mean())
+    mean = float(share(cells, seen.main.rays.direction[:SHARE_DIRECTIONS]).mean())
+    middle = seen.points[0]
+    ratios = [a / b if b > 0.0 else np.nan for a, b in ((middle.share, middle.closed_form), (alive, mean))]
+    value = float(np.nanmin(ratios)) if not np.isnan(ratios).all() else np.nan
+    sentence = (
+        f"{middle.share:.3f} of the light passes in the middle of the field (closed form {middle.closed_form:.3f}), "
+        f"{alive:.3f} over the field ({mean:.3f})"
+    )
+    return judge(
+        "throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form", where=where,
+        bundle=str(seen.main),
+        detail={"middle": middle.share, "middle_closed_form": middle.closed_form, "mean": alive, "mean_closed_form": mean},
+    )  # fmt: skip
+
+
+def confocality_check(design: Design, window: Window) -> Check:
+    """Axial slide of lens 2 that makes the pair afocal, over the distance between the lenses."""
+    limit = design.check.confocality
+    try:
+        found = confocality(window)
+    except ValueError as error:
+        return not_run("confocality", str(error), limit=limit, where="surfaces, parabasal")
+    value, between = found.defect, found.astigmatism
+    sentence = (
+        f"lens 2 would have to move by {value:.4g} of the distance between the lenses to share a focal plane with "
+        f"lens 1 (x {found.shift[0] / found.distance:+.4g}, y {found.shift[1] / found.distance:+.4g})"
+    )
+    if value > limit and design.pair.confocal != "exact":
+        sentence += '; pair.confocal = "exact" would make it 0'
+    check = judge(
+        "confocality", value, limit, sentence, unit="of separation", where="surfaces, parabasal",
+        bundle="four differential rays about the axis ray",
+        detail={"shift": found.shift, "distance": found.distance, "between_meridians": between, "power": found.power},
+    )  # fmt: skip
+    if between > MERIDIANS and check.state != "fail":
+        text = (
+            f"{sentence}; the two meridians differ by {between:.4g} of that distance, more than {MERIDIANS:g}"
+        )
+        return replace(
+            check, state="fail", value=between, limit=MERIDIANS, unit="of separation, between meridians", sentence=text,
+            source="fixed: no design may differ more between its meridians",
+        )  # fmt: skip
+    return check

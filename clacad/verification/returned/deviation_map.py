@@ -1,0 +1,313 @@
+"""Maps of how far a part is off: folded into one cell, which shows the process, and cell by cell, which shows damage.
+
+Corners of facets are what was measured or written; between them a mesh has no say. They are compared along the
+normals of the exact faces, averaged over bins, so that noise averages out and is stated apart.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.window import Window
+from clacad.storage.atomic import Stage, canonical_json, safe_name
+from clacad.verification.checks import plain
+from clacad.verification.files.cell_triangles import levels
+from clacad.verification.files.face_distance import STEEP, Floats, Ints, believed, drawn_in, off_faces
+from clacad.verification.returned.damage import MICRON, MILLIMETRE, Dent
+
+BINS = 16
+"""Bins a side of the folded cell."""
+
+OUTLIER = 3.0
+"""A cell is damaged if it is off by more than this many times the usual, and the limit besides."""
+
+FEWEST = 4
+"""Corners below which a bin says nothing."""
+
+GROSS = 0.25
+"""Part of a body's height beyond which a point is not on the face it looks at."""
+
+MOST = 2_000_000
+"""Facets that are looked at; of larger files evenly spread ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceMap:
+    """One lens face.
+
+    name : str
+        Such as "array1 front".
+    folded, count : (bins, bins)
+        Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each other,
+        x first, NaN in empty bins; and how many equally weighted corners it is worth.
+    noise : float, length
+        Rms of single corners about their bin's mean.
+    cells : (n1, n2)
+        Rms deviation of each cell; NaN where it has no corners.
+    peaks : (n1, n2)
+        Largest deviation of a single corner of each cell, whichever way; NaN likewise.
+    number : int
+        Of the face in the order of the light.
+    """
+
+    name: str
+    folded: Floats
+    count: Ints
+    noise: float
+    cells: Floats
+    peaks: Floats
+    number: int
+
+    def damaged(self, limit: float) -> list[tuple[int, int]]:
+        """Cells (counted from the first) that stand out from their like: by their rms, or by a single corner.
+
+        limit : length
+            What a sound face of this file may be off.
+        """
+        known = np.isfinite(self.cells)
+        if known.sum() < 4:
+            return []
+        with np.errstate(invalid="ignore"):
+            bad = self.cells > OUTLIER * float(np.median(self.cells[known])) + limit
+            bad |= self.peaks > OUTLIER * float(np.median(self.peaks[known])) + 3.0 * limit
+        return [(int(i), int(j)) for i, j in np.argwhere(bad)]
+
+    @property
+    def systematic(self) -> float:
+        """Largest mean deviation of a well-filled bin, less what noise leaves of it (length)."""
+        filled = self.count >= FEWEST
+        if not filled.any():
+            return float("nan")
+        left = np.abs(self.folded[filled]) - 3.0 * self.noise / np.sqrt(self.count[filled])
+        return float(max(0.0, left.max()))
+
+    @property
+    def rms(self) -> float:
+        """Rms of the bins' means, weighted by their corners (length)."""
+        filled = self.count >= FEWEST
+        if not filled.any():
+            return float("nan")
+        return sqrt(float(np.average(self.folded[filled] ** 2, weights=self.count[filled])))
+
+
+@dataclass(frozen=True, eq=False)
+class DeviationMap:
+    """All lens faces of a part.
+
+    unit : str
+        Name of the design's unit.
+    low, high : (2,) lengths
+        Bounding box of a cell.
+    faces : tuple of FaceMap
+    first : (2,) ints
+        Cell that the maps of cells begin with.
+    unit_m : float
+        One design unit in metres.
+    dents : tuple of Dent
+        Where cells are damaged, the deepest first.
+    """
+
+    unit: str
+    low: Floats
+    high: Floats
+    faces: tuple[FaceMap, ...]
+    first: Ints
+    unit_m: float
+    dents: tuple[Dent, ...] = ()
+
+    def damaged(self, limit: float) -> list[tuple[int, tuple[int, int]]]:
+        """Number of the face and cell (as the window numbers it) wherever a face of a cell stands out."""
+        return [
+            (face.number, (i + int(self.first[0]), j + int(self.first[1])))
+            for face in self.faces
+            for i, j in face.damaged(limit)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content: numbers with seven digits, null in empty bins."""
+        return {
+            "unit": self.unit, "low": self.low.tolist(), "high": self.high.tolist(),
+            "faces": [
+                {"name": f.name, "noise": f.noise, "rms": f.rms, "systematic": f.systematic,
+                 "folded": _grid(f.folded), "count": f.count.tolist(), "cells": _grid(f.cells)}
+                for f in self.faces
+            ],
+            "first_cell": self.first.tolist(), "dents": [dent.to_dict(self.unit_m) for dent in self.dents],
+        }  # fmt: skip
+
+
+def _grid(values: Floats) -> list[list[float | None]]:
+    return [[float(f"{v:.7g}") if np.isfinite(v) else None for v in row] for row in values]
+
+
+class Mapper:
+    """Looks at chunks of a part and adds them up."""
+
+    def __init__(
+        self, window: Window, unit: str, present: Sequence[str], facets: int, noise: float = 0.0
+    ) -> None:
+        self.window, self.unit, self.present, self._noise = window, unit, present, noise
+        self._stride = max(1, facets // MOST)
+        self._between = levels(window)
+        self._gross = GROSS * min(high - low for low, high in (body_range(window, b) for b in window.bodies))
+        tile = window.lattice.tile()
+        self._low, self._high = tile.min(axis=0), tile.max(axis=0)
+        faces = 2 * len(window.bodies)
+        self._sums = np.zeros((4, faces, BINS * BINS))
+        cells = window.lattice.cells()
+        self._first = cells.min(axis=0)
+        self._shape = tuple(int(n) for n in np.ptp(cells, axis=0) + 1)
+        self._cells = np.zeros((2, faces, self._shape[0] * self._shape[1]))
+        self._peaks = np.zeros(faces * self._shape[0] * self._shape[1])
+
+    def look(self, corners: Floats) -> None:
+        """Take a chunk (k, 3, 3), sheet frame, design units."""
+        corners = corners[:: self._stride]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        good = np.abs(normal[:, 2]) > STEEP * length
+        facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
+        # a corner on the border of a cell belongs to two lenses: a hair towards the facet's middle decides
+        points = corners[good].reshape(-1, 3)
+        inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
+        aside = drawn_in(self.window, inward, self._noise)
+        off = off_faces(self.window, points, facing, self.present, self._between, aside)
+        # a scan's facets on a step may look either way: what is nearer the other side is no deviation of this one
+        with np.errstate(invalid="ignore"):
+            sound = np.abs(off.distance) < self._gross
+        rows = np.flatnonzero(sound & self.window.lattice.contains(off.cell))
+        up = np.where(facing[rows, 2] > 0.0, 1.0, -1.0)  # positive: too much material
+        value = off.distance[rows] * up
+        part = (off.local[rows] - self._low) / (self._high - self._low)
+        place = np.clip((part * BINS).astype(np.int64), 0, BINS - 1)
+        at = off.face[rows] * (BINS * BINS) + place[:, 0] * BINS + place[:, 1]
+        # by area: slivers along walls have many corners and say little
+        area = np.repeat(0.5 * np.abs(normal[good, 2]), 3)[rows]
+        for k, weights in enumerate((area, area * value, area * value**2, area**2)):
+            self._sums[k] += np.bincount(at, weights, self._sums[k].size).reshape(self._sums[k].shape)
+        cell = off.cell[rows] - self._first
+        where = (off.face[rows] * self._shape[0] + cell[:, 0]) * self._shape[1] + cell[:, 1]
+        for k, weights in enumerate((area, area * value**2)):
+            self._cells[k] += np.bincount(where, weights, self._cells[k].size).reshape(self._cells[k].shape)
+        told = np.repeat(believed(corners[good], self._noise), 3)[rows]
+        np.maximum.at(self._peaks, where[told], np.abs(value[told]))
+
+    def result(self) -> DeviationMap:
+        """The maps of the lens faces that the part holds."""
+        found = []
+        for number, body in enumerate(self.window.bodies):
+            for side, face in enumerate((body.front, body.back)):
+                if face.array is not None and body.name in self.present:
+                    found.append(self._face(2 * number + side, f"{body.name} {('front', 'back')[side]}"))
+        return DeviationMap(self.unit, self._low, self._high, tuple(found), self._first, self.window.unit)
+
+    def _face(self, number: int, name: str) -> FaceMap:
+        area, total, square, own = self._sums[:, number]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = total / area
+            spread = np.maximum(square / area - mean**2, 0.0)
+            count = np.nan_to_num(np.floor(area**2 / own))
+            cells = np.sqrt(self._cells[1, number] / self._cells[0, number])
+        filled = count >= FEWEST
+        noise = (
+            sqrt(float(np.average(spread[filled], weights=count[filled]))) if filled.any() else float("nan")
+        )
+        return FaceMap(
+            name, mean.reshape(BINS, BINS), count.astype(np.int64).reshape(BINS, BINS), noise,
+            cells.reshape(self._shape),
+            np.where(np.isfinite(cells), self._peaks.reshape(len(self._sums[0]), -1)[number], np.nan).reshape(self._shape),
+            number,
+        )  # fmt: skip
+
+
+def deviation_map(
+    window: Window, unit: str, chunks: Iterable[Floats], present: Sequence[str], facets: int
+) -> DeviationMap:
+    """Map a part given as chunks of corners (k, 3, 3) in the sheet frame, design units."""
+    mapper = Mapper(window, unit, present, facets)
+    for chunk in chunks:
+        mapper.look(chunk)
+    return mapper.result()
+
+
+def plot_deviation(found: DeviationMap, title: str) -> bytes:
+    """Both maps of every lens face as PNG, the same for the same numbers."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    microns, mm = found.unit_m / MICRON, found.unit_m / MILLIMETRE
+    with rc_context({"font.size": 8.0}):
+        figure = Figure(figsize=(3.6 * len(found.faces), 6.8), layout="constrained", dpi=100)
+        FigureCanvasAgg(figure)
+        figure.suptitle(f"{title}: deviation along the normal; positive is too much material", fontsize=9)
+        axes = figure.subplots(2, len(found.faces), squeeze=False)
+        for column, face in enumerate(found.faces):
+            folded = face.folded * microns
+            most = float(np.nanmax(np.abs(folded))) if np.isfinite(folded).any() else 1.0
+            x0, y0, x1, y1 = *(found.low * mm), *(found.high * mm)
+            image = axes[0, column].imshow(
+                folded.T, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most, extent=(x0, x1, y0, y1)
+            )
+            axes[0, column].set_title(
+                f"{face.name}: mean over all cells,\nnoise {face.noise * microns:.2g} µm", fontsize=8
+            )
+            axes[0, column].set(xlabel="x in the cell / mm", ylabel="y in the cell / mm")
+            figure.colorbar(image, ax=axes[0, column], label="µm")
+            i0, j0 = (int(v) for v in found.first)
+            n1, n2 = face.cells.shape
+            image = axes[1, column].imshow(
+                (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal",
+                extent=(i0 - 0.5, i0 + n1 - 0.5, j0 - 0.5, j0 + n2 - 0.5),
+            )  # fmt: skip
+            mine = [dent for dent in found.dents if dent.face == face.name]
+            axes[1, column].scatter(*zip(*(d.cell for d in mine), strict=True), marker="s", facecolors="none",
+                                    edgecolors="red") if mine else None  # fmt: skip
+            worst = f"\n{mine[0].words(found.unit_m).split(' is ', 1)[1]}" if mine else ""
+            axes[1, column].set_title(f"rms of each cell{worst}", fontsize=8)
+            axes[1, column].set(xlabel="cell i", ylabel="cell j")
+            figure.colorbar(image, ax=axes[1, column], label="µm")
+        out = io.BytesIO()
+        figure.savefig(out, format="png", metadata={"Software": "clacad"})
+    return out.getvalue()
+
+
+def write_deviation(
+    found: DeviationMap, name: str, folder: str | os.PathLike[str], *, overwrite: bool = False
+) -> list[Path]:
+    """Write deviation-NAME.json and .png of a file called `name`.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+    stem = f"deviation-{safe_name(Path(name).stem)}"
+    contents = {
+        f"{stem}.json": canonical_json(
+            {"kind": "deviation", "file": name, **plain(found.to_dict())}
+        ).encode(),
+        f"{stem}.png": plot_deviation(found, name),
+    }
+    with Stage(folder, overwrite=overwrite or _ours(Path(folder) / f"{stem}.json")) as stage:
+        for target, content in contents.items():
+            stage.path(target).write_bytes(content)
+        stage.publish()
+    return [Path(folder) / target for target in contents]
+
+
+def _ours(path: Path) -> bool:
+    """Whether a file was written by an earlier run of this."""
+    try:
+        with path.open(encoding="utf-8") as stream:
+            return '"kind": "deviation"' in stream.read()
+    except (OSError, UnicodeDecodeError):
+        return False

@@ -1,0 +1,357 @@
+"""Judge a part that came back: a scan, a slicer's repair, a piece; in the design's frame, noise stated apart.
+
+What such a mesh may be, a file to be made may not: open, in pieces, cut anywhere, facets across the borders of
+cells. What counts is the same: where its faces lie, and where they send light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.exporting.roles import Role
+from clacad.formats.mesh.closed_stream import Measure, measure
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.tracing.triangles.telescopelet_facets import Floats
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.cell_triangles import Gathered, Gatherer, Progress, chosen_cells, telescopelet
+from clacad.verification.files.facet_deviation import FEWER, POINTS, deviation
+from clacad.verification.files.mesh_file import judge_mesh
+from clacad.verification.files.mesh_light import MeshEvidence, light_checks
+from clacad.verification.files.mesh_shape import clean_forecast, own_sag_error
+from clacad.verification.files.open_surface import is_open_surface, rims
+from clacad.verification.returned.damage import SHOWN, find_dents, find_features
+from clacad.verification.returned.deviation_map import DeviationMap, Mapper
+from clacad.verification.returned.registration import Placed
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+SUSPECT = ("shape", "volume", "pieces", "closed", "faithful_rms", "file_law_rms")
+"""Checks that fail where a part is damaged: then it is looked for what was done to it."""
+
+FEATURES = 4
+"""Holes and steps that a sentence names; `detail` has all."""
+
+ON_FACES = 1e-5
+"""Pitches that the corners of a meshed STEP part may lie off: what registration leaves."""
+
+
+class Cutter(Gatherer):
+    """A gatherer that cuts facets at the borders of the chosen cells: a scan's run across them."""
+
+    def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
+        centres = self.window.lattice.centres(np.array(self.result.cells, dtype=np.int64))
+        tile = self.window.lattice.tile()
+        shift = np.asarray(self.window.shifts[array])
+        low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+        for cell, centre in enumerate(centres + shift):
+            near = (high > centre + tile.min(axis=0)).all(axis=1) & (low < centre + tile.max(axis=0)).all(
+                axis=1
+            )
+            if near.any():
+                cut = cut_to(corners[near], tile + centre)
+                if len(cut):
+                    self.result.facets.setdefault((body, side, cell), []).append(cut)
+
+    def _hold(self, *_: Any) -> None:
+        """Every cell is held against the design by the deviation map."""
+
+
+def cut_to(corners: Floats, polygon: Floats) -> Floats:
+    """Parts of facets (k, 3, 3) over a convex counter-clockwise polygon (m, 2), as facets of the same sense."""
+    inside = np.ones(len(corners), dtype=bool)
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        edge = end - start
+        side = edge[0] * (corners[..., 1] - start[1]) - edge[1] * (corners[..., 0] - start[0])
+        inside &= (side >= 0.0).all(axis=1)
+    found = [corners[inside]]
+    for facet in corners[~inside]:
+        piece = _clipped(facet, polygon)
+        if len(piece) >= 3:
+            found.append(
+                np.stack([np.stack([piece[0], piece[k], piece[k + 1]]) for k in range(1, len(piece) - 1)])
+            )
+    pieces = np.concatenate(found)
+    (ax, ay), (bx, by) = ((pieces[:, k, :2] - pieces[:, 0, :2]).T for k in (1, 2))
+    area = ax * by - ay * bx
+    size = np.ptp(polygon, axis=0).max()
+    return np.asarray(pieces[np.abs(area) > 1e-12 * size * size])  # slivers have no slope to speak of
+
+
+def _clipped(points: Floats, polygon: Floats) -> Floats:
+    """A plane polygon in space (m, 3) cut by vertical planes over the edges (Sutherland and Hodgman)."""
+    for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if len(points) == 0:
+            break
+        edge = end - start
+        side = edge[0] * (points[:, 1] - start[1]) - edge[1] * (points[:, 0] - start[0])
+        kept = []
+        for k in range(len(points)):
+            here, there, a, b = points[k - 1], points[k], side[k - 1], side[k]
+            if (a < 0.0) != (b < 0.0):
+                kept.append(here + (there - here) * (a / (a - b)))
+            if b >= 0.0:
+                kept.append(there)
+        points = np.array(kept) if kept else np.empty((0, 3))
+    return points
+
+
+def judge_placed(
+    design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
+) -> tuple[list[Check], MeshEvidence]:
+    """Judge a part that came without a manifest: to rounding where it lies as written, else as what came back.
+
+    The role found, that of a scan where the surface is open, is in the evidence's facts ("role").
+    """
+    if not placed.exact:
+        found, evidence = judge_returned(design, placed, name, rays, progress, role)
+    else:
+        found, evidence = judge_mesh(
+            design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present, role
+        )
+        evidence = replace(evidence, facts={**evidence.facts, "role": role})
+        if any(check.id == "closed" and check.state == "fail" for check in found) and _measured(placed, role):
+            found, evidence = judge_returned(design, placed, name, rays, progress, role)
+        elif any(check.id in SUSPECT and check.state == "fail" for check in found):
+            found, evidence = _with_damage(design, placed, found, evidence)
+    return [*placed.checks, *found], evidence
+
+
+def _measured(placed: Placed, role: Role) -> bool:
+    """Whether what lies as written and is not closed is a surface that was measured."""
+    return role is Role.SCAN or is_open_surface(rims(placed.mesh), placed.pose.turn)
+
+
+def _with_damage(
+    design: Design, placed: Placed, checks: list[Check], evidence: MeshEvidence
+) -> tuple[list[Check], MeshEvidence]:
+    """Say where a part is damaged that was judged to rounding."""
+    mapper = Mapper(placed.window, design.unit, placed.present, placed.mesh.facet_count)
+    for chunk in placed.mesh.chunks():
+        mapper.look(chunk * placed.factor)
+    gathered = evidence.gathered
+    limit = design.check.shape * own_sag_error(gathered) if gathered is not None else 0.0
+    mapped, told, detail = _damage(placed, mapper.result(), limit)
+    facts = {**evidence.facts, "deviation": mapped}
+    if not told:
+        return checks, replace(evidence, facts=facts)
+    lost = bool(detail["dents"]) or any(feature["cells"] for feature in detail["features"])
+    named = [_named(c, told, detail, lost) if c.id == "shape" else c for c in checks]
+    return named, replace(evidence, facts=facts)
+
+
+def _named(check: Check, told: str, detail: dict[str, Any], lost: bool) -> Check:
+    """The check of shape with what was found; a part that lost cells' faces fails it."""
+    return replace(
+        check, sentence=f"{check.sentence}; {told}", detail={**(check.detail or {}), **detail},
+        state="fail" if lost else check.state,
+    )  # fmt: skip
+
+
+def _damage(placed: Placed, mapped: DeviationMap, limit: float) -> tuple[DeviationMap, str, dict[str, Any]]:
+    """The map with its dents, damage in words ("" for none), and its numbers."""
+    window = placed.window
+    bad = mapped.damaged(limit)
+    worst = sorted(bad, key=lambda one: -_peak(mapped, one))[:SHOWN]
+    dents = find_dents(window, placed.mesh, placed.factor, placed.present, worst, placed.pose.residual) if worst else []  # fmt: skip
+    features = find_features(window, placed.mesh, placed.factor, placed.present, placed.pose.residual)
+    mapped = replace(mapped, dents=tuple(dents))
+    cells = sorted({cell for _, cell in bad})
+    told = [f.words(mapped.unit, window.unit) for f in features[:FEATURES]]
+    if len(features) > FEATURES:
+        told.append(f"{len(features) - FEATURES} more holes and steps")
+    if dents:
+        told.append(f"{len(cells)} cell{'s are' if len(cells) > 1 else ' is'} off by "
+                    f"{'themselves' if len(cells) > 1 else 'itself'}; worst: {dents[0].words(window.unit)}")  # fmt: skip
+    detail = {
+        "damaged": [list(cell) for cell in cells[:SHOWN]], "dents": [dent.to_dict(window.unit) for dent in dents],
+        "features": [feature.to_dict(window.unit) for feature in features],
+    }  # fmt: skip
+    return mapped, "; ".join(told), detail
+
+
+def _peak(mapped: DeviationMap, one: tuple[int, tuple[int, int]]) -> float:
+    face = next(f for f in mapped.faces if f.number == one[0])
+    return float(face.peaks[one[1][0] - mapped.first[0], one[1][1] - mapped.first[1]])
+
+
+def judge_returned(
+    design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
+) -> tuple[list[Check], MeshEvidence]:
+    """Measure a returned part in one pass and judge it.
+
+    Parameters
+    ----------
+    design : Design
+    placed : Placed
+        The part, registered.
+    name : str
+        File name, the subject of the checks.
+    rays : int
+    progress : callable
+        (stage, done 0 … 1).
+    role : Role
+        What it is judged as; an open surface is a scan whatever is said.
+    """
+    window = placed.window
+    present = None if len(placed.present) == len(window.bodies) else placed.present
+    cutter = Cutter(window, chosen_cells(window))
+    mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count, placed.pose.residual)
+    found = measure(_looked_at(placed, (cutter, mapper), progress), origin=np.zeros(3))
+    gathered, mapped = cutter.result, mapper.result()
+    closed, role = _closed(placed, found, name, role)
+    shape, mapped = _shape(design, gathered, mapped, placed, name)
+    checks = [closed, _scale(design, placed, name), shape]
+    off = [
+        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
+        for k in range(len(gathered.cells))
+    ]
+    dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
+    if dark and len(dark) < len(off):  # holes in some cells: light is judged where there is a face
+        kept = [k for k, d in enumerate(off) if d.complete]
+        gathered, off = _only(gathered, kept), [off[k] for k in kept]
+    clean = np.inf if role is Role.SCAN else clean_forecast(window, gathered, 0, present)
+    light, evidence = light_checks(
+        design, window, gathered, off, found, name, rays, progress, present, role,
+        clean if np.isfinite(clean) else np.inf,
+    )  # fmt: skip
+    if dark:
+        light = [_with_holes(check, dark, len(cutter.result.cells)) for check in light]
+    facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose, "role": role}
+    facts["noise"] = float(np.nanmax(evidence.forecast)) if np.isfinite(evidence.forecast).any() else 0.0
+    return checks + light, replace(evidence, facts=facts)
+
+
+def _looked_at(placed: Placed, watchers: tuple[Gatherer, Mapper], progress: Progress) -> Iterator[Floats]:
+    total, done = max(1, placed.mesh.facet_count), 0
+    for chunk in placed.mesh.chunks():
+        corners = chunk * placed.factor
+        for watcher in watchers:
+            watcher.look(corners)
+        done += len(corners)
+        progress("reading triangles", done / total)
+        yield corners
+
+
+def _only(gathered: Gathered, kept: list[int]) -> Gathered:
+    """The same with some of the chosen cells only."""
+    facets = {
+        (body, side, kept.index(cell)): parts
+        for (body, side, cell), parts in gathered.facets.items()
+        if cell in kept
+    }
+    return replace(gathered, cells=tuple(gathered.cells[k] for k in kept), facets=facets)
+
+
+def _with_holes(check: Check, dark: list[str], total: int) -> Check:
+    if check.id != "faithful_rms":
+        return check
+    return replace(
+        check,
+        sentence=f"{check.sentence}; {len(dark)} of {total} cells have holes and were left out: {', '.join(dark[:4])}",
+    )
+
+
+def _closed(placed: Placed, found: Measure, name: str, role: Role) -> tuple[Check, Role]:
+    """Whether the surface is closed; a scan need not be. With the role that was found."""
+    common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
+    if found.facets == 0:
+        return Check("closed", "fail", "the file holds no triangles", **common), role
+    if found.closed:
+        sentence = f"every edge of {found.facets} facets is met once in each direction"
+        return Check("closed", "pass", sentence, 0.0, **common), role
+    rim = rims(placed.mesh if placed.file is None else placed.file)
+    if rim.count == 0:  # the file is closed: corners were told apart only by being moved
+        sentence = f"every edge of {found.facets} facets is met once in each direction"
+        return Check("closed", "pass", sentence, 0.0, **common), role
+    if role is Role.SCAN or is_open_surface(rim, placed.pose.turn):
+        sentence = (
+            "the surface is open or not one mesh: it can be measured, as a scan is, but not made from "
+            f"({rim.count} edges have no partner)"
+        )
+        return Check("closed", "warn", sentence, float(rim.count), required=False, **common), Role.SCAN
+    at = ", ".join(f"{v:.6g}" for v in rim.place)
+    sentence = (
+        f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets have no "
+        f"partner, one at ({at}) in file units; a scan would be open all along its rim"
+    )
+    return Check("closed", "fail", sentence, float(rim.count), **common), role
+
+
+def _scale(design: Design, placed: Placed, name: str) -> Check:
+    scale = placed.pose.scale
+    sentence = f"the part is {scale:.6g} times as large as the design, as its faces fit best"
+    if scale != 1.0:
+        sentence += "; everything below is judged at the design's size"
+    return judge(
+        "scale", abs(scale - 1.0), design.check.scale, sentence, unit="relative", where="file", subject=name,
+        detail={"scale": scale},
+    )  # fmt: skip
+
+
+def _shape(
+    design: Design, gathered: Gathered, mapped: DeviationMap, placed: Placed, name: str
+) -> tuple[Check, DeviationMap]:
+    """Systematic deviation of the faces, noise apart; holes, steps, and cells that are off by themselves."""
+    common: dict[str, Any] = {"where": "file", "subject": name, "unit": design.unit}
+    systematic = [face.systematic for face in mapped.faces]
+    if not systematic or not np.isfinite(systematic).all():
+        return not_run("shape", "too few corners lie where the design has its faces", **common), mapped
+    worst = mapped.faces[int(np.argmax(systematic))]
+    rounding = 1e-6 * max(placed.window.lattice.pitch)
+    step = rounding_step(placed) * placed.pose.factor
+    limit = design.check.shape * own_sag_error(gathered) + rounding + 0.6 * step
+    source = "what facets of this size and bend give"
+    if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
+        reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
+        limit, source = (
+            ON_FACES * max(placed.window.lattice.pitch) + 2.0**-22 * reach,
+            "corners on exact faces",
+        )
+    noise = max(face.noise for face in mapped.faces)
+    mapped, damage, more = _damage(placed, mapped, limit)
+    detail = {
+        "systematic": systematic, "noise": noise, "rms": [face.rms for face in mapped.faces], **more,
+    }  # fmt: skip
+    sentence = (
+        f"averaged over its cells {worst.name} lies up to {worst.systematic:.3g} {design.unit} off the exact face "
+        f"(rms {worst.rms:.3g}); single corners scatter by {noise:.3g}"
+    )
+    if step:
+        sentence += f"; its numbers were rounded to {step:.3g}"
+    if damage:
+        sentence += f"; {damage}"
+    lost = any(feature["cells"] for feature in more["features"])
+    if more["dents"] or lost:
+        return Check("shape", "fail", sentence, worst.systematic, limit, detail=detail,
+                     source=source, **common), mapped  # fmt: skip
+    return judge(
+        "shape", worst.systematic, limit, sentence, detail=detail, source=source, **common
+    ), mapped  # fmt: skip
+
+
+def rounding_step(placed: Placed) -> float:
+    """Largest power of ten that a file's heights are multiples of, in its unit; 0 where float32 is all there is.
+
+    Rounding moves the same places of all cells alike, so it does not average out as noise does.
+    """
+    part = placed.mesh.parts[0]
+    upright = int(np.argmax(np.abs(placed.pose.axes[2])))  # the file's axis across the sheet
+    corners = part.corners(0, part.facet_count)[:: max(1, part.facet_count // 4096), :, upright].ravel()
+    corners = corners[
+        np.abs(corners) > 0.5 * np.abs(corners).max()
+    ]  # significant digits: the largest are coarsest
+    found = 0.0
+    for exponent in range(-7, 2):
+        count = corners / 10.0**exponent
+        room = 0.01 + np.abs(count) * 2.0**-23
+        if (room > 0.2).any():
+            continue  # finer than float32 tells
+        if np.mean(np.abs(count - np.round(count)) <= room) < 0.99:
+            break
+        found = float(10.0**exponent)
+    return found

@@ -1,0 +1,340 @@
+"""Where a part that came back lies in its file: unit, turn, mirror, place, scale, and how many cells it holds.
+
+A file without a manifest may be a scan, a slicer's repair, a piece cut from the sheet. Its triangles are tried in
+every unit and in the 24 proper turns of the axes (and, to tell a mirrored part, in the 24 improper ones) that make
+its box the design's; the best are fitted to the exact faces by least squares, point to plane, robustly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import degrees, radians
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.formats.mesh.file_mesh import FileMesh, Part
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.window import Window, lens_height
+from clacad.verification.checks import Check, State
+from clacad.verification.files.face_distance import Floats
+from clacad.verification.files.find_files import (
+    CannotRegister,
+    Subject,
+)
+from clacad.verification.returned.part_frames import Frame, frames, sampled, sixths
+from clacad.verification.returned.pose_fit import (
+    AS_WRITTEN,
+    Fit,
+    Pose,
+    Trial,
+    all_trials,
+    as_written,
+    best_of,
+    fitted,
+    no_match,
+    one_unit,
+    units_of,
+    worth_fitting,
+)
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+PART_OF_SAG = 0.1
+"""A fit whose residual is below this part of the flattest lens's sag is no chance: other poses need not be tried."""
+
+TURNED = radians(10.0)
+"""A part that lies turned by more is said to; less is how it was laid down."""
+
+BETTER = 0.7
+"""A mirrored fit must leave less than this part of the best proper one's residual to be called a mirrored part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A part in the design's frame.
+
+    window : Window
+        With the cells the part holds.
+    mesh : FileMesh
+        In design units and the sheet frame, at the design's size; the file itself where it lies as written.
+    factor : float
+        Design units per unit of `mesh`.
+    present : names of the bodies it holds
+    pose : Pose
+    whole : bool
+        It was cut along cell borders: its sides are the design's.
+    exact : bool
+        It lies as written, to rounding.
+    note : str
+        What was found, in words.
+    checks : list of Check
+        pose and handedness.
+    file : FileMesh or None
+        As it was read, in the file's unit and frame.
+    """
+
+    window: Window
+    mesh: FileMesh
+    factor: float
+    present: tuple[str, ...]
+    pose: Pose
+    whole: bool
+    exact: bool
+    note: str
+    checks: list[Check] = field(default_factory=list)
+    file: FileMesh | None = None
+
+
+def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None) -> Placed:
+    """Find where a part lies.
+
+    Parameters
+    ----------
+    design : Design
+    subject : Subject
+    mesh : FileMesh
+    cells : Window or None
+        With the cells that someone says the file holds.
+
+    Raises
+    ------
+    CannotRegister
+        In no unit and turn the part is this design, or in two units alike.
+    """
+    whole = prescribe(design) if cells is None else cells
+    pitch = min(whole.lattice.pitch)
+    sample, first = sampled(mesh)
+
+    def tried(frame: Frame) -> list[Trial]:
+        return list(all_trials(design, whole, cells is not None, subject, mesh, sample, frame))
+
+    trials = tried(first)
+    fits = [fitted(trial) for trial in worth_fitting(trials)]
+    written = as_written(whole)
+    near = max(written, PART_OF_SAG * least_sag(whole))
+
+    def sure() -> bool:
+        return any(pose.residual <= near or (pose.untouched and pose.median <= written) for _, pose in fits)
+
+    if not sure():  # it lies askew, scatters, or is another part
+        factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
+        for frame in frames(mesh, sample, whole, factors):
+            fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
+            if sure():
+                break
+        if whole.lattice.hexagonal and fits:
+            least = min(fits, key=lambda f: f[1].residual)[1]
+            fits += [fitted(t) for frame in sixths(mesh, least.turn) for t in worth_fitting(tried(frame))]
+    if not any(not pose.mirrored for _, pose in fits):
+        raise CannotRegister(no_match(design, whole, subject, mesh, first.extent))
+    proper = [f for f in fits if not f[1].mirrored]
+    mirrored = [f for f in fits if f[1].mirrored]
+    best = best_of(proper)
+    twin = best_of(mirrored) if mirrored else None
+    one_unit(subject, proper, best, pitch)
+    handed = _handedness(subject, best[1], None if twin is None else twin[1], pitch)
+    # a file whose box lies where the design's does, the arrays' displacement apart, was written in its frame
+    room = np.array([*(2.0 * np.abs(whole.shifts[1]) + 1e-3 * pitch), 1e-3 * pitch])
+    own = any(
+        np.array_equal(t.axes, np.eye(3)) and t.unit == best[0].unit and bool((np.abs(t.onto) <= room).all())
+        for t in trials
+    )
+    return _placed(design, subject, mesh, best, handed, own, None if cells is not None else whole)
+
+
+def least_sag(window: Window) -> float:
+    """Height (length) of the flattest lens of a window over its cell's middle, edges and corners."""
+    tile = window.lattice.tile()
+    places = np.concatenate([tile, 0.5 * (tile + np.roll(tile, 1, axis=0)), [[0.0, 0.0]]])
+    heights = [lens_height(face, *places.T) for face in window.faces if face.array is not None]
+    return min(float(np.nanmax(h) - np.nanmin(h)) for h in heights)
+
+
+# -- what was found -------------------------------------------------------------------------------------
+
+
+def _handedness(subject: Subject, best: Pose, twin: Pose | None, pitch: float) -> Check:
+    common: dict[str, Any] = {
+        "where": "file",
+        "subject": subject.name,
+        "relation": "<=",
+        "unit": "design unit",
+    }
+    if twin is None:
+        return Check("handedness", "not run", "no mirrored turn fits its box", required=False, **common)
+    wrong = twin.residual < BETTER * best.residual and best.residual > AS_WRITTEN * pitch
+    if wrong:
+        sentence = (
+            f"the part is the mirror image of the design: mirrored it fits to {twin.residual:.3g}, unmirrored only to "
+            f"{best.residual:.3g}"
+        )
+        return Check("handedness", "fail", sentence, best.residual, twin.residual, **common)
+    alike = abs(twin.residual - best.residual) <= 0.2 * best.residual + 1e-7 * pitch
+    sentence = (
+        "the design is its own mirror image: handedness cannot be wrong"
+        if alike
+        else f"unmirrored it fits to {best.residual:.3g}, mirrored to {twin.residual:.3g}"
+    )
+    return Check("handedness", "pass", sentence, best.residual, twin.residual, **common)
+
+
+def _placed(
+    design: Design,
+    subject: Subject,
+    mesh: FileMesh,
+    best: Fit,
+    handed: Check,
+    own: bool,
+    cells_of: Window | None,
+) -> Placed:
+    trial, pose = best
+    pitch = min(trial.window.lattice.pitch)
+    limit = design.check.pose * pitch
+    exact = trial.whole and pose.untouched and pose.median <= as_written(trial.window)
+    window = trial.window
+    if not trial.whole:
+        window, pose = _inside(subject, trial, pose, mesh)
+    count = window.lattice.count
+    cut = "" if trial.whole else "whole cells of a piece cut across cells, "
+    whole_sheet = count == design.lattice.count and trial.whole
+    which = "all of the design" if whole_sheet else "which of the design's cannot be told, they are alike"
+    if not whole_sheet and cells_of is not None:
+        which = _own_cells(cells_of, window, pose) or which
+    note = f"read in {pose.unit}, {cut}{count[0]} x {count[1]} cells ({which})"
+    words = _pose_words(pose, design.unit)
+    state: State = "pass" if pose.residual <= limit else "fail"
+    sentence = f"{words}; the exact faces are then {pose.residual:.3g} {design.unit} off (robust rms)"
+    if state == "pass" and turned_by(pose.turn) > TURNED:
+        state = "fail" if own else "warn"
+        sentence += (
+            f"; its box lies as the design's does, but {_turned_words(pose.turn)}"
+            if own
+            else "; it works when it is mounted turned"
+        )
+    check = Check(
+        "pose", state, sentence, pose.residual, limit, design.unit, where="file", subject=subject.name,
+        source=f"{design.check.pose:g} of the pitch",
+        detail={"turn": pose.turn, "move": pose.move, "scale": pose.scale, "unit": pose.unit, "cells": count},
+    )  # fmt: skip
+    placed = mesh if pose.untouched else moved(mesh, pose)
+    factor = pose.factor if pose.untouched else 1.0
+    if not pose.untouched:
+        note += f"; {words}"
+    return Placed(
+        window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed], mesh
+    )
+
+
+def _pose_words(pose: Pose, unit: str) -> str:
+    """The pose in a sentence a person can follow."""
+    if pose.untouched:
+        return "it lies as the design does"
+    names = "xyz"
+    parts = []
+    rest = turned_by(pose.turn @ pose.axes.T)
+    if rest > TURNED:  # askew: no turn of the axes describes it
+        parts.append(_askew_words(pose.turn))
+    else:
+        images = [
+            f"{names[j]} → {'-' if pose.axes[i, j] < 0 else ''}{names[i]}"
+            for j in range(3)
+            for i in range(3)
+            if pose.axes[i, j]
+        ]
+        if not np.array_equal(pose.axes, np.eye(3)):
+            parts.append("axes turned: " + ", ".join(images))
+        if rest > 1e-7:
+            parts.append(f"turned by {degrees(rest):.3g} deg")
+    if pose.move.any():
+        parts.append("moved by " + ", ".join(f"{v:.4g}" for v in pose.move) + f" {unit}")
+    if pose.scale != 1.0:
+        parts.append(f"scaled by {pose.scale:.6g}")
+    return "; ".join(parts) or "it lies as the design does"
+
+
+def turned_by(turn: Floats) -> float:
+    """Angle (radians) of a rotation (3, 3); of a mirrored one, that of its turned mirror image in z."""
+    proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
+    across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
+    return float(np.arctan2(np.linalg.norm(across), np.trace(proper) - 1.0))
+
+
+def _askew_words(turn: Floats) -> str:
+    """The axis and the angle of a turn; of a mirrored part, of what is left when z is reversed."""
+    proper = turn @ np.diag([1.0, 1.0, np.sign(np.linalg.det(turn))])
+    across = np.array([proper[2, 1] - proper[1, 2], proper[0, 2] - proper[2, 0], proper[1, 0] - proper[0, 1]])
+    length = float(np.linalg.norm(across))
+    angle = degrees(turned_by(turn))
+    if length < 1e-9:
+        return f"turned by {angle:.3g} deg"
+    axis = ", ".join(f"{v:.3g}" for v in across / length)
+    return f"turned by {angle:.4g} deg about ({axis})"
+
+
+def _turned_words(turn: Floats) -> str:
+    """What a part in the design's own frame that fits only when turned was made with."""
+    if turn[2, 2] < 0.0:
+        return "it fits only upside down: the arrays are exchanged, or the file was turned over"
+    return "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was turned"
+
+
+def moved(mesh: FileMesh, pose: Pose) -> FileMesh:
+    """The mesh in the design's frame and size; facets keep facing outward."""
+    linear = pose.factor * pose.turn.T / pose.scale
+    parts = []
+    for part in mesh.parts:
+        places = np.concatenate(
+            [part.placements[:, :3] @ linear, (part.placements[:, 3:] @ linear) + pose.move], axis=1
+        )
+        parts.append(Part(part.name, part.vertices, part.triangles, part.soup, None, places))
+    return FileMesh(mesh.format, tuple(parts), None, mesh.name)
+
+
+def _own_cells(whole: Window, window: Window, pose: Pose) -> str:
+    """Which of the design's cells a piece is whose numbers are in the design's own frame; "" where they are not."""
+    if turned_by(pose.turn) > 1e-4 or pose.mirrored or abs(pose.scale - 1.0) > 1e-3:
+        return ""
+    lattice = whole.lattice
+    centres = window.lattice.centres(window.lattice.cells()) - pose.move[:2]
+    cell, x, y = lattice.locate(centres[:, 0], centres[:, 1])
+    room = 1e-3 * min(lattice.pitch)
+    if abs(pose.move[2]) > room or np.hypot(x, y).max() > room or not lattice.contains(cell).all():
+        return ""
+    (i0, j0), (i1, j1) = cell.min(axis=0), cell.max(axis=0)
+    return f"cells {i0} … {i1}, {j0} … {j1} of the design, as it lies"
+
+
+def _inside(subject: Subject, trial: Trial, pose: Pose, mesh: FileMesh) -> tuple[Window, Pose]:
+    """The window with the whole cells that a piece holds, and the pose that sets the piece onto them."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for chunk in mesh.chunks():
+        flat = pose.onto_design(chunk.reshape(-1, 3))[:, :2]
+        low, high = np.minimum(low, flat.min(axis=0)), np.maximum(high, flat.max(axis=0))
+    lattice = trial.window.lattice
+    room = 1e-3 * min(lattice.pitch)
+    tile = lattice.tile()
+    first, last = tile.min(axis=0), tile.max(axis=0)
+    cells = lattice.cells()
+    inside = np.ones(len(cells), dtype=bool)
+    for body in trial.window.bodies:
+        for face in (body.front, body.back):
+            if face.array is not None and body.name in trial.present:
+                centres = lattice.centres(cells) + np.asarray(trial.window.shifts[face.array])
+                inside &= (centres + first >= low - room).all(axis=1) & (centres + last <= high + room).all(
+                    axis=1
+                )
+    # columns as a person counts them: the rows of a hexagonal sheet step back half a cell each
+    column = cells[:, 0] + (cells[:, 1] // 2 if lattice.hexagonal else 0)
+    rows = np.unique(cells[inside, 1])
+    if lattice.hexagonal and len(rows) and rows[0] % 2:
+        rows = rows[1:]
+    common = [set(column[inside & (cells[:, 1] == row)].tolist()) for row in rows]
+    columns = sorted(set.intersection(*common)) if common else []
+    if not columns:
+        raise CannotRegister(f"{subject.name} is a piece of the design without one whole cell")
+    block = np.isin(column, columns) & np.isin(cells[:, 1], rows)
+    middle = lattice.centres(cells[block]).mean(axis=0)
+    window = trial.window.with_cells((len(columns), len(rows)))
+    return window, replace(pose, move=pose.move - np.array([*middle, 0.0]))

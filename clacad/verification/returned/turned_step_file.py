@@ -1,0 +1,142 @@
+"""A STEP file that does not lie as the design does: meshed to find how it lies, then judged by light through its faces.
+
+Triangles made here tell the pose, the shape cell by cell and what is damaged. They are no part of the file: light is sent
+through the file's own faces, set down as the design lies.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import feasibility
+from clacad.sheet.window import Window
+from clacad.storage.errors import ExportError
+from clacad.verification.checks import Check, State, not_run
+from clacad.verification.files.cell_triangles import Progress
+from clacad.verification.files.find_files import Subject
+from clacad.verification.files.law_through_file import IDS
+from clacad.verification.files.mesh_light import MeshEvidence
+from clacad.verification.files.step_file import hole_words, judge_solid, lies_elsewhere
+from clacad.verification.returned.judge_part import judge_returned
+from clacad.verification.returned.registration import Placed, place
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+__all__ = ["judge_turned", "lies_elsewhere"]
+
+FINE = 400.0
+"""Facets are made this many times flatter than the flatter lens is high."""
+
+COARSE = 1e-6
+"""Facets need be no flatter than this part of the diagonal of the box round the part."""
+
+SCALE = 1e-5
+"""Relative error of size that registration leaves."""
+
+SECONDS = 600.0
+MILLIMETRE = 1e-3
+THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
+"""What light says: through the faces, not through triangles made here."""
+KEPT = ("readable", "closed", "solids")
+"""What the kernel says of a file wherever the part lies in it."""
+
+
+def judge_turned(
+    design: Design, window: Window | None, subject: Subject, checks: Sequence[Check], rays: int, progress: Progress,
+    facts: Mapping[str, Any] | None = None,
+) -> tuple[list[Check], MeshEvidence | None, Placed | None]:  # fmt: skip
+    """Find the part in a STEP file without a manifest, and judge it by triangles whose corners lie on its faces.
+
+    checks : what `clacad.verification.files.step_file.judge_solid` found; what depends on the pose is replaced.
+    facts : what it says of the file, for the holes that are drilled in it.
+
+    Raises
+    ------
+    CannotRegister
+    """
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.storage.worker import Worker
+
+    kept = [check for check in checks if check.id in KEPT]
+    whole = prescribe(design) if window is None else window
+    deflection = _deflection(whole, {} if facts is None else facts)
+    progress("meshing the solids", 0.0)
+    with tempfile.TemporaryDirectory(prefix="clacad-") as folder:
+        target = Path(folder) / "part.stl"
+        try:
+            with Worker() as worker:
+                worker.run(
+                    "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=SECONDS,
+                    progress=progress,
+                )  # fmt: skip
+        except (ExportError, OSError) as error:
+            why = f"its solids cannot be meshed: {error}"
+            return [*kept, not_run("pose", why, where="file", subject=subject.name)], None, None
+        mesh = replace(read_mesh(target), format="step", unit=MILLIMETRE)
+        placed = place(design, subject, mesh, window)
+        if (
+            placed.pose.untouched and placed.whole
+        ):  # the file's own frame after all: judged as exactly as it can be
+            exact, _ = judge_solid(design, placed.window, subject.path, {}, progress, rays, subject.role)
+            return [*exact[:1], *placed.checks, *exact[1:]], None, placed
+        found, evidence = judge_returned(design, placed, subject.name, rays, progress, subject.role)
+        found = [_exact_scale(check) for check in found if check.id not in THROUGH]
+        found += _through_faces(design, placed, subject, rays, Path(folder) / "part.brep", progress)
+    kept = [_with_holes(check, placed, {} if facts is None else facts) for check in kept]
+    return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+
+
+def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
+    """Largest distance (mm) of facets from a part's faces: fine beside the flatter lens, but not beside a part that is no
+    such sheet at all (one in another unit, say), whose facets would fill the memory.
+    """
+    low, high = facts.get("box", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    sag = min(lens.sag for lens in feasibility(window).lenses) * window.unit / MILLIMETRE
+    return max(sag / FINE, COARSE * float(np.linalg.norm(np.subtract(high, low))))
+
+
+def _through_faces(
+    design: Design, placed: Placed, subject: Subject, rays: int, target: Path, progress: Progress
+) -> list[Check]:
+    """Set the shape down as the design lies, and send light through its own faces."""
+    from clacad.storage.worker import Worker
+
+    pose, common = placed.pose, {"where": "file", "subject": subject.name}
+    try:
+        with Worker() as worker:
+            worker.run(
+                "clacad.formats.step.step_triangles:set_down", str(subject.path), str(target), pose.turn.tolist(),
+                (pose.move * design.unit_m / MILLIMETRE).tolist(), timeout=SECONDS, progress=progress,
+            )  # fmt: skip
+    except (ExportError, OSError) as error:
+        return [
+            not_run(name, f"no light can be sent through its faces: {error}", **common) for name in THROUGH
+        ]
+    exact, _ = judge_solid(design, placed.window, target, {}, progress, rays, subject.role)
+    return [replace(check, subject=subject.name) for check in exact if check.id in THROUGH]
+
+
+def _exact_scale(check: Check) -> Check:
+    """A file of solids states its size exactly: nothing of it shrank in a mould."""
+    if check.id != "scale" or not isinstance(check.value, float):
+        return check
+    state: State = "pass" if check.value <= SCALE else "fail"
+    return replace(check, state=state, limit=SCALE, source="a file of solids states its size")
+
+
+def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check:
+    """Name the holes that the kernel finds, in the design's frame."""
+    if check.id != "closed":
+        return check
+    pose = placed.pose
+    onto = None if pose.untouched else lambda at: pose.onto_design(at)
+    words = hole_words(placed.window, facts.get("holes", ()), onto)
+    return replace(check, sentence=f"{check.sentence}; {words}") if words else check

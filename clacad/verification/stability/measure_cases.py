@@ -1,0 +1,228 @@
+"""Measure clacad on the hard cases: one row for each case and quantity."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal, localcontext
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from clacad.optics.law import Law, angle_between, stretch
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
+from clacad.optics.surface import Biconic, Quadric, Surface
+from clacad.sheet.lattice import Lattice
+
+ULP = Decimal(2) ** -52
+DIGITS = 60
+WRONG = float("inf")
+"""Error of an answer that is no number, or that was given where there is none, or to another fate."""
+
+ALLOWED = {
+    "direction": 4.0,
+    "sag": 16.0,
+    "path": 4.0,
+    "component": 4.0,
+    "place": 4.0,
+    "angle": 4.0,
+    "stretch": 4.0,
+}
+"""Ulp allowed for each unit of condition, at least one unit."""
+
+Case = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One quantity of one hard case.
+
+    Attributes
+    ----------
+    kind, name, why : str
+        Group of cases, the case, and what makes it hard.
+    quantity : str
+        "direction" and "place" are absolute (of 1 and of the pitch), the others relative.
+    condition : float
+        How much a rounding of the inputs grows in the exact answer; inf where the answer itself is undecided.
+    textbook : float or str
+        Error of the textbook formula in ulp, or what else went wrong with it.
+    error : float
+        Error of clacad in ulp, measured now; inf if the answer is missing or its fate wrong.
+    recorded : float
+        The same when the table was recorded.
+    """
+
+    kind: str
+    name: str
+    why: str
+    quantity: str
+    condition: float
+    textbook: float | str
+    error: float
+    recorded: float
+
+    @property
+    def allowed(self) -> float:
+        """Largest error allowed, in ulp."""
+        return ALLOWED[self.quantity] * max(1.0, self.condition)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the error is within what is allowed."""
+        return self.error <= self.allowed
+
+    @property
+    def worsened(self) -> bool:
+        """Whether it is worse than recorded by more than half a place (a law turns by sines of some library)."""
+        slack = 0.5 * (max(1.0, self.condition) if self.kind == "law" else 1.0)
+        return self.error > 1.001 * self.recorded + slack  # four figures are recorded
+
+
+def hard_cases() -> tuple[Case, ...]:
+    """The stored cases with their answers."""
+    text = files("clacad.verification.stability").joinpath("cases.json").read_text(encoding="utf-8")
+    return tuple(json.loads(text)["cases"])
+
+
+def stability_table(cases: Sequence[Case] | None = None) -> tuple[Row, ...]:
+    """Measure every case with the code that is installed.
+
+    Parameters
+    ----------
+    cases : sequence of cases, optional
+        Default all stored ones.
+
+    Returns
+    -------
+    tuple of Row
+    """
+    return tuple(row for case in (hard_cases() if cases is None else cases) for row in _rows(case))
+
+
+def _rows(case: Case) -> Iterator[Row]:
+    errors = MEASURES[case["kind"]](case["inputs"], case["answer"])
+    for quantity, error in errors.items():
+        yield Row(
+            case["kind"],
+            case["name"],
+            case["why"],
+            quantity,
+            float(case["condition"][quantity]),
+            case["textbook"].get(quantity, ""),
+            error,
+            float(case.get("recorded", {}).get(quantity, WRONG)),
+        )
+
+
+# -- one function a kind: what clacad gives for the inputs, against the answer -----------------------------------
+
+
+def _ray(given: Case, answer: Case) -> dict[str, float]:
+    seq = [_interface(face) for face in given["faces"]]
+    result = trace_sequence(seq, Rays([given["start"]], [given["direction"]]))
+    fates = (answer["fate"], *answer.get("or", ()))
+    if Fate(result.fate[0]).name not in fates:
+        return dict.fromkeys(_quantities(answer), WRONG)
+    if "direction" not in answer:
+        return {"direction": 0.0}
+    out = {"direction": _apart(result.direction[0], answer["direction"])}
+    out["path"] = _relative(result.optical_path[0], answer["path"])
+    if "sag" in answer:
+        out["sag"] = _relative(result.position[0, 2], answer["sag"])
+    return out
+
+
+def _law(given: Case, answer: Case) -> dict[str, float]:
+    law = replace(Law(*given["law"]), axes=given["axes"])
+    got = law.refract([given["direction"]])[0]
+    if "direction" not in answer:
+        return {"direction": 0.0 if np.isnan(got).all() or answer.get("undecidable") else WRONG}
+    if np.isnan(got).any():
+        return dict.fromkeys(_quantities(answer), 0.0 if answer.get("undecidable") else WRONG)
+    out = {"direction": _apart(got, answer["direction"])}
+    if given["upright"]:
+        out["component"] = max(_relative(g, a) for g, a in zip(got, answer["direction"], strict=True))
+    return out
+
+
+def _sag(given: Case, answer: Case) -> dict[str, float]:
+    return {"sag": _relative(float(_surface(given["surface"]).sag(given["x"], given["y"])), answer["sag"])}
+
+
+def _cell(given: Case, answer: Case) -> dict[str, float]:
+    lattice = Lattice(given["lattice"], tuple(given["pitch"]), tuple(given["count"]))
+    index, x, y = lattice.locate(np.array([given["x"]]), np.array([given["y"]]))
+    if index[0].tolist() != answer["index"]:
+        return {"place": 0.0 if answer.get("undecidable") else WRONG}
+    with localcontext() as context:
+        context.prec = DIGITS
+        off = [_exact(float(u[0])) - Decimal(a) for u, a in zip((x, y), answer["place"], strict=True)]
+        worst = max(abs(o) / _exact(p) for o, p in zip(off, given["pitch"], strict=True))
+        return {"place": float(worst / ULP)}
+
+
+def _angle(given: Case, answer: Case) -> dict[str, float]:
+    got = float(angle_between([given["first"]], [given["second"]])[0])
+    return {"angle": _relative(got, answer["angle"])}
+
+
+def _view(given: Case, answer: Case) -> dict[str, float]:
+    got = stretch(Law(*given["law"]), given["z"], given["camera"])
+    return {"stretch": max(_relative(float(g), a) for g, a in zip(got, answer["stretch"], strict=True))}
+
+
+MEASURES: Mapping[str, Callable[[Case, Case], dict[str, float]]] = {
+    "ray": _ray, "law": _law, "sag": _sag, "cell": _cell, "angle": _angle, "view": _view,
+}  # fmt: skip
+
+
+# -- helpers -----------------------------------------------------------------------------------------------------
+
+
+def _surface(shape: Case) -> Surface:
+    if shape["kind"] == "quadric":
+        cx, cy, kappa, side = shape["numbers"]
+        return Quadric(cx, cy, kappa, int(side))
+    cx, cy, conic_x, conic_y, side = shape["numbers"]
+    return Biconic(cx, cy, conic_x, conic_y, int(side))
+
+
+def _interface(face: Case) -> Interface:
+    return Interface(_surface(face), face["vertex"], face["before"], face["after"], face.get("rotation"))
+
+
+def _quantities(answer: Case) -> tuple[str, ...]:
+    return tuple(q for q in ("direction", "path", "sag") if q in answer) or ("direction",)
+
+
+def _exact(value: float) -> Decimal:
+    """A double as the decimal number it is, NaN and infinity included."""
+    return Decimal(float(value))
+
+
+def _apart(got: Sequence[float], exact: Sequence[str]) -> float:
+    """Length of the difference of two vectors, in ulp of 1."""
+    with localcontext() as context:
+        context.prec = DIGITS
+        total = sum(((_exact(g) - Decimal(e)) ** 2 for g, e in zip(got, exact, strict=True)), Decimal(0))
+        return float(total.sqrt() / ULP)
+
+
+def _relative(got: float, exact: str) -> float:
+    """Relative difference in ulp; 0 of two zeros or two infinities of one sign."""
+    value, answer = _exact(got), Decimal(exact)
+    if value.is_nan():
+        return WRONG
+    if value == answer:
+        return 0.0
+    if answer == 0 or not (value.is_finite() and answer.is_finite()):
+        return WRONG
+    with localcontext() as context:
+        context.prec = DIGITS
+        # what is subnormal in truth keeps no relative digits: it may be off by the smallest double
+        slack = abs(value - answer) - Decimal(5e-324)
+        return float(max(slack, Decimal(0)) / abs(answer) / ULP)

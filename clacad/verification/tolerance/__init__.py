@@ -1,0 +1,45 @@
+"""What fabrication gets wrong, and what it does to light: tolerances, sensitivities, yield; and parameter sweeps.
+
+`tolerance` perturbs the window as built (array poses, radii, index, thickness, roughness), traces it, and says in
+the words of lenslet sheets what happens: image shift, moiré, residual power, blur, throughput. `sweep` does the
+same for any keys of the design. Both run point by point on an executor and resume from a checkpoint. Names resolve
+when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clacad.verification.tolerance.checkpoint import Checkpoint, OtherStudy
+    from clacad.verification.tolerance.farm import Farm
+    from clacad.verification.tolerance.light_measures import MEASURES, Bench, bench
+    from clacad.verification.tolerance.misaligned import as_made, telescopelet
+    from clacad.verification.tolerance.no_tolerances import NoTolerances
+    from clacad.verification.tolerance.parameter_sweep import Sweep, parse_vary, sweep
+    from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
+    from clacad.verification.tolerance.study import Study, tolerance
+    from clacad.verification.tolerance.study_files import read_study, write_study, write_sweep
+    from clacad.verification.tolerance.study_plots import plot_sweep, plot_tolerances
+
+_HOME = {
+    "Checkpoint": "checkpoint", "OtherStudy": "checkpoint", "NoTolerances": "no_tolerances", "Farm": "farm",
+    "MEASURES": "light_measures", "Bench": "light_measures", "bench": "light_measures", "Parameter": "perturbations", "draw": "perturbations",
+    "parameters": "perturbations", "plot_sweep": "study_plots", "plot_tolerances": "study_plots", "Study": "study",
+    "tolerance": "study", "Sweep": "parameter_sweep", "parse_vary": "parameter_sweep", "sweep": "parameter_sweep", "as_made": "misaligned",
+    "telescopelet": "misaligned", "read_study": "study_files", "write_study": "study_files", "write_sweep": "study_files",
+}  # fmt: skip
+
+__all__ = [
+    "MEASURES", "Bench", "Checkpoint", "Farm", "NoTolerances", "OtherStudy", "Parameter", "Study", "Sweep", "as_made",
+    "bench", "draw", "parameters", "parse_vary", "plot_sweep", "plot_tolerances", "read_study", "sweep",
+    "telescopelet", "tolerance", "write_study", "write_sweep",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module when it is first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'clacad.verification.tolerance' has no attribute {name!r}")
+    return getattr(import_module(f"clacad.verification.tolerance.{_HOME[name]}"), name)

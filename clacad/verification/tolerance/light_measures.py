@@ -1,0 +1,281 @@
+"""What light says about one telescopelet as made: the words of lenslet sheets, each a traced number.
+
+image shift
+    Change of the direction in which the ray through the middle of lens 1's cell leaves; decentred arrays.
+slip, moiré period
+    How fast that direction changes from cell to cell, expressed as the rate at which array 2 slips against array 1
+    (the change per decentre is traced too). The moiré pattern repeats where it has slipped by one pitch: Hutley,
+    Hunt, Stevens, Savander, Pure Appl. Opt. 3, 133 (1994).
+residual power
+    Convergence: minus the change of exit slope with entrance height of rays a hair beside that ray, 0 for an
+    afocal pair. In dioptres.
+blur
+    Rms spread of the exit directions of parallel light over a cell.
+throughput
+    Share of the light of the field that stays in its telescopelet and out of the haze of rough faces.
+law_rms, law_bias, eta, delta, kept
+    As the checks of the same names define them (kept: throughput over the closed form), with fewer rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.effects.scatter import haze
+from clacad.optics.law import Law, angle_between
+from clacad.sheet.bundle import bundle, field_points, middle_direction
+from clacad.sheet.feasibility.facts import DEFAULT_WAVELENGTH
+from clacad.sheet.vignetting import share, thin_cells
+from clacad.sheet.window import Window
+from clacad.verification.tolerance.misaligned import Errors, Telescopelet, telescopelet
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+Floats = NDArray[np.float64]
+
+RAYS = 256
+"""Rays of each bundle."""
+
+HAIR = 2e-3
+"""Entrance height of the parabasal rays over the cell's circumradius."""
+
+FIT_SCALE = 0.1
+"""Aperture and field of the rays that eta and delta are fitted on, as in the checks."""
+
+MEASURES: Mapping[str, str] = {
+    "shift_x": "rad", "shift_y": "rad", "slip_xx": "", "slip_xy": "", "slip_yx": "", "slip_yy": "",
+    "power_xx": "1/m", "power_xy": "1/m", "power_yx": "1/m", "power_yy": "1/m",
+    "image_shift": "rad", "moire_rate": "", "moire_period": "m", "residual_power": "1/m", "blur": "rad",
+    "throughput": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "", "delta_y": "",
+    "eta_error": "", "delta_error": "", "kept": "",
+}  # fmt: skip
+"""Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others follow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A design's window with the rays and reference values that every sample shares.
+
+    window : Window
+    rays : (position (n, 3), direction (n, 3))
+        About the cell's centre: the cone, the parallel beams, the narrow fit bundle, the parabasal rays.
+    parts : mapping
+        Name of a bundle to its rows.
+    places : (m, 2) lengths
+        Cells that are traced: the middle one and the farthest ones, nominal centres of cell 1.
+    asked : (n, 3)
+        Directions the asked law gives to all rays.
+    chief : (2,) slopes
+        Nominal exit slopes of the chief ray, lens frame.
+    per_decentre : (2, 2) 1/length
+        Change of those slopes with the decentre of array 2.
+    closed_form : float
+        Share of the field's light that thin lenses would keep.
+    wavelength : float, metres
+    """
+
+    window: Window
+    rays: tuple[Floats, Floats]
+    parts: Mapping[str, slice]
+    places: Floats
+    asked: Floats
+    chief: Floats
+    per_decentre: Floats
+    closed_form: float
+    wavelength: float
+
+    def measured(self, errors: Errors) -> dict[str, float]:
+        """All measures of the sheet made with these errors; NaN where too little light gets through to say."""
+        found = self._chief_measures(errors)
+        spread, share_, rms, bias = [], [], [], []
+        clear = 1.0 - self._haze(errors)
+        for number, place in enumerate(self.places):
+            cell = telescopelet(self.window, errors, place)
+            out, alive = self._sent(cell, errors)
+            spread.append(self._spread(out, alive))
+            cone = self.parts["cone"]
+            share_.append(float(alive[cone].mean()) * clear)
+            rms.append(_rms(angle_between(out[cone], self.asked[cone])[alive[cone]]))
+            bias.append(self._bias(out, alive))
+            if number == 0:
+                found |= self._fitted(out, alive)
+        kept = min(share_)
+        return found | {
+            "blur": _worst(spread), "throughput": kept, "law_rms": _worst(rms), "law_bias": _worst(bias),
+            "kept": kept / self.closed_form if self.closed_form > 0.0 else np.nan,
+        }  # fmt: skip
+
+    def _sent(self, cell: Telescopelet, errors: Errors) -> tuple[Floats, NDArray[np.bool_]]:
+        """The field's light comes over the whole sheet, so over cell 1 wherever it stands."""
+        aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
+        return cell.send(self.rays[0] + aside, self.rays[1])
+
+    def _haze(self, errors: Errors) -> float:
+        rough = errors.get("roughness", 0.0) * self.window.unit
+        return haze(self.window, rough, self.wavelength) if rough else 0.0
+
+    def _spread(self, out: Floats, alive: NDArray[np.bool_]) -> float:
+        rows = self.parts["beam"]
+        lit = out[rows][alive[rows]]
+        if len(lit) < 8:
+            return np.nan
+        return _rms(angle_between(lit, lit.mean(axis=0)))
+
+    def _bias(self, out: Floats, alive: NDArray[np.bool_]) -> float:
+        """Largest angle between mean exit direction and law over the parallel beams."""
+        worst = 0.0
+        for name, rows in self.parts.items():
+            if not name.startswith("beam"):
+                continue
+            lit = out[rows][alive[rows]]
+            if len(lit) < 8:
+                return np.nan
+            worst = max(worst, float(angle_between(lit.mean(axis=0), self.asked[rows][0])))
+        return worst
+
+    def _fitted(self, out: Floats, alive: NDArray[np.bool_]) -> dict[str, float]:
+        rows = self.parts["narrow"]
+        into, lit = self.rays[1][rows][alive[rows]], out[rows][alive[rows]]
+        names = ("eta_x", "eta_y", "delta_x", "delta_y", "eta_error", "delta_error")
+        if len(lit) < 64:
+            return dict.fromkeys(names, np.nan)
+        try:
+            law = Law.fit(into, lit, axes=self.window.law).law
+        except ValueError:  # light that leaves without depending on how it came
+            return dict.fromkeys(names, np.nan)
+        asked = self.window.law
+        eta, delta = (law.eta_x, law.eta_y), (law.delta_x, law.delta_y)
+        off_eta = max(abs(eta[0] / asked.eta_x - 1.0), abs(eta[1] / asked.eta_y - 1.0))
+        off_delta = max(abs(delta[0] - asked.delta_x), abs(delta[1] - asked.delta_y))
+        return dict(zip(names, (*eta, *delta, off_eta, off_delta), strict=True))
+
+    def _chief_measures(self, errors: Errors) -> dict[str, float]:
+        """Image shift, slip and power, from the chief ray and its neighbours."""
+        window, unit = self.window, self.window.unit
+        here = self._chief(errors, np.zeros(2))
+        shift = here[0] - self.chief
+        size = HAIR * window.lattice.circumradius
+        power = -np.stack([here[1] - here[2], here[3] - here[4]], axis=1) / (2.0 * size * unit)
+        step = np.array(window.lattice.pitch)
+        across = np.stack(
+            [
+                (self._chief(errors, step * e)[0] - self._chief(errors, -step * e)[0]) / (2.0 * step[k])
+                for k, e in enumerate(np.eye(2))
+            ],
+            axis=1,
+        )
+        slip = np.linalg.pinv(self.per_decentre, rcond=1e-9) @ across  # a meridian without power cannot slip
+        rate = _norm(slip)
+        found = {f"shift_{a}": float(shift[k]) for k, a in enumerate("xy")}
+        for name, matrix in (("slip", slip), ("power", power)):
+            found |= {
+                f"{name}_{a}{b}": float(matrix[i, k]) for i, a in enumerate("xy") for k, b in enumerate("xy")
+            }
+        return found | {
+            "image_shift": hypot(*shift), "moire_rate": rate, "residual_power": _norm(power),
+            "moire_period": min(window.lattice.pitch) * unit / rate if rate > 1e-12 else np.inf,
+        }  # fmt: skip
+
+    def _chief(self, errors: Errors, place: Floats) -> Floats:
+        """Exit slopes (5, 2), lens frame, of the chief ray and of those a hair beside it; NaN where none arrives."""
+        rows = self.parts["chief"]
+        cell = telescopelet(self.window, errors, place)
+        aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
+        out, _ = cell.send(self.rays[0][rows] + aside, self.rays[1][rows])
+        turned = out @ self.window.thin.rotation
+        return np.asarray(turned[:, :2] / turned[:, 2:])
+
+
+def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
+    """Lay out the rays and trace the sheet as designed.
+
+    Parameters
+    ----------
+    design : Design
+        For the field of the checks.
+    window : Window
+    rays : int
+        Rays of each bundle; the cone, whose rays are counted, takes four times as many, the parallel beams beside
+        the middle one a quarter.
+    """
+    spec = design.check
+    middle = middle_direction(window, spec.field_centre)
+    bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre)}
+    for number, direction in enumerate(field_points(window, spec.field, spec.field_centre)[[0, 1, 3, 5, 7]]):
+        count = rays if number == 0 else max(64, rays // 4)
+        bundles["beam" if number == 0 else f"beam {number}"] = bundle(window, count, 0.0, middle=direction)
+    bundles["narrow"] = bundle(window, rays, FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
+    home = np.append(window.lattice.centres(np.array([bundles["cone"].cell]))[0], 0.0)
+    rows: dict[str, tuple[Floats, Floats]] = {
+        name: (b.rays.position - home, b.rays.direction) for name, b in bundles.items()
+    }
+    rows["chief"] = _chief_rays(window, middle, rows["beam"][0][0, 2])
+    parts, start = {}, 0
+    for name, (position, _) in rows.items():
+        parts[name] = slice(start, start + len(position))
+        start += len(position)
+    position, direction = (np.concatenate([pair[k] for pair in rows.values()]) for k in (0, 1))
+    kept = float(share(thin_cells(window), rows["cone"][1][:64]).mean())
+    blank = Bench(
+        window, (position, direction), parts, _places(window), window.law.refract(direction), np.zeros(2), np.eye(2),
+        kept, window.wavelength or DEFAULT_WAVELENGTH,
+    )  # fmt: skip
+    chief = blank._chief({}, np.zeros(2))[0]
+    step = 1e-4 * min(window.lattice.pitch)
+    per_decentre = [
+        (
+            blank._chief({f"decentre.2.{a}": step}, np.zeros(2))[0]
+            - blank._chief({f"decentre.2.{a}": -step}, np.zeros(2))[0]
+        )
+        / (2.0 * step)
+        for a in "xy"
+    ]
+    return Bench(
+        window, blank.rays, parts, blank.places, blank.asked, chief, np.stack(per_decentre, axis=1), kept,
+        blank.wavelength,
+    )  # fmt: skip
+
+
+def _chief_rays(window: Window, middle: Floats, low: float) -> tuple[Floats, Floats]:
+    """The ray through the cell's middle, and four a hair beside it along lens x and y, from below the window."""
+    u, v, _ = window.thin.rotation.T
+    size = HAIR * window.lattice.circumradius
+    at = np.array([0.0 * u, u, -u, v, -v]) * size
+    start = at + middle * ((low - at[:, 2:]) / middle[2])
+    return start, np.broadcast_to(middle, start.shape).copy()
+
+
+def _places(window: Window) -> Floats:
+    """Centres of the sheet's middle and of its farthest cells along the four diagonals, (m, 2)."""
+    lattice = window.lattice
+    if lattice.cell_count == 1:
+        return np.zeros((1, 2))
+    x0, x1, y0, y1 = lattice.extent()
+    if lattice.outline is None:
+        half = 0.5 * np.array([x1 - x0, y1 - y0]) - 0.5 * np.array(lattice.pitch)
+        signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+        return np.concatenate([np.zeros((1, 2)), np.unique(signs * np.maximum(half, 0.0), axis=0)])
+    centres = lattice.centres(lattice.cells())
+    far = [centres[int(np.argmax(centres @ np.array(way)))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+    return np.concatenate([np.zeros((1, 2)), np.array(far)])
+
+
+def _worst(values: list[float]) -> float:
+    """The largest; NaN if any could not be measured."""
+    return float(np.max(values))
+
+
+def _rms(angles: Floats) -> float:
+    return float(np.sqrt(np.mean(angles**2))) if len(angles) else float("nan")
+
+
+def _norm(matrix: Floats) -> float:
+    """Largest singular value; NaN where the matrix holds one."""
+    return float(np.linalg.norm(matrix, 2)) if np.isfinite(matrix).all() else float("nan")

@@ -1,0 +1,184 @@
+"""One telescopelet of a sheet that was not made as designed: its faces where and what they really are.
+
+Radius, index and thickness change the bodies of the window; decentre, rotation, separation and tilt are rigid
+motions of a whole array, so what they do to one telescopelet depends on where in the sheet it stands. Nothing here
+is first order: the faces are moved, and light is traced through them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.feasibility import thicker
+from clacad.sheet.window import Body, Face, Window, in_optical_tile
+from clacad.tracing.trace import Interface, trace_sequence
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Errors = Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Rigid motion of an array: x → pivot + turn (x − pivot) + shift, sheet frame, lengths."""
+
+    turn: Floats
+    shift: Floats
+    pivot: Floats
+
+    def moves(self, point: Floats) -> Floats:
+        """Displacement (…, 3) of points (…, 3)."""
+        return np.asarray((point - self.pivot) @ (self.turn - np.eye(3)).T + self.shift)
+
+    def undone(self, point: Floats) -> Floats:
+        """Where moved points (…, 3) were before."""
+        return np.asarray((point - self.shift - self.pivot) @ self.turn + self.pivot)
+
+
+@dataclass(frozen=True, eq=False)
+class Telescopelet:
+    """Faces of one telescopelet as made, about the nominal centre of its cell 1.
+
+    window : Window
+        As made (radii, indices, thicknesses), for its cells.
+    seq : list of Interface
+    faces : list of (Face, array, Motion)
+        Of each interface: the design's face, the array it stands with, and how that array moved.
+    centre : (2,) lengths
+        Of cell 1 in the sheet, nominal.
+    """
+
+    window: Window
+    seq: list[Interface]
+    faces: list[tuple[Face, int, Motion]]
+    centre: Floats
+
+    def send(self, position: Floats, direction: Floats) -> tuple[Floats, Mask]:
+        """Trace rays given about the cell's centre; exit directions (n, 3), and which stayed in this telescopelet.
+
+        Directions are NaN where a ray ended on the way. A ray counts if it meets every lens face in the optical zone of this cell, where the lens is not buried in
+        land, and leaves forwards.
+        """
+        result = trace_sequence(self.seq, Rays(position, direction), record=True)
+        through = result.fate == Fate.ALIVE
+        good = through.copy()
+        assert result.hits is not None  # recorded
+        for hits, (face, array, motion) in zip(result.hits, self.faces, strict=True):
+            if face.array is None:
+                continue
+            place = np.array([*self.centre, 0.0])
+            before = motion.undone(hits + place) - place
+            x, y = (before[:, :2] - self.window.shifts[array]).T
+            good &= in_optical_tile(self.window, x, y)
+            if face.land is not None:
+                good &= face.side * (face.land - before[:, 2]) >= 0.0
+        return np.where(through[:, None], result.direction, np.nan), good
+
+
+def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -> Telescopelet:
+    """Place the faces of the telescopelet whose cell 1 is centred at `centre` (2,), default the sheet's middle.
+
+    Parameters
+    ----------
+    window : Window
+        As designed.
+    errors : mapping
+        Parameter name (`clacad.verification.tolerance.perturbations`) to error, in design units, radians or as a ratio; what is not
+        named is as designed.
+    """
+    at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
+    made = as_made(window, errors)
+    motions = (_first(errors), _second(made, errors))
+    seq, faces = [], []
+    for body in made.bodies:
+        for face, other, before, after in (
+            (body.front, body.back, 1.0, body.index),
+            (body.back, body.front, body.index, 1.0),
+        ):
+            array = face.array if face.array is not None else other.array
+            assert array is not None  # a body has at least one lens face
+            shift = made.shifts[array]
+            vertex = np.asarray(face.vertex) + [*shift, 0.0]
+            motion = motions[array]
+            moved = vertex + motion.moves(vertex + [*at, 0.0])
+            turn = motion.turn @ face.rotation
+            plain = np.array_equal(turn, np.eye(3))
+            seq.append(Interface(face.surface, moved, before, after, None if plain else turn))
+            faces.append((face, array, motion))
+    return Telescopelet(_baffled(made), seq, faces, at)
+
+
+def _baffled(window: Window) -> Window:
+    """With a baffle its walls narrow the zone of a cell as a seam does."""
+    if window.baffle is None:
+        return window
+    return replace(window, land=replace(window.land, seam=max(window.land.seam, window.baffle.wall)))
+
+
+def as_made(window: Window, errors: Errors) -> Window:
+    """The window with the radii, indices and thicknesses it was made with."""
+    bodies = []
+    for number, body in enumerate(window.bodies, 1):
+        front, back = (
+            replace(face, surface=grown(face.surface, _radius(errors, body, face, part)))
+            for part, face in (("front", body.front), ("back", body.back))
+        )
+        made = replace(body, front=front, back=back, index=body.index + errors.get(f"index.{number}", 0.0))
+        change = errors.get(f"thickness.{number}", 0.0)
+        bodies.append(made if change == 0.0 or window.form == "slab" else thicker(made, change))
+    return replace(window, bodies=tuple(bodies))
+
+
+def _radius(errors: Errors, body: Body, face: Face, part: str) -> float:
+    if face.array is None:
+        return 0.0
+    return errors.get(f"radius.{face.array + 1}" + (f".{part}" if body.columnar else ""), 0.0)
+
+
+def grown(surface: Quadric | Biconic, part: float) -> Quadric | Biconic:
+    """The same shape with all radii larger by a relative `part`."""
+    if part == 0.0:
+        return surface
+    scale = 1.0 / (1.0 + part)
+    if isinstance(surface, Quadric):
+        return Quadric(
+            surface.curvature_x * scale, surface.curvature_y * scale, surface.kappa * scale, surface.side
+        )
+    return replace(surface, curvature_x=surface.curvature_x * scale, curvature_y=surface.curvature_y * scale)
+
+
+def _first(errors: Errors) -> Motion:
+    """Array 1 is what the others are measured against; it may stand off its place."""
+    shift = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
+    return Motion(np.eye(3), shift, np.zeros(3))
+
+
+def _second(window: Window, errors: Errors) -> Motion:
+    """Array 2: moved aside, turned about the sheet's normal, tilted about x and y, its spacer too high."""
+    heights = [face.vertex[2] for face in window.faces if face.array == 1]
+    pivot = np.array([*window.shifts[1], sum(heights) / len(heights)])
+    up = errors.get("separation", 0.0)
+    if window.form == "slab":
+        up += errors.get("thickness.1", 0.0)
+    shift = np.array([errors.get("decentre.2.x", 0.0), errors.get("decentre.2.y", 0.0), up])
+    turn = _turned(errors.get("tilt.x", 0.0), errors.get("tilt.y", 0.0), errors.get("rotation", 0.0))
+    return Motion(turn, shift, pivot)
+
+
+def _turned(about_x: float, about_y: float, about_z: float) -> Floats:
+    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues): no order of axes to choose."""
+    vector = np.array([about_x, about_y, about_z])
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle == 0.0:
+        return np.eye(3)
+    half = 0.5 * angle
+    first, second = np.sin(angle) / angle, 0.5 * (np.sin(half) / half) ** 2
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))

@@ -1,0 +1,251 @@
+"""Parameter sweeps: any keys of the design over a grid of values, each point built, judged and traced."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from itertools import product
+from math import inf, isfinite, nan, prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad import __version__
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import Feasibility, feasibility
+from clacad.verification.tolerance.farm import Farm
+from clacad.verification.tolerance.light_measures import RAYS, bench
+from clacad.verification.tolerance.no_tolerances import CannotVary
+from clacad.verification.tolerance.study import FORMAT, Progress, worked
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+MOST_POINTS = 1_000_000
+
+TRACED: Mapping[str, str] = {
+    "exit_x": "slope", "exit_y": "slope", "power_xx": "1/m", "power_yy": "1/m", "residual_power": "1/m", "blur": "rad",
+    "throughput": "", "kept": "", "law_rms": "rad", "law_bias": "rad", "eta_x": "", "eta_y": "", "delta_x": "",
+    "delta_y": "",
+}  # fmt: skip
+"""Measures of a point by light: those of `clacad.verification.tolerance.light_measures`, and the exit slopes of the chief ray."""
+
+BUILT: Mapping[str, str] = {
+    "pieces": "", "cover": "", "edge": "design unit", "neck": "design unit", "step": "design unit",
+    "clearance": "design unit", "radius": "design unit", "sag": "design unit", "thickness_1": "design unit",
+    "thickness_2": "design unit", "normal_z": "", "half_field": "slope", "fresnel_number": "",
+}  # fmt: skip
+"""Numbers of a point by geometry: the worst of its lenses or bodies."""
+
+_RANGE = re.compile(r"(?P<start>[^:]+):(?P<stop>[^:]+):(?P<count>[0-9]+)(?P<log>:log)?\Z")
+_NUMBER = re.compile(
+    r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?)\s*(?P<unit>[A-Za-z%]*)\s*\Z"
+)
+
+Axis = tuple[str, tuple[Any, ...]]
+"""A dotted key and its values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A table of points.
+
+    Attributes
+    ----------
+    name, sha256 : str
+        Of the design that was varied.
+    axes : tuple of (key, values)
+    rows : list of mappings
+        In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of the
+        design rules fails, or "error": it cannot be built), "failed" and "message", then `BUILT` and `TRACED`.
+    """
+
+    name: str
+    sha256: str
+    axes: tuple[Axis, ...]
+    rows: list[dict[str, Any]]
+
+    def columns(self) -> list[str]:
+        """Names of the columns of the table."""
+        return [key for key, _ in self.axes] + ["state", "failed", "message", *BUILT, *TRACED]
+
+
+def parse_vary(text: str) -> Axis:
+    """Read "key=from:to:count", "key=from:to:count:log" or "key=a,b,c".
+
+    Values may carry a unit ("5 um:20 um:4"); whole numbers stay whole. The steps of a linear range are rounded
+    once, from exact fractions.
+
+    Raises
+    ------
+    CannotVary
+
+    Examples
+    --------
+    >>> parse_vary("law.eta.0=-0.25:-4:4")
+    ('law.eta.0', (-0.25, -1.5, -2.75, -4.0))
+    """
+    key, equals, values = text.partition("=")
+    key, values = key.strip(), values.strip()
+    if not (equals and key and values):
+        raise CannotVary(f"--vary {text!r}: write KEY=FROM:TO:COUNT or KEY=A,B,C")
+    found = _RANGE.match(values)
+    if found is None:
+        return key, tuple(_value(part) for part in _split(values))
+    count = int(found["count"])
+    if not 1 <= count <= MOST_POINTS:
+        raise CannotVary(f"--vary {text!r}: COUNT is a whole number from 1 to {MOST_POINTS}")
+    start, stop = _NUMBER.match(found["start"]), _NUMBER.match(found["stop"])
+    if start is None or stop is None or start["unit"] != stop["unit"]:
+        raise CannotVary(f"--vary {text!r}: FROM and TO are two numbers with the same unit, or with none")
+    ends = Fraction(start["number"]), Fraction(stop["number"])
+    if found["log"]:
+        if not ends[0] * ends[1] > 0:
+            raise CannotVary(f"--vary {text!r}: a logarithmic range does not reach or cross 0")
+        ratio = float(ends[1] / ends[0])
+        numbers = [float(ends[0]) * ratio ** (k / max(1, count - 1)) for k in range(count)]
+    else:
+        steps = [ends[0] + (ends[1] - ends[0]) * Fraction(k, max(1, count - 1)) for k in range(count)]
+        whole = all("." not in e["number"] and "e" not in e["number"].lower() for e in (start, stop))
+        numbers = [int(s) if whole and s.denominator == 1 else float(s) for s in steps]
+        if whole and not all(isinstance(n, int) for n in numbers):
+            numbers = [float(n) for n in numbers]
+    return key, tuple(f"{n!r} {start['unit']}" if start["unit"] else n for n in numbers)
+
+
+def _split(values: str) -> list[str]:
+    """Parts between commas that stand outside brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for sign in values:
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "\"'":
+            quote = sign
+        else:
+            depth += (sign in "[{") - (sign in "]}")
+        if sign == "," and depth == 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += sign
+    return [part.strip() for part in parts if part.strip()]
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def grid(axes: Sequence[Axis]) -> list[dict[str, Any]]:
+    """Every combination of the values, the last key fastest."""
+    return [
+        dict(zip((key for key, _ in axes), values, strict=True)) for values in product(*(v for _, v in axes))
+    ]
+
+
+@lru_cache(maxsize=2)
+def _asked(study: str) -> tuple[Any, list[dict[str, Any]], int]:
+    from clacad.design import Design
+
+    asked = json.loads(study)
+    axes = [(key, tuple(values)) for key, values in asked["axes"]]
+    return Design.from_dict(asked["design"]), grid(axes), asked["rays"]
+
+
+def make_points(study: str, points: Sequence[int]) -> list[dict[str, Any]]:
+    """Build, judge and trace some points: in this process or in any other, the same numbers."""
+    design, values, rays = _asked(study)
+    return [_point(design, values[k], rays) for k in points]
+
+
+def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, Any]:
+    from clacad.design import DesignError
+    from clacad.verification.design.design_rules import design_checks
+
+    row: dict[str, Any] = {"state": "error", "failed": "", "message": ""}
+    row |= dict.fromkeys([*BUILT, *TRACED], nan)
+    try:
+        made = design.replace(changes)
+        window = prescribe(made)
+        facts = feasibility(window)
+        checks = design_checks(made, window, facts)
+    except DesignError as error:
+        return row | {"message": "; ".join(m.message for m in error.mistakes)}
+    failed = ", ".join(dict.fromkeys(c.id for c in checks if c.state == "fail"))
+    row |= {"state": "failed" if failed else "ok", "failed": failed} | _built(facts)
+    table = bench(made, window, rays)
+    measured = table.measured({})
+    chief = {f"exit_{a}": float(table.chief[k]) for k, a in enumerate("xy")}
+    return row | chief | {name: measured[name] for name in TRACED if name in measured}
+
+
+def _built(facts: Feasibility) -> dict[str, float]:
+    return {
+        "pieces": max(body.pieces for body in facts.bodies), "cover": min(lens.cover for lens in facts.lenses),
+        "edge": min(body.edge for body in facts.bodies), "neck": min(body.neck for body in facts.bodies),
+        "step": max(body.step for body in facts.bodies), "clearance": facts.clearance,
+        "radius": min(abs(r) for lens in facts.lenses for r in lens.radius),
+        "sag": max(lens.sag for lens in facts.lenses),
+        "thickness_1": facts.lenses[0].thickness, "thickness_2": facts.lenses[1].thickness,
+        "normal_z": min(lens.least_normal_z for lens in facts.lenses), "half_field": min(facts.half_field),
+        "fresnel_number": facts.fresnel_number,
+    }  # fmt: skip
+
+
+def sweep(
+    design: Design,
+    axes: Sequence[Axis],
+    rays: int = RAYS,
+    farm: Farm | None = None,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Build, judge and trace the design at every point of a grid.
+
+    Parameters
+    ----------
+    design : Design
+    axes : sequence of (dotted key, values)
+        As `parse_vary` reads them.
+    rays : int
+        Rays of a bundle.
+    farm, checkpoint, progress
+        As for `clacad.verification.tolerance.tolerance`.
+
+    Raises
+    ------
+    CannotVary
+        No axes, one key twice, or too many points.
+    """
+    keys = [key for key, _ in axes]
+    if not axes or len(set(keys)) < len(keys):
+        raise CannotVary(
+            "give --vary once or more, each with another key" if axes else "nothing is varied: --vary"
+        )
+    count = prod(len(values) for _, values in axes)
+    if not 1 <= count <= MOST_POINTS:
+        raise CannotVary(f"{count} points: at most {MOST_POINTS}")
+    whole = [[key, list(values)] for key, values in axes]
+    text = json.dumps({"design": design.to_dict(), "axes": whole, "rays": rays}, sort_keys=True)
+    header = {
+        "kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, "axes": whole, "rays": rays,
+    }  # fmt: skip
+    found = worked(make_points, text, header, count, farm or Farm(), checkpoint, progress, piece=1)
+    rows = [point | row for point, row in zip(grid(axes), found, strict=True)]
+    if not any(row["state"] != "error" for row in rows):
+        raise CannotVary(f"no point can be built; the first: {rows[0]['message']}")
+    return Sweep(design.name, design.sha256, tuple((k, tuple(v)) for k, v in axes), rows)
+
+
+def shown(value: Any) -> str:
+    """A cell of a CSV table: shortest number that reads back, nothing for what could not be measured."""
+    if isinstance(value, float):
+        return repr(value) if isfinite(value) else {inf: "inf", -inf: "-inf"}.get(value, "")
+    if isinstance(value, list | tuple | dict):
+        return json.dumps(value)
+    return str(value)

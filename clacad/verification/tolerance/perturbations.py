@@ -1,0 +1,104 @@
+"""What may go wrong with a sheet, one number each, and how a sample draws them.
+
+Sample k depends on the seed, on k and on nothing else: its numbers come from a counter-based generator (Philox
+4×64-10: Salmon, Moraes, Dror, Shaw, SC'11) whose counter holds k and a hash of the parameter's name, so samples
+can be drawn in any order, on any machine, and a further parameter changes no other's numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+import numpy as np
+
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+SIGMAS = 2.0
+"""A stated tolerance is this many standard deviations of a normal distribution."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One thing that may go wrong.
+
+    Parameters
+    ----------
+    name : str
+        Such as "decentre.2.x": the key, the array, the direction or face.
+    key : str
+        Key of [tolerances] it comes from.
+    half : float
+        Stated tolerance: ±half, in design units, radians or as a ratio; 0 … half where one-sided.
+    unit : str
+        Design unit, "rad" or "".
+    one_sided : bool
+        Whether only positive errors exist (roughness).
+    """
+
+    name: str
+    key: str
+    half: float
+    unit: str
+    one_sided: bool = False
+
+
+def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
+    """Everything the design's [tolerances] lets go wrong, in a fixed order; what has tolerance 0 is left out."""
+    spec, unit = design.tolerances, design.unit
+    found: list[Parameter] = []
+    for array, half in enumerate(spec.decentre, 1):
+        found += [Parameter(f"decentre.{array}.{axis}", "decentre", half, unit) for axis in "xy"]
+    found.append(Parameter("rotation", "rotation", spec.rotation, "rad"))
+    if window.form != "slab":
+        found.append(Parameter("separation", "separation", spec.separation, unit))
+    for array, part in curved_faces(window):
+        found.append(Parameter(f"radius.{array}{part}", "radius", spec.radius[array - 1], ""))
+    bodies = range(1, len(window.bodies) + 1)
+    found += [Parameter(f"index.{body}", "index", spec.index, "") for body in bodies]
+    found += [Parameter(f"thickness.{body}", "thickness", spec.thickness[body - 1], unit) for body in bodies]
+    found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
+    found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
+    return tuple(p for p in found if p.half > 0.0)
+
+
+def curved_faces(window: Window) -> list[tuple[int, str]]:
+    """Lens faces in the order of the light: array (1 or 2), and ".front" or ".back" where it has two."""
+    return [
+        (face.array + 1, part if body.columnar else "")
+        for body in window.bodies
+        for part, face in ((".front", body.front), (".back", body.back))
+        if face.array is not None
+    ]
+
+
+def draw(
+    chosen: Sequence[Parameter], seed: int, sample: int, distribution: str = "normal"
+) -> Mapping[str, float]:
+    """Errors of sample number `sample`, by name.
+
+    Parameters
+    ----------
+    chosen : sequence of Parameter
+    seed : int, 0 … 2^64 − 1
+    sample : int ≥ 0
+    distribution : "normal" or "uniform"
+        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the end. One-sided parameters
+        take the absolute value.
+    """
+    found = {}
+    for p in chosen:
+        # two independent counters' worth of bits would be wasted on one number: the first word is enough
+        word = np.random.Philox(key=seed, counter=[0, 0, crc32(p.name.encode()), sample]).random_raw()
+        uniform = ((int(word) >> 11) + 0.5) * 2.0**-53
+        value = (
+            NormalDist().inv_cdf(uniform) / SIGMAS if distribution == "normal" else 2.0 * uniform - 1.0
+        ) * p.half
+        found[p.name] = abs(value) if p.one_sided else value
+    return found

@@ -1,0 +1,308 @@
+"""A tolerance study: every parameter by itself, then all together; ranked contributors and yield."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
+from math import isfinite, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad import __version__
+from clacad.prescription.prescribe import prescribe
+from clacad.verification.tolerance.checkpoint import Checkpoint
+from clacad.verification.tolerance.farm import Farm
+from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
+from clacad.verification.tolerance.no_tolerances import NoTolerances
+from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+FORMAT = 1
+PIECE = 8
+"""Sheets a worker makes at a time."""
+
+SMALL = 0.1
+"""Part of a tolerance over which slopes are taken."""
+
+RANKED = ("image_shift", "moire_rate", "residual_power", "blur", "throughput", "law_rms")
+"""Measures for which contributors are ranked."""
+
+ENDS = 4
+"""Sheets made for each parameter: at both ends of its tolerance, and a little to either side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What a good sheet keeps: `measure` relation `value`; where the limit comes from."""
+
+    measure: str
+    relation: str
+    value: float
+    source: str
+
+    def kept(self, values: Floats) -> NDArray[np.bool_]:
+        """Which of the values (n,) keep it; what could not be measured does not."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(values <= self.value if self.relation == "<=" else values >= self.value)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What a tolerance study found.
+
+    Attributes
+    ----------
+    name, sha256 : str
+        Of the design.
+    unit_m : float
+        Its unit in metres.
+    parameters : tuple of Parameter
+    limits : tuple of Limit
+    distribution : str; seed, rays : int
+    nominal : mapping
+        Measures of the sheet as designed.
+    ends : (p, 2, m)
+        Measures at the two ends of each tolerance alone (one-sided: the end, and as designed).
+    slopes : (p, m)
+        Change of each measure per unit of the parameter, from central differences over a tenth of the tolerance.
+    errors : (n, p), measures : (n, m)
+        Of the Monte-Carlo sheets.
+    """
+
+    name: str
+    sha256: str
+    unit_m: float
+    parameters: tuple[Parameter, ...]
+    limits: tuple[Limit, ...]
+    distribution: str
+    seed: int
+    rays: int
+    nominal: Mapping[str, float]
+    ends: Floats
+    slopes: Floats
+    errors: Floats
+    measures: Floats
+
+    def column(self, measure: str) -> Floats:
+        """A measure of all sheets, (n,)."""
+        return np.asarray(self.measures[:, list(MEASURES).index(measure)])
+
+    def change(self, measure: str) -> Floats:
+        """Largest change of a measure over each tolerance alone, (p,)."""
+        at = list(MEASURES).index(measure)
+        found = np.abs(self.ends[:, :, at] - self.nominal[measure]).max(axis=1)
+        return np.where(np.isfinite(found), found, np.inf)
+
+    def ranking(self, measure: str) -> list[tuple[str, float, float]]:
+        """(parameter, change over its tolerance, share of the sum of squares), largest first."""
+        change = self.change(measure)
+        lost = ~np.isfinite(change)
+        square = lost.astype(np.float64) if lost.any() else change**2
+        total = float(square.sum())
+        share = square / total if total > 0.0 else np.zeros_like(square)
+        order = sorted(range(len(change)), key=lambda k: (-change[k], k))
+        return [(self.parameters[k].name, float(change[k]), float(share[k])) for k in order]
+
+    def good(self) -> NDArray[np.bool_]:
+        """Which sheets keep every limit, (n,)."""
+        kept = np.ones(len(self.measures), dtype=bool)
+        for limit in self.limits:
+            kept &= limit.kept(self.column(limit.measure))
+        return kept
+
+    def yields(self) -> tuple[float, float, float]:
+        """Share of good sheets, and the ends of its 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 209 (1927))."""
+        n = len(self.measures)
+        if n == 0:
+            return float("nan"), 0.0, 1.0
+        share, z = float(self.good().mean()), 1.959963984540054
+        middle = (share + z * z / (2 * n)) / (1 + z * z / n)
+        half = z / (1 + z * z / n) * sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+        return share, max(0.0, middle - half), min(1.0, middle + half)
+
+    def misses(self) -> dict[str, int]:
+        """Number of sheets that miss each limit."""
+        return {limit.measure: int((~limit.kept(self.column(limit.measure))).sum()) for limit in self.limits}
+
+    def nominal_misses(self) -> list[str]:
+        """Limits that the sheet misses as designed: no tolerance helps there."""
+        return [
+            limit.measure
+            for limit in self.limits
+            if not limit.kept(np.array([self.nominal[limit.measure]]))[0]
+        ]
+
+    def percentiles(self, measure: str) -> list[float]:
+        """5, 50 and 95 % of the sheets have less; those that could not be measured count as infinite."""
+        column = self.column(measure)
+        if not len(column):
+            return [float("nan")] * 3
+        filled = np.sort(np.where(np.isnan(column), np.inf, column))
+        return [float(filled[min(len(filled) - 1, int(part * len(filled)))]) for part in (0.05, 0.5, 0.95)]
+
+
+def limits(design: Design) -> tuple[Limit, ...]:
+    """What the design asks of a good sheet: the limits of [check], and those of [tolerances]."""
+    check, own = design.check, design.tolerances
+    found = [
+        Limit("law_rms", "<=", check.law_rms, "check.law_rms"),
+        Limit("law_bias", "<=", check.law_bias, "check.law_bias"),
+        Limit("eta_error", "<=", check.eta, "check.eta"),
+        Limit("delta_error", "<=", check.delta, "check.delta"),
+        Limit("kept", ">=", check.throughput, "check.throughput"),
+    ]
+    for measure in ("image_shift", "blur", "residual_power", "moire_period"):
+        value = getattr(own, measure)
+        if value is not None:
+            metres = design.unit_m if measure == "moire_period" else 1.0
+            relation = ">=" if measure == "moire_period" else "<="
+            found.append(Limit(measure, relation, value * metres, f"tolerances.{measure}"))
+    return tuple(found)
+
+
+# -- cases ------------------------------------------------------------------------------------------------
+
+
+def case_errors(chosen: Sequence[Parameter], seed: int, distribution: str, case: int) -> Mapping[str, float]:
+    """Errors of case 0 (as designed), of the cases of each parameter alone, then of the drawn sheets."""
+    if case == 0:
+        return {}
+    number, which = divmod(case - 1, ENDS)
+    if number < len(chosen):
+        p = chosen[number]
+        part = (1.0, 0.0 if p.one_sided else -1.0, SMALL, 0.0 if p.one_sided else -SMALL)[which]
+        return {p.name: part * p.half}
+    return draw(chosen, seed, case - 1 - ENDS * len(chosen), distribution)
+
+
+@lru_cache(maxsize=2)
+def _set_up(study: str) -> tuple[Bench, tuple[Parameter, ...], int, str]:
+    from clacad.design import Design
+
+    asked = json.loads(study)
+    design = Design.from_dict(asked["design"])
+    window = prescribe(design)
+    return (
+        bench(design, window, asked["rays"]),
+        parameters(design, window),
+        asked["seed"],
+        design.tolerances.distribution,
+    )
+
+
+def make_cases(study: str, cases: Sequence[int]) -> list[list[float]]:
+    """Make the sheets of some cases and measure them: in this process or in any other, the same numbers."""
+    table, chosen, seed, distribution = _set_up(study)
+    found = []
+    for case in cases:
+        measured = table.measured(case_errors(chosen, seed, distribution, case))
+        found.append([measured[name] for name in MEASURES])
+    return found
+
+
+def tolerance(
+    design: Design,
+    samples: int | None = None,
+    seed: int | None = None,
+    rays: int = RAYS,
+    farm: Farm | None = None,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Find what the design's tolerances do to light.
+
+    Parameters
+    ----------
+    design : Design
+        With a [tolerances] table.
+    samples, seed : int or None
+        Instead of the design's.
+    rays : int
+        Rays of a bundle.
+    farm : Farm or None
+        Where the work is done; None: all cores of this machine.
+    checkpoint : path or None
+        Results are kept here as they come; what is there already is not done again, and more samples go on from it.
+    progress : callable or None
+        (stage, part done).
+
+    Raises
+    ------
+    NoTolerances
+        The design states none.
+    OtherStudy
+        The checkpoint holds something else.
+    """
+    window = prescribe(design)
+    chosen = parameters(design, window)
+    if not chosen:
+        raise NoTolerances(
+            "the design states no tolerances: give it a [tolerances] table, such as\n"
+            '  [tolerances]\n  decentre = "5 um"\n  rotation = "0.1 mrad"\n  tilt = "0.1 mrad"\n  radius = 0.005'
+        )
+    seed = design.tolerances.seed if seed is None else seed
+    count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
+    text = json.dumps({"design": design.to_dict(), "rays": rays, "seed": seed}, sort_keys=True)
+    header = {
+        "kind": "tolerances", "format": FORMAT, "clacad": __version__, "design": design.sha256, "seed": seed,
+        "rays": rays, "parameters": [p.name for p in chosen], "measures": list(MEASURES),
+    }  # fmt: skip
+    rows = worked(make_cases, text, header, count, farm or Farm(), checkpoint, progress)
+    return _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
+
+
+def worked(
+    work: Callable[[str, Any], list[Any]], text: str, header: Mapping[str, Any], count: int, farm: Farm,
+    checkpoint: Path | None, progress: Progress | None, piece: int = PIECE,
+) -> list[Any]:  # fmt: skip
+    """Records 0 … count − 1 of a study: those of the checkpoint, and the others, which are added to it."""
+    report = progress if progress is not None else _silent
+    with Checkpoint(checkpoint, header) as kept:
+        rows = list(islice(kept.records, count))
+        pieces = list(_pieces(len(rows), count, piece)) if len(rows) < count else []
+        for found in farm.run(work, text, pieces):
+            kept.append(found)
+            rows += found
+            report("making sheets", len(rows) / count)
+    return rows
+
+
+def _pieces(start: int, stop: int, size: int) -> Iterator[list[int]]:
+    for first in range(start, stop, size):
+        yield list(range(first, min(first + size, stop)))
+
+
+def _silent(_stage: str, _done: float) -> None:
+    return
+
+
+def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, rows: Floats) -> Study:
+    n = len(chosen)
+    alone = rows[1 : 1 + ENDS * n].reshape(n, ENDS, len(MEASURES))
+    with np.errstate(invalid="ignore"):
+        width = np.array([(SMALL if p.one_sided else 2.0 * SMALL) * p.half for p in chosen])
+        slopes = (alone[:, 2] - alone[:, 3]) / width[:, None]
+    distribution = design.tolerances.distribution
+    drawn = len(rows) - 1 - ENDS * n
+    errors = [list(draw(chosen, seed, k, distribution).values()) for k in range(drawn)]
+    return Study(
+        design.name, design.sha256, design.unit_m, chosen, limits(design), distribution, seed, rays,
+        dict(zip(MEASURES, (float(v) for v in rows[0]), strict=True)), alone[:, :2], slopes,
+        np.array(errors, dtype=np.float64).reshape(drawn, n), rows[1 + ENDS * n :],
+    )  # fmt: skip
+
+
+def finite(value: float) -> float | str | None:
+    """A number as JSON holds it: "inf" for infinity, null for what could not be measured."""
+    return value if isfinite(value) else ("inf" if value > 0 else None)

@@ -1,0 +1,160 @@
+"""What may be said of a delivery, in few words: a master passes by light alone; a preview is never more than a shape.
+
+`passed as optical master` means that light through that file obeys the law. A coarse mesh that is the design, faithfully
+cut, is *shape only*: no defect, but no part should be made from it. What was not judged by light cannot pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from clacad.exporting.roles import Role
+from clacad.verification.checks import Check
+from clacad.verification.files.law_through_file import IDS
+
+Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
+"""The first is of a design without files."""
+
+GOOD: tuple[Word, ...] = ("passed", "passed as optical master", "passed as scan")
+
+
+@dataclass(frozen=True, slots=True)
+class FileVerdict:
+    """What is said of one file.
+
+    Parameters
+    ----------
+    name : str
+    role : Role
+        As it was judged.
+    declared : bool
+        Whether somebody declared the role.
+    word : Word
+        "not judged" for a file that carries no light of the law.
+    rms, limit : float or None, radians
+        Direction error to the law of light through the file, and what the design allows; None where no light was sent.
+    sentence : str
+        What it is, or why it failed.
+    """
+
+    name: str
+    role: Role
+    declared: bool
+    word: Word
+    rms: float | None
+    limit: float | None
+    sentence: str
+
+
+def wrong(checks: Iterable[Check]) -> list[Check]:
+    """Checks that failed, or were required and did not run."""
+    return [c for c in checks if c.state == "fail" or (c.state == "not run" and c.required)]
+
+
+def file_verdict(
+    name: str, role: Role, declared: bool, mesh: bool, checks: Sequence[Check], cut: str
+) -> FileVerdict:
+    """Say of one file what its checks say.
+
+    Parameters
+    ----------
+    name, role, declared
+    mesh : bool
+        Whether it holds triangles: only those can be faithful and yet too coarse.
+    checks : sequence of Check
+        Of this file alone.
+    cut : str
+        How finely a mesh is cut ("in 4 quads a cell"), "" where that is not known.
+    """
+    rms = next((c for c in checks if c.id == "file_law_rms"), None)
+    value = rms.value if rms is not None and isinstance(rms.value, float) else None
+    limit = rms.limit if rms is not None and isinstance(rms.limit, float) else None
+    bad = wrong(checks)
+    faithful = mesh and any(c.id == "faithful_rms" and c.state != "not run" for c in checks)
+    light = [c for c in checks if c.id in IDS and c.state in ("fail", "warn")]
+    word: Word
+    if any(c.id == "delivery" for c in bad):
+        word = "not judged"
+    elif role is Role.OTHER:
+        word = "failed" if bad else "not judged"
+    elif [c for c in bad if not (faithful and c.id in IDS)]:
+        word = "failed"
+    elif role is Role.SCAN:
+        word = "failed" if bad else "passed as scan"
+    elif bad or (role is Role.PREVIEW and (declared or light)):
+        word = "shape only"  # a preview that nobody declared is a forecast: light itself may say more
+    else:
+        word = "passed as optical master"
+    return FileVerdict(
+        name, role, declared, word, value, limit, _sentence(word, bad, light, value, limit, cut)
+    )
+
+
+def _sentence(
+    word: Word, bad: Sequence[Check], light: Sequence[Check], rms: float | None, limit: float | None, cut: str
+) -> str:
+    """What is said beside the word."""
+    through = ""
+    if rms is not None and limit is not None:
+        through = f"light through it is {1e3 * rms:.3g} mrad rms from the law (limit {1e3 * limit:.3g})"
+    if word == "shape only":
+        said = f"cut {cut}; " if cut else ""
+        beyond = rms is not None and limit is not None and rms > limit
+        said += (
+            through.replace("is", "misses the law by", 1).replace(" from the law", "") if beyond else through
+        )
+        eta = next((c for c in light if c.id == "file_law_eta"), None)
+        if eta is not None and "measured" in eta.detail:
+            said += _worst_eta(eta)
+        return said or "a shape to look at"
+    if word == "failed":
+        return "; ".join(f"{c.id}: {c.sentence}" for c in bad[:3])
+    if word == "not judged":
+        return (
+            "; ".join(c.sentence for c in bad[:2])
+            or "it carries no light of the law: judged by its bytes and shape"
+        )
+    if word == "passed as scan":
+        return f"{through}; a measured surface, not a file to make parts from"
+    return through or "every number in it is the design's"
+
+
+def _worst_eta(eta: Check) -> str:
+    """The component of η that is farthest off, and what it is through the exact surfaces."""
+    found, exact = eta.detail["measured"], eta.detail["exact"]
+    k = max((0, 1), key=lambda axis: abs(found[axis] / exact[axis] - 1.0))
+    return f", η_{'xy'[k]} {found[k]:.3g} for {exact[k]:.3g}"
+
+
+def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
+    """Word for a whole delivery: the worst of its masters; previews count only where nobody declared them.
+
+    Parameters
+    ----------
+    judged : sequence of FileVerdict
+    checks : sequence of Check
+        All of the report, those of no file among them.
+    """
+    names = {one.name for one in judged}
+    if wrong(c for c in checks if c.subject not in names and c.id != "delivery"):
+        return "failed"
+    words = {one.word for one in judged}
+    if "failed" in words:
+        return "failed"
+    if wrong(c for c in checks if c.id == "delivery"):
+        return "not judged"
+    optical = [one for one in judged if one.role is not Role.OTHER]
+    if any(one.word == "shape only" and not settled(one) for one in optical):
+        return "shape only"
+    if any(one.word == "passed as optical master" for one in optical):
+        return "passed as optical master"
+    if any(one.word == "shape only" for one in optical):
+        return "shape only"
+    return "passed as scan" if any(one.word == "passed as scan" for one in optical) else "not judged"
+
+
+def settled(one: FileVerdict) -> bool:
+    """Whether a file that is a shape only was declared to be no more."""
+    return one.role is Role.PREVIEW and one.declared
