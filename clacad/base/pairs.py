@@ -10,10 +10,11 @@ After T. J. Dekker, Numer. Math. 18, 224 (1971) and D. E. Knuth, The Art of Comp
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-Pair = tuple[FloatArray, FloatArray]
+from clacad.base.types import Floats
+
+Pair = tuple[Floats, Floats]
 
 _SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
 
@@ -68,7 +69,7 @@ def negated(a: Pair) -> Pair:
     return -a[0], -a[1]
 
 
-def _halve(a: FloatArray) -> Pair:
+def _halve(a: Floats) -> Pair:
     """Upper and lower half of the significand (Veltkamp)."""
     shifted = _SPLITTER * a
     high = np.asarray(shifted - (shifted - a))

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
+
 Function = Callable[[Floats], Floats]
 
 _DEGREES = (16, 32, 64)

@@ -13,8 +13,8 @@ from __future__ import annotations
 from math import exp, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.block import Block, Crossing, inside_of, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
@@ -23,7 +23,6 @@ from clacad.optics.rays import Fate
 from clacad.sheet.window import Body, Window
 
 NAME = "absorption"
-Floats = NDArray[np.float64]
 
 
 def effect(window: Window, setting: Setting) -> Effect:

@@ -16,6 +16,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.block import Block, Crossing
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
@@ -31,7 +32,6 @@ SALT = 2
 LOBES = 64
 """Lobes of sinc² tabulated; the tail beyond holds 0.3 % and follows 1/x."""
 
-Floats = NDArray[np.float64]
 
 COST = 7.0
 """Time of the compiled trace with it over without: slit and angle are drawn for every ray, outside the kernel."""

@@ -10,8 +10,8 @@ kept by `polarisation`. On rungs law and thin a lens stands as a plane plate acr
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.block import Block, Crossing
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
@@ -21,7 +21,6 @@ from clacad.optics.surface.fresnel_coefficients import deviation, normal_loss, r
 from clacad.sheet.window import Window
 
 NAME = "fresnel"
-Floats = NDArray[np.float64]
 
 
 def effect(window: Window, setting: Setting) -> Effect:

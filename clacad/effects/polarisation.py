@@ -20,8 +20,8 @@ from __future__ import annotations
 from math import cos, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.block import Block, Crossing, crossings, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
@@ -34,8 +34,6 @@ NAME = "polarisation"
 
 STEEPER = 1.5
 """Factor for rays of the picture steeper than all of the probe."""
-
-Floats = NDArray[np.float64]
 
 
 def effect(window: Window, setting: Setting) -> Effect:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from math import expm1, hypot, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.effects.engine.block import Block, Crossing, bend, lens_slopes
 from clacad.effects.engine.bounds import Bound, Situation
@@ -26,7 +25,6 @@ from clacad.sheet.window import Window
 NAME = "scatter"
 SALT = 3
 
-Floats = NDArray[np.float64]
 
 COST = 4.0
 """Time of the compiled trace with it over without: each face turns every ray, outside the kernel."""

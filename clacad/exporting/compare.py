@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.exporting.compare_instances import measure_mesh, standing
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges
 from clacad.formats.mesh.file_mesh import FileMesh
@@ -15,8 +15,6 @@ from clacad.sheet.volume_and_extent import Integral, distance_to_face, least_ext
 from clacad.sheet.window import Window
 from clacad.solid.marks import Pocket
 from clacad.storage.errors import FileDisagrees
-
-Floats = NDArray[np.float64]
 
 SAMPLES = 6000
 """Facets looked at closely in a file; about 1,000 and more on each optical face."""

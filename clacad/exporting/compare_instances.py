@@ -13,8 +13,9 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.closed_stream import Measure, measure
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Floats, Ints, Part, kinds
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Face, Window

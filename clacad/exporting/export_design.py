@@ -20,10 +20,10 @@ from clacad.storage.errors import (
 )
 
 if TYPE_CHECKING:
+    from clacad.base.types import Progress
     from clacad.design import Design
     from clacad.exporting.manifest import Manifest
     from clacad.exporting.request import AskedQuads, AskedRole
-    from clacad.storage.worker import Progress
 
 __all__ = [
     "BadRequest", "CannotWrite", "ExportError", "ExportIncomplete", "ExportRefused", "FileDisagrees", "LimitRefused",

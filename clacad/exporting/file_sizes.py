@@ -17,7 +17,7 @@ from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
-    from clacad.formats.mesh.file_mesh import Floats
+    from clacad.base.types import Floats
 
 SAMPLE = 20_000
 """Facets or places whose text is drawn up; the rest is taken to be like them."""

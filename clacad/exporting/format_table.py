@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.types import Progress
 from clacad.exporting.fixtures.fixture_files import (
     baffle_records,
     brep_records,
@@ -23,7 +24,7 @@ from clacad.sheet.window import Window
 from clacad.storage.atomic import Stage, canonical_json, file_hash
 from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
-from clacad.storage.worker import Progress, Worker
+from clacad.storage.worker import Worker
 
 if TYPE_CHECKING:
     from clacad.exporting.tessellations import Tessellation

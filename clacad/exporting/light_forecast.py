@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.sheet.window import Window
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from clacad.sheet.bundle import Bundle
     from clacad.tracing.triangles.telescopelet_facets import FacetBody
 
-Floats = NDArray[np.float64]
 
 POWERS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
 """Facet grids a cell side that "auto" chooses from."""

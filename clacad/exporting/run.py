@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
+from clacad.base.types import Progress
 from clacad.exporting import costs as cost
 from clacad.exporting import limits
 from clacad.exporting.forecast import Forecast, forecast
@@ -21,7 +22,7 @@ from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
 from clacad.storage.errors import ExportError, ExportIncomplete, NotPossible, WorkerDied
-from clacad.storage.worker import Progress, Worker, ended_by_signals
+from clacad.storage.worker import Worker, ended_by_signals
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import WALL, Promise
 from clacad.exporting.limits import REPEATING
-from clacad.formats.mesh.file_mesh import Floats, Ints
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.sheet.window import Body, Face, Land, Window, lens_height_and_normal
 

@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.mesh.cell_template import Template, TemplateMaker
 from clacad.mesh.land_ring import Land, row_states
 from clacad.sheet.window import Body, Window
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _CHUNK = 200_000  # triangles an expanded block holds at most, about
 
 

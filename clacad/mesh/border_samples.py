@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, cluster
 from clacad.mesh.prototile_input import Maker, shortest
 from clacad.sheet.window import optical_tile
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 def with_borders(make: Maker, plan: pl.Planar, quads: int) -> tuple[pl.Planar, list[Floats], list[Ints]]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile
@@ -20,8 +21,6 @@ from clacad.mesh.step_walls import Column, Ring, strip
 from clacad.sheet.lattice import Lattice
 from clacad.topology import node_cells
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Offset = tuple[int, int]
 
 NOTHING, CELL, PLAIN = 0, 1, 2  # what stands at a neighbour's place: nothing, a kept cell, plain land

@@ -12,11 +12,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.lattice import Lattice
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Tags = TypeVar("Tags", NDArray[np.bool_], NDArray[np.uint8])
 
 

@@ -9,7 +9,6 @@ from clacad.mesh.integer_heights import LENS
 from clacad.mesh.prototile import Prototile
 from clacad.sheet.window import Body, Face, lens_height_and_normal
 
-Floats = NDArray[np.float64]
 # edge middles, centroid, and the three inner points of the rule that is exact to degree 2
 _EDGES = np.array([(0.5, 0.5, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5), (1 / 3, 1 / 3, 1 / 3)])
 _INNER = np.array([(2 / 3, 1 / 6, 1 / 6), (1 / 6, 2 / 3, 1 / 6), (1 / 6, 1 / 6, 2 / 3)])

@@ -17,11 +17,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints, Words
 from clacad.topology.pieces_and_holes import connect
 
-Floats = NDArray[np.float64]
-Hashes = NDArray[np.uint64]
-Ints = NDArray[np.int64]
 Chunks = Callable[[], Iterable[NDArray[Any]]]
 
 _EDGES_A_PASS = 60_000_000  # 0.5 GB of edge hashes
@@ -94,7 +92,7 @@ def check_closed(
         count += len(corners)
     passes = max(1, -(-3 * count // (_JOINED_A_PASS if pieces else _EDGES_A_PASS)))
     label = np.arange(count, dtype=np.int64) if pieces else np.empty(0, dtype=np.int64)
-    suspicious: list[Hashes] = []
+    suspicious: list[Words] = []
     for number in range(passes):
         edges, owner = _edges(chunks, number, passes, pieces)
         if pieces:
@@ -129,7 +127,7 @@ def _as_chunks(source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks
     return plain
 
 
-def vertex_hashes(corners: NDArray[Any]) -> Hashes:
+def vertex_hashes(corners: NDArray[Any]) -> Words:
     """Hash corner coordinates (..., 3) to 64 bits; equal coordinates hash alike (0 and −0 too)."""
     bits = np.ascontiguousarray(corners + np.zeros(1, dtype=corners.dtype)).view(
         np.uint32 if corners.dtype == np.float32 else np.uint64
@@ -142,7 +140,7 @@ def vertex_hashes(corners: NDArray[Any]) -> Hashes:
     return out
 
 
-def _mix(x: Hashes) -> Hashes:
+def _mix(x: Words) -> Words:
     """The finalizer of splitmix64, a bijection; works in place."""
     x ^= x >> np.uint64(30)
     x *= np.uint64(0xBF58476D1CE4E5B9)
@@ -152,18 +150,18 @@ def _mix(x: Hashes) -> Hashes:
     return x
 
 
-def _degenerate(keys: Hashes) -> NDArray[np.bool_]:
+def _degenerate(keys: Words) -> NDArray[np.bool_]:
     return np.asarray((keys[:, 0] == keys[:, 1]) | (keys[:, 1] == keys[:, 2]) | (keys[:, 2] == keys[:, 0]))
 
 
-def _edge_hashes(keys: Hashes) -> Hashes:
+def _edge_hashes(keys: Words) -> Words:
     """Hash each triangle's directed edges (t, 3): the last bit is the direction, the rest the edge."""
     a, b = keys, np.roll(keys, -1, axis=1)
     undirected = _mix(_mix(np.minimum(a, b)) + np.maximum(a, b))
     return np.asarray((undirected & ~np.uint64(1)) | (a < b).astype(np.uint64))
 
 
-def _edges(chunks: Chunks, number: int, passes: int, owners: bool) -> tuple[Hashes, Ints]:
+def _edges(chunks: Chunks, number: int, passes: int, owners: bool) -> tuple[Words, Ints]:
     """Directed edges of one partition, and the triangle of each."""
     found, owner, start = [], [], 0
     for corners in chunks():
@@ -183,7 +181,7 @@ def _edges(chunks: Chunks, number: int, passes: int, owners: bool) -> tuple[Hash
     )
 
 
-def _unbalanced(edges: Hashes) -> Hashes:
+def _unbalanced(edges: Words) -> Words:
     """Edges (without direction) of a sorted list that are not used exactly once each way."""
     if len(edges) % 2 == 0 and all(_paired(edges, at) for at in range(0, len(edges), 2_000_000)):
         return np.empty(0, dtype=np.uint64)
@@ -199,7 +197,7 @@ def _unbalanced(edges: Hashes) -> Hashes:
     return np.asarray(plain[start[~good]])
 
 
-def _paired(edges: Hashes, start: int) -> bool:
+def _paired(edges: Words, start: int) -> bool:
     """Whether a stretch of a sorted list is pairs of one edge in both directions, no edge twice."""
     part = edges[start : start + 2_000_002]
     here = part[:2_000_000]
@@ -207,7 +205,7 @@ def _paired(edges: Hashes, start: int) -> bool:
     return both and bool((part[1:-1:2] ^ part[2::2] > 1).all())
 
 
-def _join(label: Ints, edges: Hashes, owner: Ints) -> Ints:
+def _join(label: Ints, edges: Words, owner: Ints) -> Ints:
     """Join the pieces of triangles that share an edge."""
     plain = edges >> np.uint64(1)
     order = np.argsort(plain, kind="stable")
@@ -242,7 +240,7 @@ def _union() -> Callable[[Ints, Ints, Ints], Ints]:
     return cast("Callable[[Ints, Ints, Ints], Ints]", union)
 
 
-def _decide(chunks: Chunks, doubtful: Hashes) -> tuple[int, int, Floats]:
+def _decide(chunks: Chunks, doubtful: Words) -> tuple[int, int, Floats]:
     """Count the doubtful edges by their coordinates: (open, with more than two faces, listed ends)."""
     uses: dict[tuple[bytes, bytes], list[int]] = {}
     for corners in chunks():

@@ -10,13 +10,9 @@ from __future__ import annotations
 from math import ceil, frexp, ldexp
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import Window
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 FAR = 2**60  # the other side of a body whose faces are meshed apart
 NONE = 2**61  # a front without a surface; −NONE a back without one

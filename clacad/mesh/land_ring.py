@@ -8,14 +8,12 @@ from math import ceil, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Bytes, Floats, Ints
 from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset, TemplateMaker
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-States = NDArray[np.uint8]
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
 
 _TOUCH = 8.0 * 2.0**-23  # relative to the sheet: a gap a float32 file could not hold is no gap
@@ -50,7 +48,7 @@ def row_states(
     offsets: tuple[Offset, ...],
     ringed: bool,
     shift: tuple[float, float] = (0.0, 0.0),
-) -> States:
+) -> Bytes:
     """What stands about each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
 
     ringed : bool

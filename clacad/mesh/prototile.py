@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside, settle_sides, with_borders
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID
@@ -19,10 +20,6 @@ from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
 from clacad.sheet.window import Body, Window, optical_tile
 from clacad.topology import CellComplex, Tiling
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.mesh.integer_heights import FAR, NONE, to_levels
 from clacad.sheet.window import Body, Window, lens_height
 from clacad.topology import CellComplex, Tiling
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

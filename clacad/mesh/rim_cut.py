@@ -6,17 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.roots import bisect
+from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import cluster
 from clacad.mesh.prototile_input import Maker, shortest
 from clacad.topology.cannot_build import CannotBuild
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 _WARP = 0.2  # a cut nearer than this share of an edge to a free point moves the point instead
 

@@ -13,15 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside
 from clacad.mesh.integer_heights import NONE, VOID
 from clacad.mesh.prototile_input import Maker, shortest
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WIDEST = 0.25
 """Largest width of a bevel, in pitches: beyond, bevels of one cell would meet."""

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.cell_template import BACK, FRONT, Template
 from clacad.sheet.window import Body, Window, lens_height_and_normal
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from math import fsum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.roots import bisect, sign_changes
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.window import Body, Face, Window, lens_height, optical_tile
 from clacad.topology import one_tiling
@@ -18,7 +18,6 @@ from clacad.topology import one_tiling
 if TYPE_CHECKING:
     from clacad.mesh.body_mesh import BodyMesh
 
-Floats = NDArray[np.float64]
 _ANGLES, _RADII = 40, 24  # Gauss nodes per smooth stretch
 _SAMPLES = 129  # on a ray; rims that a ray crosses twice between two of them are not seen
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
+
 Complex = NDArray[np.complex128]
 
 STEPS = 64

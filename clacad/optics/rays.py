@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from clacad.base.types import Floats
 
 NO_CELL = -(2**31)
 """Stands in integer columns where no cell, or no surface, was met."""
@@ -46,9 +46,9 @@ class Rays:
         The shapes are not (n, 3), (n, 3), (n,).
     """
 
-    position: FloatArray
-    direction: FloatArray
-    wavelength: FloatArray | None = None
+    position: Floats
+    direction: Floats
+    wavelength: Floats | None = None
 
     def __init__(
         self, position: ArrayLike, direction: ArrayLike, wavelength: ArrayLike | None = None
@@ -101,16 +101,16 @@ class TraceResult:
         that ended earlier repeats its last point and direction.
     """
 
-    position: FloatArray
-    direction: FloatArray
+    position: Floats
+    direction: Floats
     fate: NDArray[np.uint8]
-    optical_path: FloatArray
+    optical_path: Floats
     cell: NDArray[np.int32]
     order: NDArray[np.int32]
     surface: NDArray[np.int32]
-    flux: FloatArray
-    hits: FloatArray | None = None
-    directions: FloatArray | None = None
+    flux: Floats
+    hits: Floats | None = None
+    directions: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.fate)
@@ -121,7 +121,7 @@ class TraceResult:
         return {fate.name: int(number[fate]) for fate in Fate}
 
 
-def _rows(name: str, value: ArrayLike) -> FloatArray:
+def _rows(name: str, value: ArrayLike) -> Floats:
     """The value as an (n, 3) float64 array, or a ValueError that names it."""
     rows = np.asarray(value, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 3:

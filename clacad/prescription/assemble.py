@@ -8,8 +8,8 @@ from math import hypot, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
 from clacad.prescription import poses
@@ -32,8 +32,6 @@ from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outli
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.optics.material.material import Material
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

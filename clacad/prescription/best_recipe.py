@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
+from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.prescription.parabasal import trace_pair
 from clacad.prescription.radii import Pair2
@@ -25,7 +25,6 @@ from clacad.sheet.window import Window
 if TYPE_CHECKING:
     from clacad.prescription.assemble import Intent
 
-Floats = NDArray[np.float64]
 RAYS = 4096
 
 

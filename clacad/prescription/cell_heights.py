@@ -6,11 +6,10 @@ Only sampling of exact heights: borders at 65 points, the cell on a grid, corner
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
-Floats = NDArray[np.float64]
 BORDER_SAMPLES = 65
 GRID = 33
 

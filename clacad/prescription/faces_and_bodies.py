@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from math import copysign, isinf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, Quadric
 from clacad.prescription.radii import Lenses, Pair2
 from clacad.sheet.window import IDENTITY, Body, Face, Surface
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import meet_at, refract
 from clacad.sheet.window import Body, Window
 
-Floats = NDArray[np.float64]
 Shifts = Sequence[tuple[float, float]]
 
 

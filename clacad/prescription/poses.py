@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from math import asin
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.law import Law, rotation
 from clacad.optics.surface import refract
 from clacad.prescription.parabasal import parabasal
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.window import Body
 
-Floats = NDArray[np.float64]
 Aperture = str | tuple[float, float]
 
 

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints
 from clacad.scene import Camera
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 _BITS = 52
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, aim, offsets, rays
 from clacad.rendering.sheet_passage import Passage
@@ -22,8 +23,6 @@ from clacad.rendering.view import Viewing, radiance, set_up
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.sheet.window import Window
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Progress = Callable[[str, float | None], None]
 
 TILES = (64, 256)

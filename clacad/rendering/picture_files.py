@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Bytes, Floats
 from clacad.rendering.picture import Picture
 from clacad.storage.atomic import write_file
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 STILLS = (".png", ".webp", ".tiff", ".tif")
 MOVIES = (".webp", ".png", ".apng", ".gif", ".mp4")

@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from clacad.effects.engine.block import Rung
+from clacad.base.types import Rung
 from clacad.effects.engine.bounds import Situation
 from clacad.effects.engine.cheapest_rung import rms_angle
 from clacad.effects.engine.probe_rays import of_scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.rendering.camera import View, digits
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.spectrum import Line
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from clacad.rendering.compiled.pixels import Pane
     from clacad.rendering.view import Viewing
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 ROOM = 1e-9
 """Part of a cell by which the box round the first body is widened against rounding."""

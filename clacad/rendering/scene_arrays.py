@@ -13,14 +13,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.rendering.reference.triangle_tree import Tree, behind_one_another, grow
 from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
 from clacad.scene.object_rotation import turned
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 """Kinds of primitive."""

@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, rays
 from clacad.rendering.picture import view_through
 from clacad.rendering.sheet_passage import Passage, geometry_alone
 from clacad.scene import EffectsSpec, Scene, SceneObject
-
-Floats = NDArray[np.float64]
 
 WIDE = 4.0e4
 """Side of the screen, scene lengths: wider than any view near a pole of the stretch needs."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.scene import Scene
 from clacad.sheet.window import Window
@@ -16,9 +17,6 @@ from clacad.tracing.trace import trace
 if TYPE_CHECKING:
     from clacad.effects import Plan
     from clacad.mesh import Mesh
-
-Floats = NDArray[np.float64]
-Rung = Literal["law", "thin", "surfaces", "mesh"]
 
 
 @dataclass(frozen=True, eq=False)

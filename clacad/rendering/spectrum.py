@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.scene import Light
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 RGB_LINES = (611.4e-9, 549.1e-9, 464.2e-9)
 """Dominant wavelengths of the sRGB primaries (ITU-R BT.709) under D65, metres."""

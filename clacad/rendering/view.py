@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats
 from clacad.optics.rays import Fate, Rays
 from clacad.rendering.reference.scene_hits import background, look
 from clacad.rendering.scene_arrays import FLOOR, Stage, set_stage
@@ -20,9 +20,6 @@ from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
 from clacad.rendering.spectrum import Line, lines
 from clacad.scene import Camera, Scene
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +162,7 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     return light
 
 
-def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Mask) -> Floats:
+def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools) -> Floats:
     """Light of rays that met the sheet: what stands before it, else what is seen through it, else black."""
     light = np.zeros((len(position), 3))
     rows = np.flatnonzero(met)
@@ -183,7 +180,7 @@ def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyo
     return light
 
 
-def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floats, Mask]:
+def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floats, Bools]:
     """Light of objects before the sheet, black elsewhere, and where there are any."""
     if not (viewing.before or viewing.opaque):
         return np.zeros((len(position), 3)), np.zeros(len(position), dtype=bool)
@@ -209,7 +206,9 @@ def may_stand_before(stage: Stage, front: float, camera: Camera, box: Floats) ->
     return False
 
 
-def seen(viewing: Viewing, position: Floats, direction: Floats, limit: Floats | float) -> tuple[Floats, Mask]:
+def seen(
+    viewing: Viewing, position: Floats, direction: Floats, limit: Floats | float
+) -> tuple[Floats, Bools]:
     """Light and hits of rays in the scene, by whichever path is chosen; see `reference.scene_hits.look`."""
     if not viewing.compiled:
         return look(viewing.stage, position, direction, limit)
@@ -223,7 +222,7 @@ def seen(viewing: Viewing, position: Floats, direction: Floats, limit: Floats | 
     return light, met
 
 
-def may_cross(box: Floats, position: Floats, direction: Floats) -> Mask:
+def may_cross(box: Floats, position: Floats, direction: Floats) -> Bools:
     """Which rays (n,) come through a box (low, high)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (box[0] - position) / direction, (box[1] - position) / direction

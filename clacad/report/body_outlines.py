@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Body, Face, Window, column, face_height
-
-Floats = NDArray[np.float64]
 
 
 def heights(window: Window, body: Body, x: Floats, y: float) -> tuple[Floats, Floats]:

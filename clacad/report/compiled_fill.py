@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import exact
-
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
 
 
 @exact

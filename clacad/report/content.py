@@ -12,11 +12,11 @@ from clacad.report.fabrication import Line, fabrication, orientation
 from clacad.sheet.feasibility import describe
 
 if TYPE_CHECKING:
+    from clacad.base.types import Progress
     from clacad.report.parts_in_3d import Parts
     from clacad.report.view_through_sheet import Look
     from clacad.verification import Check, Report
     from clacad.verification.evidence import Evidence
-    from clacad.verification.files.cell_triangles import Progress
 
 WORDS = {"pass": "pass", "fail": "FAIL", "warn": "warning", "not run": "not run"}
 SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}

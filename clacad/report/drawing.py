@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.digits import digits
-from clacad.report.body_outlines import Floats, across_cell, heights, outlines
+from clacad.base.types import Floats
+from clacad.report.body_outlines import across_cell, heights, outlines
 from clacad.report.canvas import Canvas
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.lattice import Circle

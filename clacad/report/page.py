@@ -15,7 +15,7 @@ from clacad.report.content import Content, data_uri, number
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-    from clacad.verification.files.cell_triangles import Progress
+    from clacad.base.types import Progress
 
 __all__ = ["SECTIONS", "Section", "number", "page", "sections"]
 

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.report.figures import ray_fan
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COLOURS = ((0.36, 0.60, 0.80), (0.42, 0.70, 0.52), (0.7, 0.6, 0.4))
 LONGEST = 3.0

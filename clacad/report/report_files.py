@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 from clacad.storage.atomic import write_file
 
 if TYPE_CHECKING:
+    from clacad.base.types import Progress
     from clacad.report.content import Content
     from clacad.report.page import Section
     from clacad.verification import Report
-    from clacad.verification.files.cell_triangles import Progress
 
 MARK = "<!-- clacad report -->"
 """In every page, so that a later run may replace its own report and nothing else."""

@@ -14,9 +14,9 @@ from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
+    from clacad.base.types import Progress
     from clacad.design import Design
     from clacad.scene import Scene
-    from clacad.verification.files.cell_triangles import Progress
 
 PIXELS = 260
 SAMPLES = 4

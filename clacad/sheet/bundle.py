@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from math import cos, degrees, pi, sin, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
+from clacad.base.types import Floats
 from clacad.optics.rays import Rays
 from clacad.sheet.vignetting import aperture_slope
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

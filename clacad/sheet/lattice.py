@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.pairs import two_product, two_sum
+from clacad.base.types import Floats, Ints
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Kind = Literal["square", "rectangular", "hexagonal"]
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.sequence import Interface
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 
 def interfaces(window: Window, slide: Floats | None = None) -> list[Interface]:

@@ -12,12 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.window import ThinPair, Window, optical_tile
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

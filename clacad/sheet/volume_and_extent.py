@@ -13,11 +13,9 @@ from math import inf, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 DEPTH = 9

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, Quadric, meet, upright_sag
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from clacad.optics.law import Law
     from clacad.optics.material.material import Material
 
-Floats = NDArray[np.float64]
 Surface = Quadric | Biconic
 Form = Literal["biconvex", "plano", "slab"]
 IDENTITY = np.eye(3)

@@ -7,9 +7,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.window import Body, Face, Window
-from clacad.solid.face_pattern import SNAP, Floats, Kind
+from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.outline_faces import flat_faces, outline_faces
 from clacad.solid.outline_path import outline_path
 from clacad.solid.repeated_cell import Cell, CellFace, make_cell

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.solid.face_pattern import Floats, Kind
+from clacad.base.types import Floats
+from clacad.solid.face_pattern import Kind
 from clacad.solid.rational_conics import Arc, Patch, line, ruled_wall
 from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import TOLERANCE, Column, SegmentShape, WallShape

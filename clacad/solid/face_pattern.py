@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.topology.cannot_build import CannotBuild
 
-Floats = NDArray[np.float64]
 Kind = Literal["lens", "land", "none", "plane", "open"]
 Proud = Callable[[Floats, Floats], NDArray[np.bool_]]
 

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.roots import sign_changes
+from clacad.base.types import Floats
 from clacad.sheet.window import Face, lens_height_and_normal
-from clacad.solid.face_pattern import SNAP, Floats, Kind, Pattern, Proud, inside_convex
+from clacad.solid.face_pattern import SNAP, Kind, Pattern, Proud, inside_convex
 from clacad.solid.rational_conics import Arc, bernstein
 from clacad.solid.regions import cut_pattern
 from clacad.topology.cannot_build import CannotBuild

@@ -10,8 +10,9 @@ from math import ceil, floor, log10
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Face
-from clacad.solid.face_pattern import Floats, Kind, Pattern, Proud, divided_pattern, plain_pattern
+from clacad.solid.face_pattern import Kind, Pattern, Proud, divided_pattern, plain_pattern
 from clacad.solid.fitted_rims import Gap, Graph, Rim, fitted_rim, lens_graph, level_graph
 from clacad.solid.lens_faces import posed_quadric
 from clacad.solid.rational_conics import Arc, PosedQuadric, section_arc

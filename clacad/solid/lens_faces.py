@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import Face, lens_height
 from clacad.solid.rational_conics import (
@@ -27,8 +27,6 @@ from clacad.solid.rational_conics import (
     section_arc,
 )
 from clacad.topology.cannot_build import CannotBuild
-
-Floats = NDArray[np.float64]
 
 STEEPEST = 0.02
 """Smallest weight of a patch; it falls from 1 on a flat lens to 0 where a corner of the patch meets the equator."""

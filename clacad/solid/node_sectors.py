@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Lattice
-from clacad.solid.face_pattern import Floats
 from clacad.solid.outline_path import Path
 from clacad.solid.repeated_cell import Cell
 from clacad.solid.shells import Node, Shells

@@ -27,8 +27,8 @@ from OCP.TopAbs import TopAbs_FORWARD, TopAbs_REVERSED
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS_Edge, TopoDS_Face, TopoDS_Shell, TopoDS_Solid, TopoDS_Vertex, TopoDS_Wire
 
+from clacad.base.types import Floats
 from clacad.solid.edge_classes import Plane, Surface
-from clacad.solid.face_pattern import Floats
 from clacad.solid.rational_conics import Arc, Patch
 from clacad.solid.shells import Loop, LoopEdge, Role
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import polygon_area
 from clacad.solid.edge_classes import Plane
-from clacad.solid.face_pattern import Floats, encloses
+from clacad.solid.face_pattern import encloses
 from clacad.solid.node_sectors import Touch
 from clacad.solid.outline_path import Path
 from clacad.solid.rational_conics import line, ruled_wall

@@ -7,8 +7,9 @@ from math import atan2, pi, sqrt, tau
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle, Outline
-from clacad.solid.face_pattern import SNAP, Floats
+from clacad.solid.face_pattern import SNAP
 from clacad.solid.rational_conics import Arc, line
 
 

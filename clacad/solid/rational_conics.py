@@ -14,9 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
 
 STRAIGHT = 1e-15
 """Sine of the angle between end tangents below which an arc is a straight line in double precision."""

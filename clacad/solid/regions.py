@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import polygon_area
 from clacad.solid.face_pattern import (
     SNAP,
     Chain,
-    Floats,
     Kind,
     Pattern,
     Proud,

@@ -7,8 +7,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Face, Window, optical_tile
-from clacad.solid.face_pattern import Floats, Kind, Pattern
+from clacad.solid.face_pattern import Kind, Pattern
 from clacad.solid.fitted_rims import Rim
 from clacad.solid.lens_ends import common_rim, land_rim, zone_samples
 from clacad.solid.lens_faces import (

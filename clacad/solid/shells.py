@@ -14,8 +14,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.solid.edge_classes import SegmentClass, Surface, WallEnd
-from clacad.solid.face_pattern import Floats
 from clacad.solid.rational_conics import Arc, Patch, line
 from clacad.solid.vertical_lines import Levels
 from clacad.solid.wall_segments import TOLERANCE

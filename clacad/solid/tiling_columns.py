@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Lattice
 from clacad.solid.edge_classes import Plane, Post, SegmentClass, segment_class
-from clacad.solid.face_pattern import Floats, Region
+from clacad.solid.face_pattern import Region
 from clacad.solid.node_sectors import Index, Nodes, State, Touch
 from clacad.solid.outline_path import Path
 from clacad.solid.rational_conics import Arc

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.solid.face_pattern import Floats
+from clacad.base.types import Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.roots import sign_changes
-from clacad.solid.face_pattern import SNAP, Floats, Kind
+from clacad.base.types import Floats
+from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.rational_conics import Arc
 from clacad.solid.repeated_cell import Cell, CellFace
 

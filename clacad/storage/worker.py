@@ -17,14 +17,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import IO, Any
 
+from clacad.base.types import Progress
 from clacad.storage import errors
 from clacad.storage.errors import WorkerDied
 
-Progress = Callable[[str, float], None]
 """Called with a stage's name and the done fraction 0..1 (NaN: not known)."""
 
 _LONGEST_LINE = 64 << 20

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.roots import sign_changes
+from clacad.base.types import Bools, Floats
 from clacad.sheet.window import PLANE, Body, Face, Window
-from clacad.topology.complex_parts import Border, Floats, Joint, JointState, Part, Piece, Profile, Side, Step
+from clacad.topology.complex_parts import Border, Joint, JointState, Part, Piece, Profile, Side, Step
 
-Bools = NDArray[np.bool_]
 _EPS = float(np.finfo(np.float64).eps)
 _GAUSS = 47  # nodes on a stretch; odd, so that one lies in its middle
 

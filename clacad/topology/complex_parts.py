@@ -20,12 +20,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Body, Face, Window
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Side = Literal["front", "back"]
 Part = Literal["lens", "land", "void"]
 JointState = Literal["joined", "partial", "separate"]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line
-from clacad.topology.complex_parts import Floats, Node
+from clacad.topology.complex_parts import Node
 
 
 def node_cells(lattice: Lattice) -> tuple[tuple[tuple[tuple[int, int], int], ...], ...]:

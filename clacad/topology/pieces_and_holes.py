@@ -9,13 +9,11 @@ holes = b₁ = pieces − characteristic.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Ints
 from clacad.sheet.lattice import Lattice
 from clacad.topology.complex_parts import CellComplex, Tiling
 from clacad.topology.nodes import node_masks
-
-Ints = NDArray[np.int64]
 
 
 def count_pieces(cells: CellComplex) -> int:

@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 
 from clacad.base.roots import bisect
+from clacad.base.types import Floats
 from clacad.sheet.window import Body, Window, lens_height, optical_tile
-from clacad.topology.complex_parts import Floats, Rim, RimArc, RimKind
+from clacad.topology.complex_parts import Rim, RimArc, RimKind
 
 _EPS = float(np.finfo(np.float64).eps)
 _FAN = 24  # squares a side of the tracing grid

@@ -11,15 +11,11 @@ from functools import lru_cache
 from math import isfinite, nan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.pairs import two_product
+from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 SAMPLES = 49
 """Points a side on which a face's height is bounded; the slope times half a spacing is added."""
@@ -306,7 +302,7 @@ def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def _plan_face(
-    face: Face, level: float, z: Floats, slope: Floats, zone: Mask, solid: Mask, spacing: float
+    face: Face, level: float, z: Floats, slope: Floats, zone: Bools, solid: Bools, spacing: float
 ) -> FacePlan:
     land = nan if face.land is None else face.land - level
     seen = zone & solid & np.isfinite(z)

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.tracing.layout import Floats, Ints
-
-Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

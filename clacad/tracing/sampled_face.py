@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RINGS = 3
 """Nodes by which the grid reaches beyond the samples."""

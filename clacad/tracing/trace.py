@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from clacad.base.types import Rows, Rung
 from clacad.optics.rays import Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.window import Window
 from clacad.tracing.layout import Layout, lay_out
-from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.law_rung import trace_law
 from clacad.tracing.reference.surfaces import trace_surfaces
 from clacad.tracing.reference.thin import trace_thin
@@ -31,8 +32,6 @@ __all__ = ["Interface", "trace", "trace_sequence"]
 
 SMALL_JOB = 3_000_000
 """Ray-surfaces below which numpy alone is faster than loading the compiled kernels."""
-
-Rung = Literal["law", "thin", "surfaces", "mesh"]
 
 
 def worth_compiled(rays: int, faces: int) -> bool:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.tracing.layout import BodyPlan, Layout
-
-Floats = NDArray[np.float64]
 
 NUDGE = 16 * 2.0**-52
 """Share of a cell by which a ray is set beyond its wall, so that rounding does not leave it before it."""

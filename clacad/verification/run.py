@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.types import Progress
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, describe, feasibility
@@ -19,7 +20,6 @@ from clacad.tracing.trace import trace
 from clacad.verification import checks as judging
 from clacad.verification.checks import Check, not_run, plain
 from clacad.verification.design.design_rules import design_checks
-from clacad.verification.files.cell_triangles import Progress
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
 from clacad.verification.files.find_files import (
     Delivery,

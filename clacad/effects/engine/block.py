@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Rung
 from clacad.effects.engine.block_order import around
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Body, Window
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Rung = Literal["law", "thin", "surfaces", "mesh"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +30,7 @@ class Crossing:
     after: Floats
     n1: float
     n2: float
-    through: Mask | None
+    through: Bools | None
 
 
 @dataclass(eq=False)
@@ -69,7 +65,7 @@ class Block:
         """Refractive index of a body for this block."""
         return body.index_at(self.wavelength)
 
-    def emerging(self) -> Mask:
+    def emerging(self) -> Bools:
         """Rays that go on behind the sheet."""
         return np.asarray(self.result.fate <= Fate.LAND)
 
@@ -116,7 +112,7 @@ def crossings(block: Block) -> Iterator[Crossing]:
         before, point = after, result.hits[face]
 
 
-def crossed(result: TraceResult, face: int, point: Floats) -> Mask:
+def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
     """Which rays went through a face: they met it, at another place than the one before, and did not end there."""
     assert result.hits is not None
     ended = (result.fate >= Fate.TIR) & (result.surface == face)
@@ -169,7 +165,7 @@ def lens_slopes(block: Block) -> tuple[Floats, Floats]:
         return turned[:, :2] / turned[:, 2:], turned
 
 
-def bend(block: Block, slopes: Floats, rows: Mask) -> None:
+def bend(block: Block, slopes: Floats, rows: Bools) -> None:
     """Set the exit direction of some rays from their lens-frame slopes; those turned back keep theirs."""
     out = np.column_stack([slopes[rows], np.ones(int(rows.sum()))]) @ block.window.thin.rotation.T
     out /= np.sqrt((out * out).sum(axis=1))[:, None]

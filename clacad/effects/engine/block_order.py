@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.effects.engine.passes import Effect
 
-Floats = NDArray[np.float64]
 Chosen = slice | NDArray[np.intp]
 
 _ROOM = local()

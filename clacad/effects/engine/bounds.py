@@ -8,11 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 PROBE = 4096
 """Rays of the probe trace."""

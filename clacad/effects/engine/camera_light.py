@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.effects.engine.block import Rung
+from clacad.base.types import Floats, Rung
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect, blocks, take_rays, trace_with
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 MANY = 50_000
 """Rays above which split paths are compiled: loading the code costs as much as following some thousand rays."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Body, Face, Window, column, face_height, optical_tile
 
-Floats = NDArray[np.float64]
 GRID = 33
 
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clacad.effects.engine.block import Rung
+from clacad.base.types import Floats, Rung
 from clacad.effects.engine.bounds import Situation
 from clacad.optics.rays import Fate
 from clacad.sheet.vignetting import focal_ratio, thin_cells
-
-Floats = NDArray[np.float64]
 
 COVERED = 2.0
 """Lenslets across a pixel from which on a picture cannot show them singly."""

@@ -8,14 +8,8 @@ from __future__ import annotations
 
 from math import exp, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import exact
-
-Floats = NDArray[np.float64]
-Fates = NDArray[np.uint8]
-Cells = NDArray[np.int32]
+from clacad.base.types import Bytes, Cells, Floats
 
 GHOST, TIR, MISSED = 1, 4, 7  # of clacad.optics.rays.Fate: compiled code reads plain numbers
 
@@ -49,7 +43,7 @@ def let_through(x: float, y: float, z: float, u: float, v: float, w: float, n1: 
 
 @exact
 def fresnel_share(
-    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, row: int
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Bytes, last: Cells, index: Floats, row: int
 ) -> float:
     """Share of unpolarised light that the bare faces which one ray crossed let through; see `fresnel_pass`."""
     x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
@@ -70,7 +64,7 @@ def fresnel_pass(
     ray: Floats,
     hits: Floats,
     turns: Floats,
-    fate: Fates,
+    fate: Bytes,
     last: Cells,
     index: Floats,
     flux: Floats,
@@ -111,7 +105,7 @@ def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
 
 @exact
 def losses_pass(
-    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats, rates: Floats,
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Bytes, last: Cells, index: Floats, rates: Floats,
     reflects: bool, flux: Floats,
 ) -> None:  # fmt: skip
     """Give a flux to the rays that have none (NaN), from their hits: those that the straight trace did not hold for."""
@@ -155,7 +149,7 @@ def carried(
 
 @exact
 def polarisation_pass(
-    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Fates, last: Cells, index: Floats,
+    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Bytes, last: Cells, index: Floats,
     analyser: Floats, polariser: Floats, flux: Floats,
 ) -> None:  # fmt: skip
     """Multiply each ray's flux by what polariser, faces and analyser pass; see `clacad.effects.polarisation`.

@@ -11,13 +11,10 @@ from __future__ import annotations
 from math import cos, exp, floor, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact
+from clacad.base.types import Floats, Ints, Rows
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.intp]
-Runs = NDArray[np.int64]
 Ray = tuple[float, float, float, float, float, float]
 
 # columns of a face's row
@@ -83,7 +80,7 @@ def centred(lattice: Floats, x: float, y: float) -> tuple[float, float, float, f
 
 
 @exact
-def has_cell(lattice: Floats, runs: Runs, i: float, j: float) -> bool:
+def has_cell(lattice: Floats, runs: Ints, i: float, j: float) -> bool:
     """Whether the sheet has this cell; a plain lattice has no table of rows."""
     if not 0.0 <= j < lattice[N2]:
         return False
@@ -111,7 +108,7 @@ def within(face: Floats, x: float, y: float) -> bool:
 
 
 @exact
-def meet(face: Floats, lattice: Floats, runs: Runs, ray: Ray) -> tuple[float, float, float, float]:
+def meet(face: Floats, lattice: Floats, runs: Ints, ray: Ray) -> tuple[float, float, float, float]:
     """Distance to a face along a ray of the sheet frame and the unit normal there; NaN where the walk must decide."""
     t, nx, ny, nz = meet_lens(face, lattice, runs, ray)
     if t == t or face[STRUCTURED] == 0.0 or lattice[OPAQUE] != 0.0:
@@ -127,7 +124,7 @@ def meet(face: Floats, lattice: Floats, runs: Runs, ray: Ray) -> tuple[float, fl
 
 
 @exact
-def meet_lens(face: Floats, lattice: Floats, runs: Runs, ray: Ray) -> tuple[float, float, float, float]:
+def meet_lens(face: Floats, lattice: Floats, runs: Ints, ray: Ray) -> tuple[float, float, float, float]:
     """Distance to the lens of a face and the unit normal there; NaN where there is none."""
     x, y, z, u, v, w = ray
     t = (face[VZ] - z) / w
@@ -188,7 +185,7 @@ def meet_lens(face: Floats, lattice: Floats, runs: Runs, ray: Ray) -> tuple[floa
 
 @exact
 def through(
-    faces: Floats, lattice: Floats, runs: Runs, k: int, ray: Ray, n1: float, n2: float, layer: float
+    faces: Floats, lattice: Floats, runs: Ints, k: int, ray: Ray, n1: float, n2: float, layer: float
 ) -> tuple[float, Ray, float, Ray]:
     """Cross face k: distance (NaN where the path ends), ray behind it, share reflected, and the reflected ray."""
     x, y, z, u, v, w = ray
@@ -217,7 +214,7 @@ def through(
 
 @exact
 def forward(
-    faces: Floats, lattice: Floats, runs: Runs, k: int, ray: Ray, flux: float, index: Floats, rates: Floats,
+    faces: Floats, lattice: Floats, runs: Ints, k: int, ray: Ray, flux: float, index: Floats, rates: Floats,
     layer: float,
 ) -> tuple[float, Ray]:  # fmt: skip
     """Light going on from behind face k − 1 through faces k, k + 1, …: its share and ray behind the last."""
@@ -234,7 +231,7 @@ def forward(
 
 @exact
 def bounce_pass(
-    faces: Floats, lattice: Floats, runs: Runs, index: Floats, rates: Floats, layer: float, order: int, rows: Rows,
+    faces: Floats, lattice: Floats, runs: Ints, index: Floats, rates: Floats, layer: float, order: int, rows: Rows,
     start: Floats, hits: Floats, turns: Floats, position: Floats, direction: Floats, flux: Floats,
 ) -> None:  # fmt: skip
     """Split paths of rays whose every face was a lens.

@@ -12,13 +12,12 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.camera_light import Light, joined
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import ThinCells, ghost_step, thin_cells
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 FAINT = 1e-6
 """Shares below this are not listed."""

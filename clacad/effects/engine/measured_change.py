@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.bounds import Situation
 from clacad.effects.engine.camera_light import Light, lit
 from clacad.effects.engine.passes import trace_with
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.tracing.trace import trace
-
-Floats = NDArray[np.float64]
 
 MOST = 0.99
 """Share of the light whose largest turn is meant."""

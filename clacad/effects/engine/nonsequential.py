@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.effects.engine.mirrored_window import mirrored
 from clacad.optics.rays import Rays
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
@@ -34,10 +34,6 @@ from clacad.tracing.reference.column import (
 from clacad.tracing.reference.launch import Beam, box_span, launch, on_to, sheet_xy, to_array
 from clacad.tracing.wall_normals import NUDGE, wall_normals
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 State = tuple[bool, int, bool]
 
 MARGIN = 64
@@ -104,12 +100,12 @@ class Packet:
     position: Floats
     gate: Floats
     gate_cell: Ints
-    gated: Mask
+    gated: Bools
     bounces: Ints
     faces: Ints
     astray: Ints
 
-    def take(self, chosen: Rows | Mask) -> Packet:
+    def take(self, chosen: Rows | Bools) -> Packet:
         """The chosen rays."""
         return Packet(self.beam.take(chosen), *(getattr(self, f.name)[chosen] for f in fields(self)[1:]))
 
@@ -146,7 +142,7 @@ class Followed:
     direction: Floats
     flux: Floats
     optical_path: Floats
-    front: Mask
+    front: Bools
     bounces: Ints
     share: dict[str, Floats]
 
@@ -374,7 +370,7 @@ class _Walk:
         """Refractive index of a body counted in the order in which the packet meets it."""
         return self.rules.indices[number if up else len(self.up.bodies) - 1 - number]
 
-    def divide(self, state: State, packet: Packet, normal: Floats, astray: Mask, nudge: Floats) -> None:
+    def divide(self, state: State, packet: Packet, normal: Floats, astray: Bools, nudge: Floats) -> None:
         """Send on what passes the interface and what is reflected."""
         up, number, inside = state
         n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
-from clacad.effects.engine.block import Block, Crossing, Rung, crossings
+from clacad.base.types import Rung
+from clacad.effects.engine.block import Block, Crossing, crossings
 from clacad.effects.engine.block_order import Chosen, Gathered
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Rays, TraceResult

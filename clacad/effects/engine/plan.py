@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.effects.engine.block import Rung
+from clacad.base.types import Rung
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.cheapest_rung import choose_rung
 from clacad.effects.engine.parameters import Setting

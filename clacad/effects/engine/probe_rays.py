@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.scene import Camera, Scene, SceneObject
 
-Floats = NDArray[np.float64]
 
 FINEST = 0.15e-3
 """Smallest angle that angle = "auto" asks for, radians: half a minute of arc."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.engine.block import unit_rows
 from clacad.effects.engine.camera_light import Light, joined
 from clacad.effects.engine.nonsequential_rows import rules_for
@@ -16,8 +17,6 @@ from clacad.optics.rays import Fate, Rays
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
-
-Floats = NDArray[np.float64]
 
 
 def quick(window: Window, setting: Setting) -> bool:

@@ -17,14 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.formats.maps.sag import HeightMap, height_map, outward_height
 from clacad.sheet.window import Body, Face, Window
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PER_CELL = 64
 """Pixels across a cell."""

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Face, Window, column, lens_height, optical_tile
 from clacad.storage.archive import Attributes, parse_xml
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 
-Floats = NDArray[np.float64]
 DIRECTIONS = 720
 
 

@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Ints
 from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.window import Face, Window, lens_height
 from clacad.storage.atomic import canonical_json
 from clacad.storage.errors import FileDisagrees, UnreadableFile
-
-Ints = NDArray[np.int64]
 
 EQUATION = {
     "quadric": "cx x^2 + cy y^2 + kappa z^2 - 2 side z = 0, the half nearer the apex, in the lens frame (apex at the origin)",

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff, write_png, write_tiff
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height_and_normal
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 
-Floats = NDArray[np.float64]
 MOST_SAMPLES = 4_000_000
 BLOCK = 1 << 18
 NO_DATA = -(2.0**20)

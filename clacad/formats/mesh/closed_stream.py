@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.mesh.file_mesh import Floats
+from clacad.base.types import Floats, Words
 
-_WORDS = NDArray[np.uint64]
 _SEEDS = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F))
 _MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
 
@@ -109,14 +108,14 @@ def _edge_sums(corners: Floats) -> tuple[np.uint64, np.uint64]:
     return result[0], result[1]
 
 
-def _hashed(words: _WORDS, seed: np.uint64) -> _WORDS:
+def _hashed(words: Words, seed: np.uint64) -> Words:
     """One hash for each corner, (k, 3), from the bits of its three coordinates."""
     value = _mixed(words[:, :, 0] ^ seed)
     value = _mixed(value + words[:, :, 1] * _MIX[0])
     return _mixed(value + words[:, :, 2] * _MIX[1])
 
 
-def _mixed(value: _WORDS) -> _WORDS:
+def _mixed(value: Words) -> Words:
     """Stafford's variant 13 of the 64-bit finaliser: every input bit reaches every output bit."""
     value = (value ^ (value >> np.uint64(30))) * _MIX[0]
     value = (value ^ (value >> np.uint64(27))) * _MIX[1]
@@ -135,7 +134,7 @@ def crowded_edges(corners: Floats) -> int:
     return int(np.count_nonzero(times != 2))
 
 
-def vertex_hashes(corners: Floats) -> _WORDS:
+def vertex_hashes(corners: Floats) -> Words:
     """One 64-bit number for each corner, (k, 3), from the bits of its coordinates; −0 is 0."""
     return _hashed(np.ascontiguousarray(corners + 0.0).view(np.uint64), _SEEDS[0])
 

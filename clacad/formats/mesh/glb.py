@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from clacad.formats.mesh.file_mesh import FileMesh, Floats, Ints, Part
+from clacad.base.types import Floats, Ints
+from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 

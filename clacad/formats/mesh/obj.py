@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from clacad.formats.mesh.file_mesh import FileMesh, Floats, Part
+from clacad.base.types import Floats
+from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.storage.errors import UnreadableFile
 
 LONGEST = 1 << 30

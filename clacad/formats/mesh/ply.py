@@ -11,7 +11,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Floats, Ints, Part
+from clacad.base.types import Floats, Ints
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
 from clacad.storage.errors import UnreadableFile
 

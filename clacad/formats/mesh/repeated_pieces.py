@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.mesh.file_mesh import Floats, Ints
+from clacad.base.types import Floats, Ints
 from clacad.sheet.lattice import Lattice
 from clacad.storage.errors import FileDisagrees
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.formats.mesh.readers import read_mesh
 
 if TYPE_CHECKING:
     from clacad.scene import Scene, SceneObject
-
-Floats = NDArray[np.float64]
 
 
 def standing_corners(scene: Scene, thing: SceneObject) -> Floats:

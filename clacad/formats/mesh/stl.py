@@ -15,7 +15,8 @@ from typing import IO, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Floats, Part
+from clacad.base.types import Floats
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -17,7 +17,8 @@ from typing import IO
 
 import numpy as np
 
-from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Floats, Part
+from clacad.base.types import Floats
+from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.storage.archive import Attributes, open_archive, parse_xml
 from clacad.storage.errors import FileDisagrees, UnreadableFile

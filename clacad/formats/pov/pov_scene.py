@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.formats.pov.pov_solids import refuse, sheet_lines
 from clacad.formats.pov.pov_text import NotForPov, colour, matrix, number, vector
 from clacad.scene import chess_knight
@@ -25,7 +25,6 @@ from clacad.sheet.window import Window
 if TYPE_CHECKING:
     from clacad.scene import Camera, Scene, SceneObject
 
-Floats = NDArray[np.float64]
 
 SCALE = 1000.0
 """POV-Ray units in one scene (or design) length."""

@@ -13,14 +13,11 @@ from dataclasses import dataclass
 from math import isnan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.formats.pov.pov_text import GAP, NotForPov, matrix, number
 from clacad.optics.surface import Quadric
 from clacad.sheet.lattice import Circle
 from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
-
-Floats = NDArray[np.float64]
 
 SAMPLES = 33
 """Points along a side of a cell, and from its middle to its border, on which heights are sampled."""

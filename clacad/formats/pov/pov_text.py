@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from clacad.base.types import Floats
 from clacad.storage.errors import ExportError
-
-Floats = NDArray[np.float64]
 
 GAP = 2e-4
 """Part of a pitch by which a lens keeps off each border of its cell."""

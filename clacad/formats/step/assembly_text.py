@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.step.placements import UNPLACED, Floats, composed, inverse, product
+from clacad.base.types import Floats
+from clacad.formats.step.placements import UNPLACED, composed, inverse, product
 
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[Ee][-+]?\d+)?")
 _PLAIN = re.compile(r"#(\d+)|(\$)")

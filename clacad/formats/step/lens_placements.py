@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.step.placements import Floats, applied, inverse, product
+from clacad.base.types import Floats, Ints
+from clacad.formats.step.placements import applied, inverse, product
 from clacad.sheet.window import Window, lens_height_and_normal
-
-Ints = NDArray[np.int64]
 
 SAMPLE = 20_000
 """Patches, in their placements, whose points are held against the design; the place of every instance is checked."""

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import refract
 
-Floats = NDArray[np.float64]
 NEAREST = 1e-6
 """Hits nearer than this (mm) are the face just left."""
 TOUCH = 2e-6

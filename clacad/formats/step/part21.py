@@ -12,7 +12,7 @@ from typing import IO
 
 import numpy as np
 
-from clacad.solid.face_pattern import Floats
+from clacad.base.types import Floats
 
 SCHEMAS = {
     "AP242": (

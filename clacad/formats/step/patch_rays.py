@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.step.placements import Floats, applied
+from clacad.base.types import Floats
+from clacad.formats.step.placements import applied
 from clacad.formats.step.text_health import Scan, patches_of
 from clacad.optics.surface import refract
 from clacad.sheet.window import Face, Window

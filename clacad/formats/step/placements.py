@@ -9,11 +9,10 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.storage.errors import UnreadableFile
 
-Floats = NDArray[np.float64]
 Node = TypeVar("Node", bound=Hashable)
 
 MOST = 8_000_000

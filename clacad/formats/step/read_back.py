@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.formats.step.lens_placements import WALL, LensPoints, lens_facts, on_lenses
 from clacad.formats.step.placements import applied
 from clacad.formats.step.shape_parts import Piece, boxes_of, moved, pieces, whole_box
 from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
-
-Floats = NDArray[np.float64]
 
 KERNEL_BYTES = 24_000_000
 """Files larger than this are scanned only: a kernel would take minutes and gigabytes."""

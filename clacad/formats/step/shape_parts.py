@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from clacad.formats.step.placements import Floats, composed
+from clacad.base.types import Floats
+from clacad.formats.step.placements import composed
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 

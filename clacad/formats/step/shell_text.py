@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.step.part21 import Part21, quoted, real, weight
 from clacad.solid.edge_classes import Plane, Surface
-from clacad.solid.face_pattern import Floats
 from clacad.solid.rational_conics import Arc, Patch
 from clacad.solid.shells import Loop, Role
 

@@ -10,11 +10,9 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 _SAMPLES = ((3, 3), (6, 3), (3, 6), (6, 6))
 _BASE_MEMORY = 120_000_000

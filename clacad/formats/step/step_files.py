@@ -14,6 +14,7 @@ from typing import IO, Any, Literal
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.step.part21 import Colour, Part21
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
@@ -29,7 +30,6 @@ from clacad.solid.describe_body import (
     millimetres,
     single,
 )
-from clacad.solid.face_pattern import Floats
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 
 __all__ = ["BodyFacts", "chosen_mode", "forecast_step", "read_step", "write_step"]

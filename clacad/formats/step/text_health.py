@@ -16,11 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.formats.step.assembly_text import NUMBER, SHELLS, Assembly, Lookup, Standing, Vectors
 from clacad.formats.step.lens_placements import LensPoints
 from clacad.storage.errors import UnreadableFile
-
-Floats = NDArray[np.float64]
 
 # a doubled quote inside a string reads as the end of one and the beginning of the next; nothing is tried twice
 _STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")

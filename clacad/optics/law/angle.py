@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.pairs import two_product, two_sum
-
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
 
 
 def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:

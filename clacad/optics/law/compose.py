@@ -7,13 +7,11 @@ from math import atan2, cos, pi, sin
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between
 from clacad.optics.law.law import Law
 from clacad.optics.law.orientation import euler_angles
-
-Floats = NDArray[np.float64]
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
 _ACROSS = 1e-6  # cosine of an axis that lies across the light's way, with its rounding

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between, is_direction, power_of_two_scaled
 from clacad.optics.law.compose import candidate_axes, decompose
 from clacad.optics.law.law import Law
 from clacad.optics.law.orientation import Axes
-
-Floats = NDArray[np.float64]
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 _STARTS = 6  # valleys looked into

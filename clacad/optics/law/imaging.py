@@ -8,12 +8,11 @@ Courtial, J. Opt. Soc. Am. A 30, 2334 (2013).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clacad.base.pairs import two_product, two_sum
+from clacad.base.types import Floats
 from clacad.optics.law.law import Law
-
-Floats = NDArray[np.float64]
 
 
 def slope_map(law: Law) -> tuple[Floats, Floats]:

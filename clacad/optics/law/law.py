@@ -7,16 +7,15 @@ from math import frexp, isfinite, ldexp
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clacad.base.pairs import two_product, two_sum
+from clacad.base.types import Cells, Floats
 from clacad.optics.law.orientation import Axes, rotation
 
 if TYPE_CHECKING:
     from clacad.optics.law.fitting import Fit
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny components stay representable
 _BLOCK = 8192  # rows at a time: the temporaries stay in the cache
@@ -313,7 +312,7 @@ def _offset_and_divide(m: Floats, m_z: Floats, delta: float, eta: float) -> tupl
 
 def _common_scale(x: Floats, e_x: int, y: Floats, e_y: int, z: Floats) -> tuple[Floats, Floats, Floats]:
     """Bring x · 2**e_x, y · 2**e_y and z over one power of two per row: the largest is about 1."""
-    top: Ints = np.frexp(z)[1]
+    top: Cells = np.frexp(z)[1]
     for q, e in ((x, e_x), (y, e_y)):
         top = np.maximum(top, np.where(q != 0.0, np.frexp(q)[1] + e, top))
     return np.ldexp(x, e_x - top), np.ldexp(y, e_y - top), np.ldexp(z, -top)

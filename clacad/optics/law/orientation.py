@@ -12,9 +12,9 @@ from math import atan2, cos, fmod, hypot, pi, radians, sin
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
+
 Axes = Literal["fixed", "moving"]
 CosSin = Callable[[float], tuple[float, float]]
 

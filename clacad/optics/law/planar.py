@@ -7,9 +7,9 @@ Embedded in three dimensions (x–z plane, tilt towards +x) it is the Law with
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
 
 
 def refract_2d(alpha_1: ArrayLike, eta: float, delta: float = 0.0, theta: float = 0.0) -> Floats:

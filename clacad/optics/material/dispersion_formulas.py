@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
+
 Coefficients = tuple[float, ...]
 Formula = Literal[
     "sellmeier", "schott", "cauchy", "constant", "table", "mixed", "gas", "herzberger", "retro", "exotic"

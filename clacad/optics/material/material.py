@@ -15,12 +15,10 @@ from math import isfinite, pi
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.material import dispersion_formulas
 from clacad.optics.material.dispersion_formulas import Formula
-
-Floats = NDArray[np.float64]
 
 _MICROMETRES = 1e6  # in a metre: the coefficients of published formulas take micrometres
 _EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding

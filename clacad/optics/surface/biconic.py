@@ -7,11 +7,11 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface.quadric import Columns, pick, quadric_root
 from clacad.optics.surface.sag_and_normal import (
     ULP,
     Biconic,
-    FloatArray,
     lateral_gradient,
     lateral_square,
     sag,
@@ -36,9 +36,7 @@ SETTLED = 2.0**-34
 """Relative change after which Newton's next error, its square, is below rounding."""
 
 
-def biconic_root(
-    surface: Biconic, start: Columns, base: Columns, ray: Columns
-) -> tuple[FloatArray, FloatArray]:
+def biconic_root(surface: Biconic, start: Columns, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
     """Distance from the base point and r of a biconic: Newton's method from the quadric of the same curvatures.
 
     The few rays that do not settle, all misses or near the equator, are looked up among the roots of a quartic.
@@ -55,8 +53,8 @@ def biconic_root(
 
 
 def _newton(
-    surface: Biconic, t: FloatArray, start: Columns, base: Columns, ray: Columns
-) -> tuple[FloatArray, FloatArray]:
+    surface: Biconic, t: Floats, start: Columns, base: Columns, ray: Columns
+) -> tuple[Floats, Floats]:
     """Solve t = T(t), where T is the root of the quadric whose κ the biconic has at the azimuth of the point at t.
 
     At azimuth (x : y) the biconic agrees with the quadric of κ = (a x² + b y²)/(cx x² + cy y²). Newton takes
@@ -80,7 +78,7 @@ def _newton(
     return np.where(settled & _near_half(surface, x, y, z), t, np.nan), root
 
 
-def _azimuth_kappa(surface: Biconic, x: FloatArray, y: FloatArray) -> FloatArray:
+def _azimuth_kappa(surface: Biconic, x: Floats, y: Floats) -> Floats:
     """κ of the quadric that shares the biconic's profile at the azimuth of (x, y)."""
     (a, _), (b, _) = slope_terms(surface)
     q = lateral_square(surface, x, y)
@@ -88,7 +86,7 @@ def _azimuth_kappa(surface: Biconic, x: FloatArray, y: FloatArray) -> FloatArray
     return np.where(q == 0, (1.0 + surface.conic_x) * surface.curvature_x, kappa)
 
 
-def _near_half(surface: Biconic, x: FloatArray, y: FloatArray, z: FloatArray) -> NDArray[np.bool_]:
+def _near_half(surface: Biconic, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
     """Whether points of the full biconic lie on the half side Q/(1 + w), not on side Q/(1 − w).
 
     The half that belongs is at most Q high and on Q's side. The other is higher than Q where w < 1, and on the
@@ -100,7 +98,7 @@ def _near_half(surface: Biconic, x: FloatArray, y: FloatArray, z: FloatArray) ->
     return np.asarray((height >= -rounding) & (height <= np.abs(q) + rounding))
 
 
-def _quartic_root(surface: Biconic, base: Columns, ray: Columns) -> FloatArray:
+def _quartic_root(surface: Biconic, base: Columns, ray: Columns) -> Floats:
     """Distance to a biconic from the real roots of z² (a x² + b y²) − 2 side z Q + Q² = 0, polished.
 
     Both halves satisfy it, and crossings in either sense; of those that qualify the lowest is taken.
@@ -133,7 +131,7 @@ def _quartic_root(surface: Biconic, base: Columns, ray: Columns) -> FloatArray:
     return best
 
 
-def _polished(surface: Biconic, t: FloatArray, base: Columns, ray: Columns) -> tuple[FloatArray, FloatArray]:
+def _polished(surface: Biconic, t: Floats, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
     """Newton on z − sag along the ray; |z| at the hit, infinite where there is none in the ray's sense."""
     along = np.where(ray[2] < 0, -1.0, 1.0)
     error, onward, z = np.full_like(t, inf), np.zeros_like(t), t

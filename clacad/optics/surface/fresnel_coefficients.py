@@ -14,9 +14,8 @@ be given its losses afterwards. The share of the light that passes is 1 − r² 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from clacad.base.types import Floats
 
 
 def deviation(before: Floats, after: Floats) -> Floats:

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clacad.base.types import Floats
 from clacad.optics.surface.biconic import biconic_root
 from clacad.optics.surface.quadric import Columns, carry, quadric_root
-from clacad.optics.surface.sag_and_normal import FloatArray, Quadric, Surface, lateral_gradient, slope_root
+from clacad.optics.surface.sag_and_normal import Quadric, Surface, lateral_gradient, slope_root
 
 
 class Meeting(NamedTuple):
@@ -25,17 +26,17 @@ class Meeting(NamedTuple):
         r = D·G >= 0, which is |D| |G| cos(incidence).
     """
 
-    distance: FloatArray
-    gradient: FloatArray
-    root: FloatArray
+    distance: Floats
+    gradient: Floats
+    root: Floats
 
 
-def meet(surface: Surface, position: FloatArray, direction: FloatArray) -> Meeting:
+def meet(surface: Surface, position: Floats, direction: Floats) -> Meeting:
     """Distance along rays to the apex half of a surface, normal and root there; see `meet_at`."""
     return meet_at(surface, position, direction)[0]
 
 
-def meet_at(surface: Surface, position: FloatArray, direction: FloatArray) -> tuple[Meeting, FloatArray]:
+def meet_at(surface: Surface, position: Floats, direction: Floats) -> tuple[Meeting, Floats]:
     """Where rays cross the apex half of a surface, in the surface's own frame.
 
     Parameters
@@ -71,8 +72,8 @@ def meet_at(surface: Surface, position: FloatArray, direction: FloatArray) -> tu
 
 
 def refract(
-    direction: FloatArray, gradient: FloatArray, root: FloatArray, n1: ArrayLike, n2: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
+    direction: Floats, gradient: Floats, root: Floats, n1: ArrayLike, n2: ArrayLike
+) -> tuple[Floats, Floats]:
     """Snell's law in vector form, D' = µ D + g G.
 
     Parameters
@@ -111,7 +112,7 @@ def refract(
     return out, q
 
 
-def fresnel(root: FloatArray, q: FloatArray, mu: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def fresnel(root: Floats, q: Floats, mu: ArrayLike) -> tuple[Floats, Floats]:
     """Amplitude reflection coefficients (r_s, r_p) from what `meet` and `refract` return; no square root.
 
     Parameters
@@ -126,8 +127,8 @@ def fresnel(root: FloatArray, q: FloatArray, mu: ArrayLike) -> tuple[FloatArray,
 
 
 def _judge(
-    surface: Surface, distance: FloatArray, root: FloatArray, point: Columns, ray: Columns
-) -> tuple[Meeting, FloatArray]:
+    surface: Surface, distance: Floats, root: Floats, point: Columns, ray: Columns
+) -> tuple[Meeting, Floats]:
     """Keep the crossings of the apex half and give their normals."""
     x, y, z = point
     quadric = isinstance(surface, Quadric)
@@ -144,7 +145,7 @@ def _judge(
     return Meeting(distance, gradient_rows, root), point_rows
 
 
-def _columns(rows: FloatArray) -> Columns:
+def _columns(rows: Floats) -> Columns:
     """x, y and z of (n, 3) rows, each contiguous."""
     x, y, z = (np.ascontiguousarray(rows[:, i], dtype=np.float64) for i in range(3))
     return x, y, z

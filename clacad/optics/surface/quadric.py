@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.pairs import negated, pair, pair_product, pair_sum, two_product
-from clacad.optics.surface.sag_and_normal import FloatArray, Quadric, Surface
+from clacad.base.types import Floats
+from clacad.optics.surface.sag_and_normal import Quadric, Surface
 
-Columns = tuple[FloatArray, FloatArray, FloatArray]
+Columns = tuple[Floats, Floats, Floats]
 
 
 CANCELS = 1e3
@@ -19,7 +20,7 @@ STEEPEST = 0.25
 """Rays with |N| below this are not carried to the vertex plane, which may lie far off, but to the apex's level."""
 
 
-def carry(start: Columns, ray: Columns) -> tuple[FloatArray, Columns]:
+def carry(start: Columns, ray: Columns) -> tuple[Floats, Columns]:
     """Distance to a base point near the apex, and that point: the vertex plane, for steep rays the nearest."""
     (x, y, z), (L, M, N) = start, ray
     square = L * L + M * M + N * N
@@ -29,8 +30,8 @@ def carry(start: Columns, ray: Columns) -> tuple[FloatArray, Columns]:
 
 
 def quadric_root(
-    surface: Surface, kappa: FloatArray | float, start: Columns, base: Columns, ray: Columns
-) -> tuple[FloatArray, FloatArray]:
+    surface: Surface, kappa: Floats | float, start: Columns, base: Columns, ray: Columns
+) -> tuple[Floats, Floats]:
     """Distance from the base point and r = sqrt(B² − AC) of a quadric with the surface's curvatures."""
     cx, cy, side = surface.curvature_x, surface.curvature_y, surface.side
     (x, y, z), (L, M, N) = base, ray
@@ -50,7 +51,7 @@ def quadric_root(
     return numerator / np.where(adds, sign_root - b, a), root
 
 
-def upright_sag(surface: Quadric, x: FloatArray, y: FloatArray) -> FloatArray | None:
+def upright_sag(surface: Quadric, x: Floats, y: Floats) -> Floats | None:
     """Sag (n,) over points (x, y): what a ray along +z meets, bit by bit, without the ray; NaN past the equator.
 
     None where a point is so near the equator that the root needs the ray's compensated discriminant.
@@ -68,10 +69,10 @@ def upright_sag(surface: Quadric, x: FloatArray, y: FloatArray) -> FloatArray | 
 
 def _discriminant(
     shape: tuple[float, float, int],
-    kappa: FloatArray,
-    start: tuple[FloatArray, ...],
-    ray: tuple[FloatArray, ...],
-) -> FloatArray:
+    kappa: Floats,
+    start: tuple[Floats, ...],
+    ray: tuple[Floats, ...],
+) -> Floats:
     """B² − AC in pairs. It is the same at every point of the ray, so the start serves, unrounded by a carry."""
     cx, cy = pair(shape[0]), pair(shape[1])
     side, k = float(shape[2]), pair(kappa)

@@ -20,12 +20,10 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clacad.base.pairs import Pair, negated, pair, pair_product, pair_sum, two_product, two_sum
-
-FloatArray = NDArray[np.float64]
-
+from clacad.base.types import Floats
 
 ULP = 2.0**-52
 
@@ -57,11 +55,11 @@ class Quadric:
     def __post_init__(self) -> None:
         _check("Quadric", self.side, self.curvature_x, self.curvature_y, self.kappa)
 
-    def sag(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height above the apex plane; see `sag`."""
         return sag(self, x, y)
 
-    def normal(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Unit normal towards +z; see `normal`."""
         return normal(self, x, y)
 
@@ -98,11 +96,11 @@ class Biconic:
     def __post_init__(self) -> None:
         _check("Biconic", self.side, self.curvature_x, self.curvature_y, self.conic_x, self.conic_y)
 
-    def sag(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height above the apex plane; see `sag`."""
         return sag(self, x, y)
 
-    def normal(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
+    def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Unit normal towards +z; see `normal`."""
         return normal(self, x, y)
 
@@ -147,7 +145,7 @@ def as_quadric(biconic: Biconic) -> Quadric:
     return Quadric(biconic.curvature_x, biconic.curvature_y, kappa, biconic.side)
 
 
-def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> FloatArray:
+def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
     """Height z of the surface over (x, y).
 
     Parameters
@@ -168,7 +166,7 @@ def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> FloatArray:
     return np.asarray(surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y)))
 
 
-def normal(surface: Surface, x: ArrayLike, y: ArrayLike) -> FloatArray:
+def normal(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
     """Unit normal towards +z over (x, y): (..., 3), NaN beyond the equator."""
     g = gradient(surface, x, y)
     # np.hypot twice: components of 1e-200 are kept where squares would vanish
@@ -176,7 +174,7 @@ def normal(surface: Surface, x: ArrayLike, y: ArrayLike) -> FloatArray:
     return np.asarray(g / length[..., None])
 
 
-def gradient(surface: Surface, x: ArrayLike, y: ArrayLike) -> FloatArray:
+def gradient(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
     """Unnormalised normal G towards +z over (x, y): (..., 3), G_z = w >= 0, slopes ∂z/∂x = −G_x/G_z."""
     x, y = _plane_point(x, y)
     w = slope_root(surface, x, y)
@@ -184,9 +182,7 @@ def gradient(surface: Surface, x: ArrayLike, y: ArrayLike) -> FloatArray:
     return np.stack([gx + 0.0 * w, gy + 0.0 * w, w], axis=-1)
 
 
-def lateral_gradient(
-    surface: Surface, x: FloatArray, y: FloatArray, w: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple[Floats, Floats]:
     """G_x, G_y of either surface at the point over (x, y) where G_z = w.
 
     The biconic is Q + κ z² − 2 side z = 0 with κ = (a x² + b y²)/Q, which depends on the azimuth alone; its
@@ -200,7 +196,7 @@ def lateral_gradient(
     return np.asarray(gx - twist * y), np.asarray(gy + twist * x)
 
 
-def lateral_square(surface: Surface, x: FloatArray, y: FloatArray) -> FloatArray:
+def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:
     """The form cx x² + cy y²; in pairs for a saddle, the only case whose terms cancel."""
     cx, cy = surface.curvature_x, surface.curvature_y
     if cx * cy < 0:
@@ -218,7 +214,7 @@ def slope_terms(surface: Surface) -> tuple[Pair, Pair]:
     return in_x, pair_product(two_sum(1.0, surface.conic_y), two_product(cy, cy))
 
 
-def slope_root(surface: Surface, x: FloatArray, y: FloatArray) -> FloatArray:
+def slope_root(surface: Surface, x: Floats, y: Floats) -> Floats:
     """Root of 1 − a x² − b y², which is G_z; NaN beyond the equator."""
     a, b = slope_terms(surface)
     x, y = np.broadcast_arrays(x, y)
@@ -238,7 +234,7 @@ def skewness(surface: Surface) -> float:
     return cx * cy * ((1.0 + surface.conic_x) * cx - (1.0 + surface.conic_y) * cy)
 
 
-def _radicand(a: Pair, b: Pair, x: FloatArray, y: FloatArray) -> FloatArray:
+def _radicand(a: Pair, b: Pair, x: Floats, y: Floats) -> Floats:
     """1 − a x² − b y², correct to its last bit."""
     in_x = pair_product(a, two_product(x, x))
     in_y = pair_product(b, two_product(y, y))
@@ -255,6 +251,6 @@ def _check(kind: str, side: int, *numbers: float) -> None:
         )
 
 
-def _plane_point(x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _plane_point(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
     """Lateral coordinates as float64."""
     return np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.mesh import BodyMesh, check_closed
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate, Rays
@@ -24,8 +24,6 @@ from clacad.rendering.atlas.finding import Finding
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-
-Floats = NDArray[np.float64]
 
 
 def section_findings(scene: Scene) -> Iterator[Finding]:

@@ -9,16 +9,14 @@ from __future__ import annotations
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.design.law_in_words import law_words
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Face, Window
 from clacad.tracing.trace import Interface, trace, trace_sequence
-
-Floats = NDArray[np.float64]
 
 RAYS = 7
 ASIDE = -0.07

@@ -9,20 +9,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bytes, Floats
 from clacad.mesh import Mesh, tessellate
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.compiled.scene_hits import look_all
 from clacad.rendering.compiled.scene_tables import Tables, tables
-from clacad.rendering.picture_files import Bytes, encode
+from clacad.rendering.picture_files import encode
 from clacad.rendering.reference.triangle_tree import grow
 from clacad.rendering.scene_arrays import MESH, Primitive, set_stage, stage_of
 from clacad.scene import Scene
 from clacad.sheet.window import Window
-
-Floats = NDArray[np.float64]
 
 TINT = (0.42, 0.60, 0.86)
 """Linear colour of the glass."""

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from clacad.base.types import Bytes
 from clacad.design.law_in_words import law_words
 from clacad.rendering.atlas.figure1 import section_findings, solid_findings
 from clacad.rendering.atlas.finding import Finding
 from clacad.rendering.atlas.index_page import page_of
 from clacad.rendering.atlas.paper_figures import FIGURES, MOVIES, Figure
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
-from clacad.rendering.picture_files import Bytes, animate, facts, label_lines, labelled, pixels_of, save
+from clacad.rendering.picture_files import animate, facts, label_lines, labelled, pixels_of, save
 from clacad.scene import Scene, load_scene
 from clacad.storage.atomic import Stage, canonical_json, file_hash
 

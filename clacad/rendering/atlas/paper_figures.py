@@ -12,14 +12,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.roots import bisect
+from clacad.base.types import Floats
 from clacad.rendering.atlas.finding import Finding
 from clacad.rendering.screen_measure import ScreenMap, fitted, ghost_shifts, measure
 from clacad.scene import Scene
 
-Floats = NDArray[np.float64]
 Loader = Callable[[str], Scene]
 
 D = 20.0

@@ -10,15 +10,12 @@ from __future__ import annotations
 from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact
+from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.column import kept, sheet_xy, to_array
 from clacad.tracing.compiled.face import lens_roots, meet, snell, to_lens, to_sheet
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 UNDECIDED, DIRECT, STRAYED, PASSED_HOLE = range(4)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, owning
+from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
 from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
@@ -38,10 +39,6 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
 )
 from clacad.tracing.compiled.walk import WALKER_NUMBERS, walk_ray
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Words = NDArray[np.uint64]
 
 BESIDE, BLACK, SHINES, BEFORE = range(4)
 """What becomes of a ray: goes past the sheet, brings nothing, goes on behind it, met something before it."""

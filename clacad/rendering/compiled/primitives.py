@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact
+from clacad.base.types import Floats
 from clacad.rendering.compiled.scene_tables import (
     BOX,
     CONE,
@@ -23,8 +23,6 @@ from clacad.rendering.compiled.scene_tables import (
     SPHERE,
     TURN,
 )
-
-Floats = NDArray[np.float64]
 
 
 @exact

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, owning
+from clacad.base.types import Floats, Ints
 from clacad.rendering.compiled.primitives import distances, to_frame
 from clacad.rendering.compiled.scene_light import background, painted
 from clacad.rendering.compiled.scene_tables import (
@@ -30,9 +31,6 @@ from clacad.rendering.compiled.scene_tables import (
     SIZE,
 )
 from clacad.rendering.compiled.triangle_tree import DEPTH, in_tree
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Pad(NamedTuple):

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import exact
+from clacad.base.types import Floats
 from clacad.rendering.compiled.scene_tables import (
     BOX,
     CHECKER,
@@ -34,8 +32,6 @@ from clacad.rendering.compiled.scene_tables import (
     STRIPES,
     TURN,
 )  # fmt: skip
-
-Floats = NDArray[np.float64]
 
 
 @exact

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.rendering.scene_arrays import Stage
-
-Floats = NDArray[np.float64]
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 CHECKER, COORDINATES, STRIPES, IMAGE = 1, 2, 3, 4

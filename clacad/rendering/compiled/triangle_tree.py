@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.compiled import exact
+from clacad.base.types import Floats
 from clacad.rendering.compiled.scene_tables import FACET, NODE
-
-Floats = NDArray[np.float64]
 
 DEPTH = 64
 """Nodes waiting in a tree at most: median splits make it no deeper than the number's bits."""

@@ -11,12 +11,9 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.rendering.reference.triangle_tree import Tree, meet_each, nearest_triangle
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 NOTHING = 0xFFFFFFFF
 """Embree's number for no triangle, read as unsigned."""

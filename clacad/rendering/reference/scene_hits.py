@@ -6,8 +6,8 @@ All distances are in lengths of the given direction, which need not be a unit ve
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.rendering.reference.embree_triangles import first_triangle
 from clacad.rendering.scene_arrays import (
     BOX,
@@ -26,14 +26,10 @@ from clacad.rendering.scene_arrays import (
 
 UNTURNED = np.eye(3)
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
 
 def look(
     stage: Stage, origin: Floats, direction: Floats, limit: Floats | float = np.inf
-) -> tuple[Floats, Mask]:
+) -> tuple[Floats, Bools]:
     """Light that rays find, looking from `origin` along `direction`.
 
     Parameters
@@ -95,7 +91,7 @@ def _nearest(
     return distance, which, triangle
 
 
-def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Mask:
+def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Bools:
     """Whether rays come into a sphere (centre, radius) at a distance above 0."""
     if not np.isfinite(bound[3]):
         return np.ones(len(origin), dtype=bool)
@@ -190,7 +186,7 @@ def _prism(local: Floats, ray: Floats, half: float, outline: Floats) -> Floats:
     return best
 
 
-def _inside(outline: Floats, x: Floats, y: Floats) -> Mask:
+def _inside(outline: Floats, x: Floats, y: Floats) -> Bools:
     """Whether points lie inside a polygon, by counting borders to the right."""
     inside = np.zeros(len(x), dtype=bool)
     for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from clacad.base.types import Floats, Ints
 
 LEAF = 4
 """Triangles in a leaf at most."""

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from clacad.base.types import Bools, Floats
+
 Heights = Callable[[Floats, Floats], Floats]
 """A function of cell-frame x and y, (n,) lengths each; NaN where it has no value."""
 Inside = Callable[[Floats, Floats], Bools]

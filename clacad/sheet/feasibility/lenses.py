@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import conic_constants, principal_radii
-from clacad.sheet.feasibility.convex_extremes import Floats, Heights, least, reach, share_covered
+from clacad.sheet.feasibility.convex_extremes import Heights, least, reach, share_covered
 from clacad.sheet.feasibility.facts import LensFacts, Two, two
 from clacad.sheet.window import Body, Face, Window, lens_height, lens_height_and_normal, optical_tile
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from math import acos, asin, inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import principal_radii
 from clacad.sheet.feasibility.convex_extremes import border
 from clacad.sheet.feasibility.facts import Feasibility
 from clacad.sheet.window import Face, Window, lens_height_and_normal, optical_tile
 
-Floats = NDArray[np.float64]
 FINE = 20
 """Voxels across a lenslet below which it is not drawn, and layers in its height below which it is stairs."""
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, owning
+from clacad.base.types import Bytes, Cells, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.column import DIVISIONS, EVENT_NUMBERS, WORK_NUMBERS
@@ -36,13 +37,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
 )
 from clacad.tracing.compiled.walk import WALKER_NUMBERS, walk_ray
-from clacad.tracing.layout import Floats
 from clacad.tracing.triangles.tiles import Tiles
 
-Ints = NDArray[np.int64]
-Rows = NDArray[np.intp]
-Bytes = NDArray[np.uint8]
-Cells = NDArray[np.int32]
 Singles = NDArray[Any]  # float32: every pass takes either precision
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)

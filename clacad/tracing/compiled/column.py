@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from math import copysign, inf, isnan, nan, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import exact
+from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.face import height, in_zone, lens_roots, less_steps, relocate
-from clacad.tracing.layout import Floats
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
-
-Ints = NDArray[np.int64]
 
 KIND, DISTANCE, PLACE = 0, 1, 2
 """Slots of an event: what, how far, and from PLACE + 4·array on: cell i, j and the start seen from there."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from math import copysign, floor, inf, isfinite, nan, sqrt
 
 from clacad.base.compiled import exact
+from clacad.base.types import Floats
 from clacad.optics.surface import ULP
 from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
 from clacad.optics.surface.quadric import CANCELS, STEEPEST
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.layout import Floats
 
 _SPLITTER = 134217729.0
 

@@ -7,12 +7,12 @@ from math import floor, frexp, isfinite, ldexp, nan, sqrt
 import numpy as np
 
 from clacad.base.compiled import exact, least, multiply_add
+from clacad.base.types import Floats
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.column import box_span
 from clacad.tracing.compiled.face import pair_product, pair_sum, two_product, two_sum
 from clacad.tracing.compiled.straight_path_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z
-from clacad.tracing.layout import Floats
 
 SANE = 1e100
 """Directions with components beyond this, or all below its inverse, are scaled before use."""

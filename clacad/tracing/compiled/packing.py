@@ -9,8 +9,9 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import Quadric
-from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Layout
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)

@@ -9,17 +9,12 @@ from __future__ import annotations
 
 from math import copysign, inf
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import inlined
+from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.column import DISTANCE, KIND, PLACE, kept
 from clacad.tracing.compiled.face import height, lens_roots, less_steps, to_lens, to_sheet, upward
-from clacad.tracing.layout import Floats
 from clacad.tracing.reference.column import ABOVE, BACK, FRONT
-
-Ints = NDArray[np.int64]
 
 ARRIVING, INSIDE, LEAVING = 0, 1, 2
 """Where a ray is: below the front, between front and back, on or over the back."""

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, least, owning
+from clacad.base.types import Floats, Ints, Rows
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.face import height, meet
 from clacad.tracing.compiled.straight_path_slots import (
@@ -48,12 +49,9 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
 )
 from clacad.tracing.compiled.walk import reach
-from clacad.tracing.layout import Floats
 from clacad.tracing.triangles.compiled_tile_block import cross_facets
 from clacad.tracing.triangles.tiles import Tiles
 
-Ints = NDArray[np.int64]
-Rows = NDArray[np.intp]
 Singles = NDArray[Any]  # float32: every pass takes either precision
 
 

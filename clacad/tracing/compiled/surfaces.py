@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.types import Rows
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import trace_chunk, trace_chunk_single
 from clacad.tracing.compiled.packing import pack
 from clacad.tracing.layout import Layout
-from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.ledger import Ledger
 from clacad.tracing.triangles.tiles import NO_TILES, Tiles
 
 CHUNK = 1 << 16

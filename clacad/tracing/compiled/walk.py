@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from math import copysign, inf, isfinite
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import exact, inlined
+from clacad.base.types import Bytes, Cells, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
@@ -24,15 +22,10 @@ from clacad.tracing.compiled.column import (
 )  # fmt: skip
 from clacad.tracing.compiled.face import less_steps, meet, snell, to_lens, to_sheet, upward
 from clacad.tracing.compiled.solid_body_short_cut import ARRIVING, INSIDE, LEAVING, quick_change
-from clacad.tracing.layout import Floats
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.tracing.triangles.compiled_hierarchy import first_soup_change
 from clacad.tracing.triangles.compiled_tiles import NORMAL, first_facet_change
 from clacad.tracing.triangles.tiles import Tiles
-
-Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
-Cells = NDArray[np.int32]
 
 BEHIND = 8 * ULP
 

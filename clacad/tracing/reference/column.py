@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, less_steps
+from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, less_steps
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
 Kinds = NDArray[np.int8]
-Rows = NDArray[np.intp]
 
 # What ends a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
 FRONT, FRONT_LAND, BACK, BACK_LAND, WALL, ABOVE, ASIDE = range(7)
@@ -44,7 +44,7 @@ class Event:
     cells: dict[int, Ints]
     starts: dict[int, Floats]
 
-    def take(self, rows: NDArray[np.intp] | Mask) -> Event:
+    def take(self, rows: NDArray[np.intp] | Bools) -> Event:
         """The events of chosen rays."""
         return Event(
             self.kind[rows],
@@ -67,7 +67,7 @@ class _Piece(NamedTuple):
     """Rays inside one column: for each array the start seen from the present cell, and whether it is kept."""
 
     starts: dict[int, Floats]
-    kept: dict[int, Mask]
+    kept: dict[int, Bools]
     z: Floats
     direction: Floats
     xy: Floats
@@ -166,7 +166,7 @@ def _step(layout: Layout, grids: list[_Grid], active: Rows, across: Ints) -> Non
 
 def _scan(
     layout: Layout, body: BodyPlan, piece: _Piece, since: Floats, cause: Kinds, end: Floats, inside: bool
-) -> tuple[Floats, Kinds, Mask]:
+) -> tuple[Floats, Kinds, Bools]:
     """Go through the stretches of a column; return the last division passed, its cause, and who changed state.
 
     Stretches shorter than `Layout.tiny` are joined to the next one: rounding alone decides there. Where a
@@ -241,7 +241,7 @@ def _outline_crossings(body: BodyPlan, piece: _Piece) -> list[Floats]:
     return [c / q, q / a]
 
 
-def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats) -> Mask:
+def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats) -> Bools:
     """Whether the points at distance t of the picked rays lie in the material."""
     direction = piece.direction[pick]
     z = piece.z[pick] + t * direction[:, 2]
@@ -259,7 +259,7 @@ def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats)
     return np.asarray(over & (bottom <= z) & (z <= top))
 
 
-def _lens_over(layout: Layout, face: FacePlan, points: dict[int, Floats], kept: dict[int, Mask]) -> Floats:
+def _lens_over(layout: Layout, face: FacePlan, points: dict[int, Floats], kept: dict[int, Bools]) -> Floats:
     """Height of a face's lens, NaN outside its optical zone and outside the kept cells."""
     if face.array is None:
         return np.full(len(next(iter(points.values()))), face.vertex[2])

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clacad.base.types import Bools, Floats
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.optics.surface import Quadric, gradient, meet_at, refract
 from clacad.sheet.window import Face, lens_height
-from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Layout, Mask
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +32,7 @@ class Hit:
     z: Floats
     distance: Floats
     direction: Floats
-    upright: Mask
+    upright: Bools
 
 
 def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float) -> Hit:
@@ -110,7 +111,7 @@ def height(face: FacePlan, local: Floats) -> Floats:
     return lens_height(lens, local[:, 0], local[:, 1])
 
 
-def in_zone(layout: Layout, local: Floats, margin: float) -> Mask:
+def in_zone(layout: Layout, local: Floats, margin: float) -> Bools:
     """Which points of the cell frame lie at least `margin` inside their cell's borders."""
     inside = np.ones(len(local), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -119,7 +120,7 @@ def in_zone(layout: Layout, local: Floats, margin: float) -> Mask:
     return inside
 
 
-def in_footprint(body: BodyPlan, xy: Floats, kept: Mask) -> Mask:
+def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
     """Which sheet points lie over the body, given which lie over a kept cell of its array."""
     shape, half_x, half_y = body.outline
     if shape == "none":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.tracing.layout import Floats, Ints, Layout, less_steps
+from clacad.base.types import Floats, Ints
+from clacad.tracing.layout import Layout, less_steps
 
 
 def reach(layout: Layout, left: Floats, met: Floats, order: Ints) -> Floats:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
+from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.sequence import unit
-from clacad.tracing.layout import BodyPlan, Floats, Ints, Layout, Mask, relocate, sheet_position
+from clacad.tracing.layout import BodyPlan, Layout, relocate, sheet_position
 
 
 class Extent(Protocol):
@@ -61,7 +62,7 @@ class Beam:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def take(self, chosen: NDArray[np.intp] | Mask) -> Beam:
+    def take(self, chosen: NDArray[np.intp] | Bools) -> Beam:
         """The chosen rays."""
         return Beam(
             self.rows[chosen], self.array, self.cell[chosen], self.local[chosen], self.z[chosen],
@@ -129,7 +130,7 @@ def _length_ratio(scaled: Floats, ray: Floats) -> Floats:
 
 def _alongside(
     layout: Layout, body: Extent, start: Floats, ray: Floats, plane: Floats
-) -> tuple[Floats, Mask]:
+) -> tuple[Floats, Bools]:
     """Raise the reference plane of rays that cross it beside the sheet to where they come alongside.
 
     Returns the plane of each ray and a mask of those that pass the sheet altogether.

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clacad.base.types import Rows
 from clacad.optics.rays import Fate
 from clacad.tracing.layout import Layout, sheet_position
-from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.launch import launch
 
 

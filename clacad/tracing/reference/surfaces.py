@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Fate
 from clacad.optics.surface import ULP
-from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, sheet_position
-from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, sheet_position
+from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.face import cross, height, in_zone
 from clacad.tracing.reference.launch import Beam, launch, on_to, sheet_xy, to_array
@@ -68,7 +69,7 @@ class Passage:
         On the face, after refraction.
     """
 
-    good: Mask
+    good: Bools
     beam: Beam
     cells: list[Ints]
     optical_path: Floats
@@ -123,7 +124,7 @@ def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Float
     return Passage(good, beam, cells, path, hits)
 
 
-Through = tuple[Beam, tuple[Floats, Floats], Mask, list[Ints], list[Beam]]
+Through = tuple[Beam, tuple[Floats, Floats], Bools, list[Ints], list[Beam]]
 
 
 def _columns(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through:
@@ -180,7 +181,7 @@ def _sheets(layout: Layout, body: BodyPlan, index: float, beam: Beam) -> Through
 
 def _through(
     layout: Layout, face: FacePlan, beam: Beam, n1: float, n2: float, within: bool = True
-) -> tuple[Beam, Floats, Mask]:
+) -> tuple[Beam, Floats, Bools]:
     """Cross one face; tell which rays met the lens itself, upright, in the cell's optical zone."""
     hit = cross(face, beam.local, beam.z, beam.direction, n1, n2)
     good = hit.upright & (hit.direction[:, 2] > 0.0)
@@ -196,13 +197,13 @@ def _at(beam: Beam, z: float) -> Floats:
     return np.asarray(beam.local + ((z - beam.z) / beam.direction[:, 2])[:, None] * beam.direction[:, :2])
 
 
-def _steeper(direction: Floats, slope: float) -> Mask:
+def _steeper(direction: Floats, slope: float) -> Bools:
     """Whether rays climb faster than a face of that slope: then they cross it once at most."""
     lateral = direction[:, 0] ** 2 + direction[:, 1] ** 2
     return np.asarray(direction[:, 2] ** 2 >= slope * slope * lateral)
 
 
-def _in_inner(layout: Layout, body: BodyPlan, beam: Beam) -> Mask:
+def _in_inner(layout: Layout, body: BodyPlan, beam: Beam) -> Bools:
     """Whether rays are certainly over the body: what lies between two such points is the body too."""
     x, y = (sheet_xy(layout, beam) - np.asarray(body.centre)).T
     half_x, half_y, radius = body.inner

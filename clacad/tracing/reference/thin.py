@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.lattice import Circle, Rectangle
-from clacad.tracing.layout import Floats, Ints, Layout, Mask, less_steps, relocate, sheet_position
-from clacad.tracing.ledger import Ledger, Rows
+from clacad.tracing.layout import Layout, less_steps, relocate, sheet_position
+from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import along_normal
 from clacad.tracing.reference.face import in_zone
@@ -86,10 +87,10 @@ class Met:
 
     beam: Beam
     distance: Floats
-    lens: Mask
-    land: Mask
-    beside: Mask
-    solid: Mask
+    lens: Bools
+    land: Bools
+    beside: Bools
+    solid: Bools
 
 
 def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
@@ -190,7 +191,7 @@ def _trace_block(layout: Layout, patches: tuple[Patch, Patch], ledger: Ledger, r
     _leave(layout, ledger, second, _take(one, passes), _take(two, passes), (path + length)[passes])
 
 
-def _go_on(layout: Layout, ledger: Ledger, patch: Patch, met: Met, path: Floats) -> tuple[Mask, Floats]:
+def _go_on(layout: Layout, ledger: Ledger, patch: Patch, met: Met, path: Floats) -> tuple[Bools, Floats]:
     """Bend at a patch; end what is opaque or turned back. Returns who goes on and all directions."""
     beam = met.beam
     at = _position(layout, patch, beam)
@@ -289,7 +290,7 @@ def _next_border(layout: Layout, local: Floats, ray: Floats) -> tuple[Floats, In
     return nearest, across
 
 
-def _in_outline(layout: Layout, patch: Patch, xy: Floats) -> Mask:
+def _in_outline(layout: Layout, patch: Patch, xy: Floats) -> Bools:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
     x, y = (xy - np.asarray(patch.centre)).T
@@ -310,7 +311,7 @@ def _position(layout: Layout, patch: Patch, beam: Beam) -> Floats:
     return sheet_position(layout, patch.array, beam.cell, beam.local, beam.z + patch.level)
 
 
-def _take(met: Met, chosen: Mask) -> Met:
+def _take(met: Met, chosen: Bools) -> Met:
     return Met(
         met.beam.take(chosen), met.distance[chosen], met.lens[chosen], met.land[chosen],
         met.beside[chosen], met.solid[chosen],

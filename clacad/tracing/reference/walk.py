@@ -12,9 +12,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
-from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, Mask, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import (
@@ -35,8 +36,6 @@ BEHIND = 8 * ULP
 
 SAME = 1e-6
 """Share of a cell by which two roots of one crossing may differ: far above rounding, far below two crossings."""
-
-Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +65,12 @@ class Walkers:
     first: Ints
     last: Ints
     odd: Ints
-    second: Mask
-    ghost: Mask
-    land: Mask
+    second: Bools
+    ghost: Bools
+    land: Bools
     surface: Ints
 
-    def take(self, chosen: Rows | Mask) -> Walkers:
+    def take(self, chosen: Rows | Bools) -> Walkers:
         """The chosen rays."""
         rest = (getattr(self, f.name)[chosen] for f in fields(self)[1:])
         return Walkers(self.beam.take(chosen), *rest)
@@ -203,7 +202,7 @@ def _refract(
 
 
 def _cross_face(
-    scene: Scene, face: FacePlan, beam: Beam, event: Event, on_lens: Mask, n1: float, n2: float
+    scene: Scene, face: FacePlan, beam: Beam, event: Event, on_lens: Bools, n1: float, n2: float
 ) -> tuple[Beam, Floats, Floats]:
     """Beams on the face, distances gone and directions behind it, for lens and land alike."""
     array = scene.body.arrays[0] if face.array is None else face.array
@@ -222,7 +221,7 @@ def _cross_face(
     return Beam(beam.rows, array, event.cells[array], local, z, beam.direction), distance, out
 
 
-def _where(chosen: Mask, one: Hit, other: Hit) -> Hit:
+def _where(chosen: Bools, one: Hit, other: Hit) -> Hit:
     """Chosen rows of one, the rest of the other."""
     column = chosen[:, None]
     return Hit(
@@ -267,7 +266,7 @@ def _advanced(beam: Beam, distance: Floats) -> Beam:
     return replace(beam, local=beam.local + step[:, :2], z=beam.z + step[:, 2])
 
 
-def _note_cell(scene: Scene, walkers: Walkers, face: FacePlan, on_lens: Mask) -> Walkers:
+def _note_cell(scene: Scene, walkers: Walkers, face: FacePlan, on_lens: Bools) -> Walkers:
     """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
     kept = scene.layout.lattice.contains(walkers.beam.cell)
     cell = np.where(kept[:, None], walkers.beam.cell, NO_CELL)
@@ -309,7 +308,7 @@ def _cross_gap(scene: Scene, walkers: Walkers) -> tuple[Walkers, Walkers, Floats
     return replace(walkers.take(reaches), beam=beam), left.take(reaches), gap[reaches] + late
 
 
-def _stop_at_baffle(scene: Scene, walkers: Walkers, left: Walkers, event: Event, gap: Floats) -> Mask:
+def _stop_at_baffle(scene: Scene, walkers: Walkers, left: Walkers, event: Event, gap: Floats) -> Bools:
     """End rays that the honeycomb between the arrays stops; tell which."""
     array = scene.body.arrays[0]
     met = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from clacad.base.types import Floats, Ints
 
 
 @exact

@@ -5,17 +5,14 @@ from __future__ import annotations
 from math import inf, isnan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, owning
+from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.column import DISTANCE, KIND, PLACE, box_span, sheet_xy, to_array
 from clacad.tracing.compiled.face import height
-from clacad.tracing.layout import Floats
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.triangles.tiles import Tiles
-
-Ints = NDArray[np.int64]
 
 NORMAL = PLACE + 8
 LEAF = 4

@@ -11,9 +11,9 @@ from __future__ import annotations
 from math import isnan, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, least
+from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.straight_path_slots import (
     DX,
@@ -30,11 +30,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     Y,
     Z,
 )
-from clacad.tracing.layout import Floats
 from clacad.tracing.triangles.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.triangles.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
-
-Ints = NDArray[np.int64]
 
 TRIES = 8
 """Facets looked up before a ray is left to the walk; two do for lens-like slopes."""

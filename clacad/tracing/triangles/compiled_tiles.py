@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from math import copysign, inf, nan
 
-import numpy as np
-from numpy.typing import NDArray
-
 from clacad.base.compiled import exact
+from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.column import (
     BASE,
@@ -29,7 +27,6 @@ from clacad.tracing.compiled.column import (
     to_array,
 )
 from clacad.tracing.compiled.face import less_steps
-from clacad.tracing.layout import Floats
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.triangles.tiles import (
     BIN,
@@ -44,8 +41,6 @@ from clacad.tracing.triangles.tiles import (
     VOID,
     Tiles,
 )
-
-Ints = NDArray[np.int64]
 
 NORMAL = PLACE + 8
 """Slot of an event where a facet's normal is kept."""

@@ -13,15 +13,13 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import refract
 from clacad.sheet.window import Window
-from clacad.tracing.layout import Floats, Ints, Layout
+from clacad.tracing.layout import Layout
 from clacad.tracing.triangles.tiles import Tiles
-
-Bools = NDArray[np.bool_]
 
 DOUBTFUL = 16.0
 """Float32 spacings at the scene's size within which a hit's place is not trusted to Embree."""

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
 from clacad.sheet.window import Face, Window, in_optical_tile
 from clacad.tracing.sampled_face import SampledFace, meet_sampled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WALL = 0.05
 """Facets whose |n_z| is below this are walls."""

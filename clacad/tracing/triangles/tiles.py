@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.sheet.window import PLANE, Body, Face, Window, lens_height_and_normal
-from clacad.tracing.layout import BodyPlan, FacePlan, Floats, Ints, Layout, lay_out
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh

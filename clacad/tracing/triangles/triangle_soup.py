@@ -14,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, Floats, Ints, Layout, lay_out
+from clacad.tracing.layout import BodyPlan, Layout, lay_out
 from clacad.tracing.triangles.tiles import NO_TILES, Normals, Tiles
 
 Search = Literal["tree", "embree"]

@@ -6,9 +6,10 @@ table has a reference, and the reference has an error of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from clacad.base.types import Progress
 from clacad.verification.accuracy.rows import Row, Table, TargetOutOfReach
 
 if TYPE_CHECKING:
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from clacad.optics.rays import Rays
 
 __all__ = ["Row", "Table", "TargetOutOfReach", "accuracy"]
-
-Progress = Callable[[str, float], None]
 
 
 def accuracy(

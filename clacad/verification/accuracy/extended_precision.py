@@ -15,10 +15,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, Quadric
 from clacad.sheet.window import Face, Window
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.integer]
 Vector = tuple[Decimal, Decimal, Decimal]
 DIGITS = 50

@@ -21,7 +21,6 @@ from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.file_rounding import EXACT, Holding, outermost_cell, rounded
 
-Floats = NDArray[np.float64]
 RAYS = 4096
 SMALL = 64
 """Grid on which rounding is measured: fine enough to feel it, coarse enough that few rays change facets by it."""

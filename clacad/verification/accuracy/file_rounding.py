@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.mesh import Mesh
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.prototile import Prototile
 from clacad.sheet.window import Body, Window, lens_height
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FINER = 1 << 20
 """Parts of one of the mesher's steps that held heights are counted in: far below any rounding of a file."""

@@ -10,8 +10,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
@@ -21,7 +21,6 @@ from clacad.verification.accuracy.rows import Row
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
 
-Floats = NDArray[np.float64]
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
 ORACLE_RAYS = 1000

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.base.types import Progress
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.rows import Row
-from clacad.verification.files.cell_triangles import Progress
 
 if TYPE_CHECKING:
     from clacad.design import Design

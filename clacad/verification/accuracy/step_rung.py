@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.machine_rates import seconds_of
+from clacad.base.types import Bools, Floats, Rows
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.measure_rungs import Ladder, statistics
@@ -23,9 +23,6 @@ from clacad.verification.accuracy.rows import Row
 if TYPE_CHECKING:
     from clacad.storage.worker import Worker
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 SPOT_RAYS = 1100
 """Rays of the spot check at first."""
@@ -73,7 +70,7 @@ def step_row(ladder: Ladder, more: More | None = None) -> tuple[Row | None, str]
         nbytes = path.stat().st_size
     if len(spot.found) == 0:
         return None, "STEP was not measured: no ray is alive"
-    met: Mask = np.asarray(np.isfinite(spot.found).all(axis=1))
+    met: Bools = np.asarray(np.isfinite(spot.found).all(axis=1))
     number, sent = int(met.sum()), len(met)
     rays = f"{number} rays" if number == sent else f"{number} of {sent} rays"
     numbers = statistics(spot.found[met], spot.truth[met], spot.asked[met])

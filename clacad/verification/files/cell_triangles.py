@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.exporting.compare import rounding
 from clacad.exporting.compare_instances import levels as levels
 from clacad.exporting.compare_instances import owner as owner
@@ -22,7 +23,6 @@ from clacad.tracing.triangles.telescopelet_facets import (
     ExactFace,
     FacetBody,
     FacetFace,
-    Floats,
     facet_face,
     on_land,
 )
@@ -293,6 +293,3 @@ def onto_face(window: Window, face: Face, corners: Floats, place: Floats) -> Flo
     z = exact_height(face, on_land(window, face, corners), corners - [*place, 0.0])
     moved[..., 2] = np.where(np.isfinite(z), z, corners[..., 2])
     return moved
-
-
-Progress = Callable[[str, float], None]

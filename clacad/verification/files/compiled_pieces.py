@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact
-
-Words = NDArray[np.uint64]
-Small = NDArray[np.int32]
+from clacad.base.types import Cells, Words
 
 
 @exact
-def join(keys: Words, table: Words, number: Small, parent: Small, count: int) -> tuple[int, int]:
+def join(keys: Words, table: Words, number: Cells, parent: Cells, count: int) -> tuple[int, int]:
     """Join the three corners of each facet (k, 3), given by their hashes; returns vertices so far and joins made.
 
     table, number : (2^b,) hash table of the vertices met, open addressing; 0 is an empty slot
@@ -49,7 +46,7 @@ def join(keys: Words, table: Words, number: Small, parent: Small, count: int) ->
 
 
 @exact
-def rehash(table: Words, number: Small, larger: Words, renumbered: Small) -> None:
+def rehash(table: Words, number: Cells, larger: Words, renumbered: Cells) -> None:
     """Move a hash table into a larger one."""
     mask = np.uint64(len(larger) - 1)
     for k in range(len(table)):

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.sheet.window import Face, Window, face_height, lens_height, lens_height_and_normal
 from clacad.verification.files.cell_triangles import levels, owner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 STEEP = 0.3
 """Facets whose |n_z| is below this belong to walls and edges, not to faces."""

@@ -8,17 +8,11 @@ from math import sqrt
 import numpy as np
 
 from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints
 from clacad.sheet.bundle import over_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, lens_height_and_normal
-from clacad.tracing.triangles.telescopelet_facets import (
-    FacetBody,
-    FacetFace,
-    Floats,
-    Ints,
-    first_crossing,
-    on_land,
-)
+from clacad.tracing.triangles.telescopelet_facets import FacetBody, FacetFace, first_crossing, on_land
 from clacad.verification.files.cell_triangles import exact_height
 
 POINTS = 8192

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.exporting.roles import Role
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.bundle import Bundle, Floats, bundle, field_points
+from clacad.sheet.bundle import Bundle, bundle, field_points
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace, trace_sequence

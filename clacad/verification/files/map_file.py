@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.maps.gds import GRID, gds_misfit, grey_cell, layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff
 from clacad.formats.maps.sag import (
     NO_DATA,
-    Floats,
     HeightMap,
     check_grid_sag,
     height_map,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.formats.maps.raster import read_png, read_tiff
 from clacad.formats.maps.sag import NO_DATA, HeightMap, height_map, samples_per_cell, structured_faces
 from clacad.sheet.bundle import central_cell
@@ -24,7 +25,6 @@ from clacad.verification.files.law_through_file import IDS, light_checks, measur
 if TYPE_CHECKING:
     from clacad.design import Design
 
-Floats = NDArray[np.float64]
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle at most, and of each field point."""
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats, Progress
 from clacad.exporting.compare_instances import Standing, joined, measure_repeated, standing
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.window import Window
-from clacad.tracing.triangles.telescopelet_facets import Floats
 from clacad.verification.checks import Check
-from clacad.verification.files.cell_triangles import Gatherer, Progress, chosen_cells, telescopelet
+from clacad.verification.files.cell_triangles import Gatherer, chosen_cells, telescopelet
 from clacad.verification.files.facet_deviation import FEWER, POINTS, deviation
 from clacad.verification.files.mesh_light import MeshEvidence, light_checks
 from clacad.verification.files.mesh_shape import chord_volume, shape_check, volume_check

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats, Progress
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.optics.law import Law, angle_between
@@ -15,9 +16,9 @@ from clacad.optics.rays import Fate
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
-from clacad.tracing.triangles.telescopelet_facets import FacetBody, Floats, trace_facets
+from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered, Progress, telescopelet
+from clacad.verification.files.cell_triangles import Gathered, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.law_through_file import POINT_RAYS, measure_light
 from clacad.verification.files.law_through_file import light_checks as judge_light

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
 from clacad.sheet.window import Body, Window
-from clacad.tracing.triangles.telescopelet_facets import Floats, on_land
+from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.cell_triangles import Gathered, exact_height, owner, telescopelet
 from clacad.verification.files.facet_deviation import (

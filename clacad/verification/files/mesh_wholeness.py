@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges, vertex_hashes, welded
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.sheet.feasibility import body_facts, components
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
-from clacad.tracing.triangles.telescopelet_facets import Floats
 from clacad.verification.checks import Check, State, judge, not_run
 from clacad.verification.files.cell_triangles import Gathered
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.formats.mesh.file_mesh import FileMesh, Floats, Ints
+from clacad.base.types import Floats, Ints
+from clacad.formats.mesh.file_mesh import FileMesh
 
 _ODD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0xBF58476D1CE4E5B9))
 

@@ -6,17 +6,16 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats, Ints
 from clacad.exporting.compare_instances import MOST_KINDS, Places, Standing
-from clacad.formats.mesh.file_mesh import Floats, Ints, Part, kinds
+from clacad.formats.mesh.file_mesh import Part, kinds
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
-Flags = NDArray[np.bool_]
 
 TOUCHING = 1e-6
 """Part of a pitch by which a box must reach into a cell to have facets there; equal cells meet in their borders."""
@@ -80,7 +79,7 @@ def _look_at_kind(
 
 
 def _to_look_at(
-    gatherer: Gatherer, part: Part, places: Places, rows: Ints, factor: float, over: Ints, sound: Flags
+    gatherer: Gatherer, part: Part, places: Places, rows: Ints, factor: float, over: Ints, sound: Bools
 ) -> tuple[int, list[int]]:
     """The place that a part is counted at, and others that are looked at for what they have over chosen cells."""
     near = _near(gatherer, part, rows, factor)

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats, Progress
 from clacad.exporting.roles import Role
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.storage.errors import ExportError
-from clacad.tracing.triangles.telescopelet_facets import Floats
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Progress
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
 from clacad.verification.files.mesh_shape import volume_of
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Window, optical_tile
-from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, Floats, trace_facets
+from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
 
 if TYPE_CHECKING:
     from clacad.storage.worker import Worker

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.exporting.compare_instances import owner
 from clacad.sheet.window import Face, Window, lens_height_and_normal
-from clacad.tracing.triangles.telescopelet_facets import Floats, on_land
+from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gathered
 from clacad.verification.files.facet_deviation import Deviation

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays
-from clacad.sheet.bundle import Floats
 from clacad.sheet.window import Window
 from clacad.tracing.trace import Interface, trace_sequence
 from clacad.verification.light.confocality import interfaces

@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import PLANE, Window
 from clacad.tracing.trace import Interface, trace_sequence
-
-Floats = NDArray[np.float64]
 
 __all__ = ["Confocality", "confocality", "interfaces"]
 

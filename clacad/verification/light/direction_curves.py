@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.sobol import sobol
+from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, TraceResult
-from clacad.sheet.bundle import Bundle, Floats, central_cell, launched, middle_direction, over_cell
+from clacad.sheet.bundle import Bundle, central_cell, launched, middle_direction, over_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 

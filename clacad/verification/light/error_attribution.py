@@ -26,8 +26,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.bundle import Bundle, Floats, bundle, launched
+from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.tracing.triangles.telescopelet_facets import trace_facets

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats, Progress
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
@@ -18,9 +19,9 @@ from clacad.sheet.bundle import bundle
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
-from clacad.tracing.triangles.telescopelet_facets import Floats, trace_facets
+from clacad.tracing.triangles.telescopelet_facets import trace_facets
 from clacad.verification.checks import Check, not_run
-from clacad.verification.files.cell_triangles import Gatherer, Progress, telescopelet
+from clacad.verification.files.cell_triangles import Gatherer, telescopelet
 
 if TYPE_CHECKING:
     from clacad.design import Design

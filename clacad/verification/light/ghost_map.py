@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from clacad.base.sobol import sobol
+from clacad.base.types import Floats
 from clacad.optics.rays import Fate
-from clacad.sheet.bundle import Floats, central_cell, launched, middle_direction, over_cell
+from clacad.sheet.bundle import central_cell, launched, middle_direction, over_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, TraceResult
-from clacad.sheet.bundle import Bundle, Floats, bundle, field_points
+from clacad.sheet.bundle import Bundle, bundle, field_points
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import Body, Window
 from clacad.verification.files.cell_triangles import levels, owner
-from clacad.verification.files.face_distance import STEEP, WIDE, Floats, Ints, believed, drawn_in, off_faces
+from clacad.verification.files.face_distance import STEEP, WIDE, believed, drawn_in, off_faces
 
 MILLIMETRE = 1e-3
 MICRON = 1e-6

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats, Progress
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.tracing.triangles.telescopelet_facets import Floats
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered, Gatherer, Progress, chosen_cells, telescopelet
+from clacad.verification.files.cell_triangles import Gathered, Gatherer, chosen_cells, telescopelet
 from clacad.verification.files.facet_deviation import FEWER, POINTS, deviation
 from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.mesh_light import MeshEvidence, light_checks

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import FileMesh
-from clacad.verification.files.face_distance import STEEP, Floats
+from clacad.verification.files.face_distance import STEEP
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Window

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.files.cell_triangles import levels
-from clacad.verification.files.face_distance import Floats, Off, drawn_in, off_faces
+from clacad.verification.files.face_distance import Off, drawn_in, off_faces
 from clacad.verification.files.find_files import (
     FACTORS,
     SAME_EXTENT,

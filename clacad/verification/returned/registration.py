@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window, lens_height
 from clacad.verification.checks import Check, State
-from clacad.verification.files.face_distance import Floats
 from clacad.verification.files.find_files import (
     CannotRegister,
     Subject,

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.types import Progress
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, State, not_run
-from clacad.verification.files.cell_triangles import Progress
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.mesh_light import MeshEvidence

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.types import Floats
 from clacad.effects.scatter import haze
 from clacad.optics.law import Law, angle_between
 from clacad.sheet.bundle import bundle, field_points, middle_direction
@@ -38,7 +39,6 @@ from clacad.verification.tolerance.misaligned import Errors, Telescopelet, teles
 if TYPE_CHECKING:
     from clacad.design import Design
 
-Floats = NDArray[np.float64]
 
 RAYS = 256
 """Rays of each bundle."""

@@ -11,16 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clacad.base.types import Bools, Floats
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.surface import Biconic, Quadric
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 from clacad.tracing.trace import Interface, trace_sequence
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Errors = Mapping[str, float]
 
 
@@ -59,7 +57,7 @@ class Telescopelet:
     faces: list[tuple[Face, int, Motion]]
     centre: Floats
 
-    def send(self, position: Floats, direction: Floats) -> tuple[Floats, Mask]:
+    def send(self, position: Floats, direction: Floats) -> tuple[Floats, Bools]:
         """Trace rays given about the cell's centre; exit directions (n, 3), and which stayed in this telescopelet.
 
         Directions are NaN where a ray ended on the way. A ray counts if it meets every lens face in the optical zone of this cell, where the lens is not buried in

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad import __version__
+from clacad.base.types import Progress
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
 from clacad.verification.tolerance.no_tolerances import CannotVary
-from clacad.verification.tolerance.study import FORMAT, Progress, worked
+from clacad.verification.tolerance.study import FORMAT, worked
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad import __version__
+from clacad.base.types import Floats, Progress
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance.checkpoint import Checkpoint
 from clacad.verification.tolerance.farm import Farm
@@ -25,8 +26,6 @@ from clacad.verification.tolerance.perturbations import Parameter, draw, paramet
 if TYPE_CHECKING:
     from clacad.design import Design
 
-Floats = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 FORMAT = 1
 PIECE = 8
