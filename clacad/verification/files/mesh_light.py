@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Progress
+from clacad.base.types import Bools, Floats, Progress
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.optics.law import Law, angle_between
@@ -97,7 +97,7 @@ def light_checks(
     for number, cell in enumerate(gathered.cells):
         progress("tracing the triangles", number / len(gathered.cells))
         count = len(main.rays) if number == 0 else min(rays, CELL_RAYS)
-        seen = light.seen
+        lit, seen = main, light.seen
         if number:
             lit = _moved(window, main, cell, count)
             seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
@@ -107,7 +107,11 @@ def light_checks(
         to_law.append(
             _rms_between(seen.direction[alive], window.law.refract(main.rays.direction[:count][alive]))
         )
-        lost.append(1.0 - both.sum() / max(1, good.sum()))
+        share = 1.0 - both.sum() / max(1, good.sum())
+        if share > LOST:
+            ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
+            share = _lost(good, ideal.fate == Fate.ALIVE, alive)
+        lost.append(share)
     law, exact = _fits(design, window, gathered, held, rays, present)
     forecasts = np.array([forecast_rms(window, d) for d in off])
     evidence = MeshEvidence(
@@ -134,6 +138,23 @@ def _enough(gathered: Gathered) -> int:
         (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
     )
     return min(MOST_RAYS, RAYS_A_FACET * finest)
+
+
+def _lost(good: Bools, ideal: Bools, alive: Bools) -> float:
+    """Share of rays lost in a file that do not get lost because facets are coarse.
+
+    Coarse facets send some rays of a strongly magnifying pair past their partner and others into it: as many get
+    through. So what counts is the loss in number, or of the rays that get through the exact surfaces and through the
+    design cut into the same triangles.
+
+    Parameters
+    ----------
+    good, ideal, alive : (n,)
+        Rays that get through the exact surfaces, the design cut as the file is, and the file.
+    """
+    known = good & ideal
+    kept = [alive.sum() / max(1, good.sum()), (known & alive).sum() / max(1, known.sum())]
+    return float(1.0 - min(kept))
 
 
 def _rms_between(one: Floats, other: Floats) -> float:
