@@ -68,12 +68,7 @@ def with_manifest(folder, design=DESIGN):
 
 
 LIGHT = {
-    "file_law_rms",
-    "file_law_bias",
-    "file_law_eta",
-    "file_law_delta",
-    "file_confocality",
-    "file_throughput",
+    f"file_{what}" for what in ("law_rms", "law_bias", "law_eta", "law_delta", "confocality", "throughput")
 }
 
 
