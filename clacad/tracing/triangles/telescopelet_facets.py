@@ -17,41 +17,32 @@ from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
 from clacad.sheet.window import Face, Window, in_optical_tile
 from clacad.tracing.sampled_face import SampledFace, meet_sampled
+from clacad.tracing.triangles.tiles import NO_TILES, Tiles
+from clacad.tracing.triangles.triangle_soup import hierarchy
 
 WALL = 0.05
 """Facets whose |n_z| is below this are walls."""
 
-SLACK = 1e-10
-"""Part of a facet's area by which a hit on its edge may lie outside: no ray slips between two facets."""
-
 
 @dataclass(frozen=True, eq=False)
 class FacetFace:
-    """The facets of one side of one body over one cell, binned in x and y.
+    """The facets of one side of one body over one cell, in a tree of boxes.
 
-    corners : (t, 3, 3) lengths
-        Relative to `origin`; wound counter-clockwise seen from outside.
+    tiles : Tiles
+        One body: the facets `tiles.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise seen from
+        outside.
     normals : (t, 3)
         Outward, length twice the facet's area.
     origin : (3,) lengths
         Sheet frame.
-    low, size : (2,) lengths; bins : int
-        The square grid of bins: its corner, the size of one, their number a side.
-    start : (bins + 1,) ints, member : ints
-        Facets of bin b are member[start[b] : start[b + 1]].
     z_range : (low, high), lengths, relative to origin
     land : (t,) bool
         Facets that are flat land: light through them is no lens light.
     """
 
-    corners: Floats
+    tiles: Tiles
     normals: Floats
     origin: Floats
-    low: Floats
-    size: Floats
-    bins: int
-    start: Ints
-    member: Ints
     z_range: tuple[float, float]
     land: NDArray[np.bool_]
 
@@ -85,44 +76,17 @@ class FacetBody:
 
 
 def facet_face(corners: Floats, origin: Floats, land: NDArray[np.bool_] | None = None) -> FacetFace:
-    """Bin facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
+    """Make facets (t, 3, 3), given in the sheet frame, ready about `origin` (3,); `land` (t,) marks flat land."""
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
+    if not len(local):
+        return FacetFace(NO_TILES, np.zeros((0, 3)), origin, (0.0, 0.0), flat_land)
+    rank, tiles = hierarchy([local])
+    local = tiles.corner
     normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
-    if len(local) == 0:
-        return FacetFace(
-            local, normals, origin, np.zeros(2), np.ones(2), 1, np.zeros(2, dtype=np.int64),
-            np.empty(0, dtype=np.int64), (0.0, 0.0), flat_land,
-        )  # fmt: skip
-    flat = local[..., :2]
-    least, most = flat.min(axis=1), flat.max(axis=1)
-    low, high = least.min(axis=0), most.max(axis=0)
-    count = max(1, int(np.sqrt(0.5 * len(local))))
-    size = np.maximum((high - low) / count, 1e-300)
-    first = _bin(least, low, size, count)
-    last = _bin(most, low, size, count)
-    facet, bin_x, bin_y = _spread(first, last)
-    number = bin_x * count + bin_y
-    order = np.argsort(number, kind="stable")
-    start = np.searchsorted(number[order], np.arange(count * count + 1))
     return FacetFace(
-        local, normals, origin, low, size, count, start.astype(np.int64), facet[order],
-        (float(local[..., 2].min()), float(local[..., 2].max())), flat_land,
-    )  # fmt: skip
-
-
-def _bin(points: Floats, low: Floats, size: Floats, count: int) -> Ints:
-    # a hair of overlap, so that a facet on a bin's border is in both bins
-    return np.clip(np.floor((points - low) / size), 0, count - 1).astype(np.int64)
-
-
-def _spread(first: Ints, last: Ints) -> tuple[Ints, Ints, Ints]:
-    """Row numbers and every (x, y) of the boxes of bins first … last, (n, 2) each."""
-    wide = last - first + 1
-    many = wide[:, 0] * wide[:, 1]
-    row = np.repeat(np.arange(len(first)), many)
-    within = np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many)
-    return row, first[row, 0] + within // wide[row, 1], first[row, 1] + within % wide[row, 1]
+        tiles, normals, origin, (float(local[..., 2].min()), float(local[..., 2].max())), flat_land[rank]
+    )
 
 
 def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
@@ -156,13 +120,11 @@ def first_crossing(
     """
     distance = np.full(len(position), np.nan)
     facet = np.full(len(position), -1, dtype=np.int64)
-    if len(face.corners) and len(position):
-        from clacad.tracing.triangles.compiled_first_facet import first_facet
+    if len(face.normals) and len(position):
+        from clacad.tracing.triangles.compiled_search import first_facet
 
-        first_facet(
-            face.corners, face.normals, face.low, face.size, face.bins, face.start, face.member, *face.z_range,
-            position - face.origin, np.ascontiguousarray(direction), -1.0 if entering else 1.0, SLACK, distance, facet,
-        )  # fmt: skip
+        start, ray = position - face.origin, np.ascontiguousarray(direction)
+        first_facet(face.tiles, face.normals, start, ray, -1.0 if entering else 1.0, distance, facet)
     return distance, facet
 
 

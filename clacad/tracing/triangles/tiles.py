@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 Normals = Literal["facet", "vertex"]
 
+LEAF = 4
+"""Triangles in a leaf of a tree of boxes."""
+
 LENS, LAND, VOID = 0, 1, 2
 BEYOND = 2**59
 """Levels beyond this stand for a face that is not there."""
