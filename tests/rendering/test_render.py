@@ -20,14 +20,13 @@ from clacad.rendering import view_through
 from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.compiled.scene_hits import look_all
 from clacad.rendering.compiled.scene_tables import tables
+from clacad.rendering.photographs import decode, read_picture
 from clacad.rendering.picture import render, render_movie
 from clacad.rendering.picture_files import (
     UnknownPicture,
-    decode,
     encode,
     facts,
     labelled,
-    read_picture,
     write_movie,
     write_picture,
 )
