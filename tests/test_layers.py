@@ -52,19 +52,10 @@ RINGS = {
     ("cli/export_command.py", "cli/render_command.py"): "one exports scenes, the other reads angles as that does",
     ("config/key_positions.py", "config/mistakes.py"): "places are looked up only once something is wrong",
     ("design/canonical_text.py", "design/model.py", "design/read.py"): "methods of Design: hash, changed values",
-    (
-        "effects/engine/camera_light.py", "effects/engine/homogeneous_light.py", "effects/engine/split_paths.py",
-    ): "kinds of light that all give a Light",
     ("exporting/format_table.py", "exporting/request.py"): "which formats there are",
     ("exporting/limits.py", "exporting/tessellations.py"): "limits count the facets of one cell; tessellations know the limits",
     ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "methods of Law: then, inverse, fit",
     ("optics/material/database.py", "optics/material/material.py"): "materials named ri:… come from the database",
-    (
-        "rendering/compiled/pixels.py", "rendering/compiled/primitives.py", "rendering/compiled/scene_hits.py",
-        "rendering/compiled/scene_light.py", "rendering/compiled/scene_tables.py", "rendering/compiled/triangle_tree.py",
-        "rendering/picture.py", "rendering/picture_files.py", "rendering/pixel_input.py",
-        "rendering/reference/scene_hits.py", "rendering/scene_arrays.py", "rendering/view.py",
-    ): "photographs in a scene are read by the module that writes pictures",
     (
         "scene/animation.py", "scene/model.py", "scene/named_files.py", "scene/read.py", "scene/rules.py",
     ): "methods of Scene: its design, its frames",

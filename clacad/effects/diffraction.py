@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import uniform
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate
@@ -41,7 +41,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """Turn emerging rays."""
     cells = thin_cells(window)
 
-    def apply(block: Block, _: Crossing | None) -> None:
+    def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         wave = block.air_wavelength / window.unit
         rows = np.flatnonzero(block.emerging())
         widths = lit_widths(cells, block.rays.direction[rows], block.result.order[rows])
@@ -56,7 +56,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         forwards = real & (out[:, 2] > 0.0)
         block.result.direction[rows[forwards]] = out[forwards]
 
-    return Effect(NAME, Stage.EXIT, apply=apply)
+    return Effect(NAME, When.EXIT, apply=apply)
 
 
 def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) -> Floats:

@@ -17,9 +17,9 @@ from often import often
 
 from clacad import Design, load, prescribe
 from clacad.base.sobol import sobol
-from clacad.effects import Setting, lit, trace_with
+from clacad.effects import Setting, light_reaching_camera, trace_with
 from clacad.effects.engine.homogeneous_light import overlap
-from clacad.effects.engine.nonsequential import Rules, follow
+from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import NAMES
 from clacad.effects.engine.probe_rays import cone
 from clacad.optics.material.material import Material
@@ -538,7 +538,7 @@ def test_homogeneous_light_is_what_thin_lenslets_pass_order_by_order(name):
     # a pair of thick lenses as built is afocal; as two thin ones it need not be, and each order is a little blurred
     afocal = np.sum(sheet.thin.focal_length, axis=0) / sheet.thin.separation
     blur = 1e-6 + np.abs(afocal - 1.0).max()
-    light, _ = lit(sheet, Rays(rays.position[:1], rays.direction[:1]), "law", ("ghosts",))
+    light, _ = light_reaching_camera(sheet, Rays(rays.position[:1], rays.direction[:1]), "law", ("ghosts",))
     assert light.flux.sum() == pytest.approx(1.0, abs=2e-3)
     for order in {tuple(o) for o in thin.order[passing].tolist()}:
         rows = passing & (thin.order == order).all(axis=1)
@@ -569,8 +569,8 @@ def test_what_two_zones_share_is_the_area_of_the_clipped_polygon(turn):
 
 def test_off_ghosts_are_black_on_ghosts_carry_what_they_carry():
     sheet, rays = window("slab"), bundle("slab")
-    dark, result = lit(sheet, rays, "surfaces")
-    light, _ = lit(sheet, rays, "surfaces", ("ghosts",))
+    dark, result = light_reaching_camera(sheet, rays, "surfaces")
+    light, _ = light_reaching_camera(sheet, rays, "surfaces", ("ghosts",))
     ghosts = np.flatnonzero(result.fate == Fate.GHOST)
     assert len(ghosts)
     assert np.array_equal(np.setdiff1d(light.parent, dark.parent), ghosts)
@@ -585,7 +585,7 @@ def test_the_straight_path_followed_is_the_trace(name):
     sheet, rays = window(name), bundle(name)
     result = trace(sheet, rays)
     met = np.flatnonzero(result.fate < Fate.MISSED)
-    out = follow(sheet, rays, met, Rules(indices=tuple(b.index for b in sheet.bodies)))
+    out = trace_nonsequential(sheet, rays, met, Rules(indices=tuple(b.index for b in sheet.bodies)))
     going = np.flatnonzero(result.fate <= Fate.LAND)
     assert np.array_equal(np.sort(out.parent), going)
     turn = np.argsort(out.parent)
@@ -605,7 +605,7 @@ def test_shares_of_all_paths_sum_to_one_without_noise(name, order):
     rules = Rules(walls=True, total=True, losses=True, order=order,
                   indices=tuple(b.index for b in sheet.bodies),
                   attenuation=tuple(0.01 / max(sheet.lattice.pitch) for _ in sheet.bodies))  # fmt: skip
-    out = follow(sheet, rays, met, rules)
+    out = trace_nonsequential(sheet, rays, met, rules)
     total = sum(out.share.values())[met]
     assert np.abs(total - 1.0).max() < 1e-12
     assert out.share["absorbed"].sum() > 0
@@ -623,7 +623,7 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
     plate = replace(sheet, bodies=(flat,), shifts=((0.0, 0.0), (0.0, 0.0)))
     angle = 0.3
     rays = Rays([[0.01, 0.013, -1.0]], [[math.sin(angle), 0.0, math.cos(angle)]])
-    out = follow(plate, rays, np.array([0]), Rules(losses=True, order=2, indices=(body.index,)))
+    out = trace_nonsequential(plate, rays, np.array([0]), Rules(losses=True, order=2, indices=(body.index,)))
     r = np.mean(textbook(angle, 1.0, body.index))
     expected = {0: (1 - r) ** 2, 1: r + (1 - r) ** 2 * r, 2: (1 - r) ** 2 * r * r}
     for bounces, share in expected.items():
@@ -636,7 +636,9 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
 @pytest.mark.parametrize(("name", "faces"), [("slab", 2), ("paper-a-covered", 4), ("plano", 4)])
 def test_reflected_shares_agree_with_the_first_order_count(name, faces):
     sheet, rays = window(name), cone(window(name), math.radians(0.05), 512)
-    light, result = lit(sheet, rays, "surfaces", ("ghosts", "walls", "tir_paths", "reflections"))
+    light, result = light_reaching_camera(
+        sheet, rays, "surfaces", ("ghosts", "walls", "tir_paths", "reflections")
+    )
     n = sheet.bodies[0].index
     r0 = ((n - 1) / (n + 1)) ** 2
     back = light.direction[:, 2] < 0
@@ -671,7 +673,7 @@ def test_total_reflection_loses_no_light():
     caught = np.flatnonzero(bare.fate == Fate.TIR)
     assert len(caught) > 50
     rules = Rules(walls=True, total=True, indices=tuple(b.index for b in sheet.bodies))
-    out = follow(sheet, rays, caught, rules)
+    out = trace_nonsequential(sheet, rays, caught, rules)
     total = sum(out.share.values())[caught]
     assert np.abs(total - 1.0).max() < 1e-12
     assert out.share["total"].sum() == 0.0
@@ -731,8 +733,8 @@ def test_compiled_split_paths_carry_the_light_of_the_walked_ones(name, setting):
     """The walk knows everything; the compiled paths end at steps and edges, a few per cent of their own light."""
     sheet, rays = window(name), bundle(name, 1024, 0.01745)
     effects = ("ghosts", "reflections", "absorption")
-    walked, _ = lit(sheet, rays, "surfaces", effects, setting, path="numpy")
-    quick, result = lit(sheet, rays, "surfaces", effects, setting, path="numba")
+    walked, _ = light_reaching_camera(sheet, rays, "surfaces", effects, setting, path="numpy")
+    quick, result = light_reaching_camera(sheet, rays, "surfaces", effects, setting, path="numba")
     straight = result.flux[result.fate <= Fate.LAND].sum()
     front = [light.flux[light.direction[:, 2] < 0].sum() for light in (walked, quick)]
     forward = [light.flux[light.direction[:, 2] > 0].sum() - straight for light in (walked, quick)]
@@ -760,7 +762,7 @@ def test_compiled_split_paths_meet_the_flat_border_of_a_sheet_where_the_walked_o
     start = np.column_stack([1.48 * points[:, :2] - 0.74, np.full(len(points), sheet.z_range[0] - 0.01)])
     rays = Rays(start, np.column_stack([0.16 * points[:, 2:] - 0.08, np.ones(len(points))]))
     walked, quick = (
-        lit(sheet, rays, "surfaces", ("ghosts", "reflections"), Setting(), path=path)[0]
+        light_reaching_camera(sheet, rays, "surfaces", ("ghosts", "reflections"), Setting(), path=path)[0]
         for path in ("numpy", "numba")
     )
     assert quick.flux.sum() == pytest.approx(walked.flux.sum(), rel=1e-3)

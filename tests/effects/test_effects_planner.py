@@ -13,7 +13,7 @@ import pytest
 from clacad import load, prescribe
 from clacad.cli import main
 from clacad.effects import NAMES, Setting, plan_effects
-from clacad.effects.engine.probe_rays import cone, of_window
+from clacad.effects.engine.probe_rays import cone, situation_of_window
 from clacad.scene import load_scene
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -22,7 +22,7 @@ SCENES = DESIGNS / "scenes"
 
 @cache
 def situation(name="slab"):
-    return of_window(prescribe(load(str(DESIGNS / f"{name}.toml"))))
+    return situation_of_window(prescribe(load(str(DESIGNS / f"{name}.toml"))))
 
 
 def states(plan):

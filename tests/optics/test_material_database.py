@@ -10,7 +10,7 @@ from mpmath import mp, mpf
 
 from clacad import Design, DesignError, prescribe
 from clacad.effects import Setting, plan_effects, trace_with
-from clacad.effects.engine.probe_rays import cone, of_window
+from clacad.effects.engine.probe_rays import cone, situation_of_window
 from clacad.optics.material.material import find
 
 pytest.importorskip("yaml")
@@ -108,7 +108,7 @@ def test_a_design_may_name_a_page_and_its_absorption_is_then_known():
     k = np.exp(np.interp(0.55, [0.4, 0.8], np.log([1e-6, 4e-6])))
     going = result.fate <= 2
     assert result.flux[going].mean() == pytest.approx(np.exp(-4 * np.pi * k / 0.55e-6 * along), rel=2e-3)
-    row = plan_effects(of_window(window)).row("absorption")
+    row = plan_effects(situation_of_window(window)).row("absorption")
     assert row.state == "on"
     assert row.radiance >= 1 - result.flux[going].mean()
 

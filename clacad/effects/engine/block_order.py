@@ -27,7 +27,7 @@ def around(indices: Sequence[float]) -> list[float]:
     return [1.0, *(n for index in indices for n in (index, 1.0))]
 
 
-class Gathered:
+class OrderedResult:
     """Results of blocks on their way back into the order of launch."""
 
     def __init__(self, count: int, window: Window, direct: bool | None) -> None:

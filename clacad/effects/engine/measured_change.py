@@ -8,7 +8,8 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.effects.engine.bounds import Situation
-from clacad.effects.engine.camera_light import Light, lit
+from clacad.effects.engine.camera_light import light_reaching_camera
+from clacad.effects.engine.light_rays import LightRays
 from clacad.effects.engine.passes import trace_with
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.tracing.trace import trace
@@ -41,20 +42,24 @@ def measure(situation: Situation, name: str) -> tuple[float, float]:
 
 
 def _radiance(situation: Situation, name: str) -> float:
-    base, _ = lit(situation.window, situation.rays, "surfaces", (), situation.setting)
-    more, _ = lit(situation.window, situation.rays, "surfaces", (name,), situation.setting)
+    base, _ = light_reaching_camera(situation.window, situation.rays, "surfaces", (), situation.setting)
+    more, _ = light_reaching_camera(situation.window, situation.rays, "surfaces", (name,), situation.setting)
     return _flux_change(situation, base, more)
 
 
-def _flux_change(situation: Situation, base: Light, more: Light) -> float:
+def _flux_change(situation: Situation, base: LightRays, more: LightRays) -> float:
     n = len(situation.rays)
     before, after = (np.bincount(light.parent, weights=light.flux, minlength=n) for light in (base, more))
     return float(np.abs(after - before)[situation.met].mean())
 
 
 def _reflections(situation: Situation) -> tuple[float, float]:
-    extra, _ = lit(situation.window, situation.rays, "surfaces", ("reflections",), situation.setting)
-    own, _ = lit(situation.window, situation.rays, "surfaces", ("fresnel",), situation.setting)
+    extra, _ = light_reaching_camera(
+        situation.window, situation.rays, "surfaces", ("reflections",), situation.setting
+    )
+    own, _ = light_reaching_camera(
+        situation.window, situation.rays, "surfaces", ("fresnel",), situation.setting
+    )
     n = max(len(situation.met), 1)
     back = extra.direction[:, 2] < 0.0
     front = float(extra.flux[back].sum()) / n
