@@ -173,7 +173,7 @@ def _through_mesh(
 
 def _by_embree(layout: Layout, tiles: Tiles, rays: Rays, threads: int | None) -> TraceResult:
     """Foreign triangles: what goes straight through by Embree, the rest by the own tree."""
-    from clacad.tracing.triangles.embree_search import trace_straight
+    from clacad.tracing.triangles.embree import trace_straight
 
     result, decided = trace_straight(layout.window, layout, tiles, rays)
     rest = np.flatnonzero(~decided)

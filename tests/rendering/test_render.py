@@ -31,12 +31,12 @@ from clacad.rendering.picture_files import (
     write_picture,
 )
 from clacad.rendering.reference.scene_hits import look, nearest
-from clacad.rendering.reference.triangle_tree import grow, nearest_triangle
 from clacad.rendering.scene_arrays import set_stage
 from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.scene import Scene, SceneError
 from clacad.scene.object_rotation import turned
+from clacad.tracing.triangles.median_tree import grow, nearest_triangle
 
 PLAIN = {
     "format": 1,

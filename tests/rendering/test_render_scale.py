@@ -12,12 +12,12 @@ from clacad.formats.mesh.readers import read_mesh
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering import view_through
 from clacad.rendering.camera import aim, offsets, rays
-from clacad.rendering.reference import embree_triangles
-from clacad.rendering.reference.embree_triangles import first_triangle
-from clacad.rendering.reference.triangle_tree import grow, nearest_triangle
 from clacad.rendering.sheet_passage import geometry_alone
 from clacad.rendering.view import radiance, set_up
 from clacad.scene import Scene
+from clacad.tracing.triangles import embree
+from clacad.tracing.triangles.embree import first_triangle
+from clacad.tracing.triangles.median_tree import grow, nearest_triangle
 
 
 def crowded(count, pixels=120, rung="surfaces"):
@@ -111,11 +111,11 @@ def test_embree_and_the_tree_find_the_same_triangles_at_the_same_distance(knight
 
 
 def test_without_embree_the_tree_answers(knight, monkeypatch):
-    monkeypatch.setattr(embree_triangles, "installed", lambda: False)
+    monkeypatch.setattr(embree, "installed", lambda: False)
     middle = 0.5 * (knight.low[0] + knight.high[0])
     middle[1] = 0.9 * knight.low[0, 1] + 0.1 * knight.high[0, 1]  # the foot
-    start = np.tile(middle - [0.013, 0.007, 30.0], (embree_triangles.MANY, 1))
-    ray = np.tile([0.0, 0.0, 1.0], (embree_triangles.MANY, 1))
+    start = np.tile(middle - [0.013, 0.007, 30.0], (embree.MANY, 1))
+    ray = np.tile([0.0, 0.0, 1.0], (embree.MANY, 1))
     found = first_triangle(knight, 0, len(knight.corners), 0, start, ray, np.full(len(start), np.inf))
     assert (found[1] == found[1][0]).all()
     assert found[1][0] >= 0

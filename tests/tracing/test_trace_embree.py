@@ -12,10 +12,10 @@ from clacad.mesh import tessellate
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Rays
 from clacad.sheet.bundle import bundle
-from clacad.tracing.triangles import embree_search
+from clacad.tracing.triangles import embree
 from clacad.tracing.triangles.triangle_soup import TriangleSoup, read_soup
 
-needs_embree = pytest.mark.skipif(not embree_search.available(), reason="embreex is not installed")
+needs_embree = pytest.mark.skipif(not embree.installed(), reason="embreex is not installed")
 
 
 def soup_of(window, quads=6):
@@ -79,8 +79,8 @@ def test_what_is_decided_by_embree_is_what_asking_every_triangle_gives():
     soup = soup_of(window)
     rays = wild_rays(window, 400, seed=8)
     unit = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
-    index = embree_search._indexed(soup.corners)
-    distance, normal, good = embree_search._hit(index, rays.position, unit, entering=True)
+    index = embree._Body.of(soup.corners)
+    distance, normal, good = embree._hit(index, rays.position, unit, entering=True)
     nearest, which = brute_force(soup.corners, rays.position, unit)
     assert good.mean() > 0.5
     np.testing.assert_allclose(distance[good], nearest[good], rtol=1e-12)
@@ -99,14 +99,14 @@ def test_a_ray_on_an_edge_is_left_to_the_tree():
     middles = 0.5 * (flat[:, 0] + flat[:, 1])
     start = middles - [0.0, 0.0, 1.0]
     up = np.tile([0.0, 0.0, 1.0], (len(start), 1))
-    _, _, good = embree_search._hit(embree_search._indexed(soup.corners), start, up, entering=True)
+    _, _, good = embree._hit(embree._Body.of(soup.corners), start, up, entering=True)
     assert not good.any()
 
 
 def test_without_the_package_a_file_is_searched_by_the_tree_and_asking_for_embree_says_so(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(embree_search, "available", lambda: False)
+    monkeypatch.setattr(embree, "installed", lambda: False)
     design = clacad.load("designs/slab.toml").with_cells((2, 2))
     clacad.export(design, tmp_path, ("stl",), quads=4)
     window = clacad.prescribe(design)

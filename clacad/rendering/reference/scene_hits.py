@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.rendering.reference.embree_triangles import first_triangle
 from clacad.rendering.scene_arrays import (
     BOX,
     CHECKER,
@@ -23,6 +22,7 @@ from clacad.rendering.scene_arrays import (
     STRIPES,
     Stage,
 )
+from clacad.tracing.triangles.embree import first_triangle
 
 UNTURNED = np.eye(3)
 

@@ -64,10 +64,10 @@ def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tr
     """
     # readers live with the formats' writers; the tracer needs them only when it is handed a path
     from clacad.formats.mesh.readers import read_mesh
-    from clacad.tracing.triangles.embree_search import available
+    from clacad.tracing.triangles.embree import installed
 
     found = read_mesh(path)
-    if search == "embree" and not available():
+    if search == "embree" and not installed():
         raise ValueError('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
     return replace(soup_of(found, window), search=search)
 
