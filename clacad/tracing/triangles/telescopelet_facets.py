@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Bytes, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
 from clacad.sheet.window import Face, Window, in_optical_tile
@@ -44,7 +44,7 @@ class FacetFace:
     normals: Floats
     origin: Floats
     z_range: tuple[float, float]
-    land: NDArray[np.bool_]
+    land: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class FacetBody:
     index: float
 
 
-def facet_face(corners: Floats, origin: Floats, land: NDArray[np.bool_] | None = None) -> FacetFace:
+def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
     """Make facets (t, 3, 3), given in the sheet frame, ready about `origin` (3,); `land` (t,) marks flat land."""
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
@@ -89,7 +89,7 @@ def facet_face(corners: Floats, origin: Floats, land: NDArray[np.bool_] | None =
     )
 
 
-def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
+def on_land(window: Window, face: Face, corners: Floats) -> Bools:
     """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
     if face.land is None:
         return np.zeros(len(corners), dtype=bool)
@@ -128,9 +128,7 @@ def first_crossing(
     return distance, facet
 
 
-def _meet(
-    face: AnyFace, position: Floats, direction: Floats, entering: bool
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Floats, Bools]:
     """Distance (n,) along each ray, NaN for none; normal (n, 3) turned the way the light goes; whether it is land."""
     if isinstance(face, FacetFace):
         if not len(face.normals):
@@ -167,39 +165,58 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
         ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND where it
         did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
     """
-    n = len(rays)
-    position = rays.position.copy()
-    direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
-    fate = np.full(n, Fate.ALIVE, dtype=np.uint8)
-    surface = np.full(n, NO_CELL, dtype=np.int32)
-    path = np.zeros(n)
-    live = np.arange(n)
-    before = 1.0
-    aside = np.zeros(n, dtype=bool)
-    steps = [
-        (f, body.index if k == 0 else 1.0, k == 0)
-        for body in bodies
-        for k, f in ((0, body.front), (1, body.back))
-    ]
-    for number, (face, after, entering) in enumerate(steps):
-        distance, normal, on_land = _meet(face, position[live], direction[live], entering)
+    passing = _Passing.launched(rays)
+    live = np.arange(len(rays))
+    number, before = 0, 1.0
+    for body in bodies:
+        for face, after, entering in ((body.front, body.index, True), (body.back, 1.0, False)):
+            live = passing.cross(face, live, number, (before, after), entering)
+            number, before = number + 1, after
+    passing.fate[live[passing.aside[live]]] = Fate.LAND
+    unknown = np.full((len(rays), 2), NO_CELL, dtype=np.int32)
+    return TraceResult(
+        passing.position, passing.direction, passing.fate, passing.path, unknown, unknown, passing.surface,
+        np.ones(len(rays)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Passing:
+    """n rays on their way through facets; columns are changed in place, `aside` (n,): through land."""
+
+    position: Floats
+    direction: Floats
+    fate: Bytes
+    surface: NDArray[np.int32]
+    path: Floats
+    aside: Bools
+
+    @classmethod
+    def launched(cls, rays: Rays) -> _Passing:
+        """Rays before the first face, of unit direction."""
+        n = len(rays)
+        direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
+        fate, surface = np.full(n, Fate.ALIVE, dtype=np.uint8), np.full(n, NO_CELL, dtype=np.int32)
+        return cls(rays.position.copy(), direction, fate, surface, np.zeros(n), np.zeros(n, dtype=bool))
+
+    def cross(
+        self, face: AnyFace, live: Rows, number: int, indices: tuple[float, float], entering: bool
+    ) -> Rows:
+        """Move live rays to face `number` and refract them, between two refractive indices; those that go on."""
+        distance, normal, on_land = _meet(face, self.position[live], self.direction[live], entering)
         met = np.isfinite(distance)
-        aside[live[met & on_land]] = True
-        fate[live[~met]] = Fate.WALL
+        self.aside[live[met & on_land]] = True
+        self.fate[live[~met]] = Fate.WALL
         live, distance, normal = live[met], distance[met], normal[met]
-        position[live] += distance[:, None] * direction[live]
-        path[live] += before * distance
-        surface[live] = number
-        root = np.einsum("ij,ij->i", normal, direction[live])
-        out, _ = refract(direction[live], normal, root, before, after)
+        self.position[live] += distance[:, None] * self.direction[live]
+        self.path[live] += indices[0] * distance
+        self.surface[live] = number
+        root = np.einsum("ij,ij->i", normal, self.direction[live])
+        out, _ = refract(self.direction[live], normal, root, *indices)
         reflected = np.isnan(out[:, 0])
-        fate[live[reflected]] = Fate.TIR
+        self.fate[live[reflected]] = Fate.TIR
         live, out = live[~reflected], out[~reflected]
-        direction[live] = out
+        self.direction[live] = out
         back = out[:, 2] <= 0.0
-        fate[live[back]] = Fate.BACKWARD
-        live = live[~back]
-        before = after
-    fate[live[aside[live]]] = Fate.LAND
-    unknown = np.full((n, 2), NO_CELL, dtype=np.int32)
-    return TraceResult(position, direction, fate, path, unknown, unknown, surface, np.ones(n))
+        self.fate[live[back]] = Fate.BACKWARD
+        return live[~back]
