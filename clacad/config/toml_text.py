@@ -11,9 +11,9 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 
+from clacad.base.text import did_you_mean, near
 from clacad.config.key_positions import Place, find, syntax_place
 from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import kind_of
@@ -67,8 +67,8 @@ def _nearest_file(name: str) -> str:
         )
     except (OSError, ValueError):
         return ""
-    close = get_close_matches(base, listed, n=1, cutoff=0.6) or get_close_matches(base + ".toml", listed, n=1)
-    return f"did you mean {os.path.join(folder, close[0])}?" if close else ""
+    found = near(base, listed) or near(base + ".toml", listed)
+    return did_you_mean([os.path.join(folder, name) for name in found])
 
 
 def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from clacad.base import units
+from clacad.base.text import did_you_mean
 from clacad.base.units import Unit
 from clacad.config import overrides as override
 from clacad.config.key_positions import KeyPath, located, split_key
@@ -168,7 +169,7 @@ def _unknown(where: KeyPath) -> Mistake:
                        allowed=f"here: {known_in('')}")  # fmt: skip
     near = suggestion(section, name)
     key = f"{section}.{name}" if section else name
-    message = f"unknown key {key}" + (f"; did you mean {near}?" if near else "")
+    message = f"unknown key {key}" + did_you_mean([near] if near else [], before="; ")
     place = f"in [{section}]" if section else "here"
     return Mistake("CL102", message, key, found=name, allowed=f"{place}: {known_in(section)}", hint=near)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
 from math import isfinite, pi
@@ -16,6 +15,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from clacad.base.text import did_you_mean, near
 from clacad.base.types import Floats
 from clacad.optics.material import dispersion_formulas
 from clacad.optics.material.dispersion_formulas import Formula
@@ -184,8 +184,7 @@ def find(name: str) -> Material:
     materials, known = _table()
     found = known.get(_plain(name))
     if found is None:
-        near = suggestions(name)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(materials)}"
+        hint = did_you_mean(suggestions(name)) or f"known are {', '.join(materials)}"
         raise ValueError(f"unknown material {name!r}; {hint}")
     return materials[found]
 
@@ -198,8 +197,7 @@ def suggestions(name: str) -> tuple[str, ...]:
     name : str
     """
     _, known = _table()
-    near = get_close_matches(_plain(name), known, n=6, cutoff=0.6)
-    return tuple(dict.fromkeys(known[plain] for plain in near))[:3]
+    return tuple(dict.fromkeys(known[plain] for plain in near(_plain(name), known, most=6)))[:3]
 
 
 @cache
