@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Any
 
 DEEPEST = 64
-"""Levels of nesting that are followed: a value that holds itself ends here."""
+"""Levels of nesting that files may have and values are followed to: what holds itself ends here."""
 
 
 def near(word: str, words: Iterable[str], cutoff: float = 0.6, most: int = 1) -> list[str]:

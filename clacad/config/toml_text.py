@@ -9,17 +9,15 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, NoReturn
 
-from clacad.base.text import did_you_mean, near
+from clacad.base.text import DEEPEST, did_you_mean, near
 from clacad.config.key_positions import Place, find, syntax_place
 from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import kind_of
 
 LARGEST_FILE: Final = 16 * 2**20
-DEEPEST: Final = 64
 
 
 def _refuse(mistake: Mistake) -> NoReturn:
@@ -139,16 +137,3 @@ def too_deep(data: Any) -> bool:
         level = [item for part in level if isinstance(part, dict | list)
                  for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
     return False
-
-
-def plain(value: Any, depth: int = 0) -> Any:
-    """Turn tuples, mappings, paths and number-like scalars of other libraries into what TOML knows."""
-    if depth > DEEPEST:
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): plain(item, depth + 1) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item, depth + 1) for item in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return plain(value.tolist(), depth + 1)
-    return value

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from clacad.base import units
-from clacad.base.text import did_you_mean
+from clacad.base.text import DEEPEST, did_you_mean, plain
 from clacad.base.units import Unit
 from clacad.config import overrides as override
 from clacad.config.key_positions import KeyPath, located, split_key
 from clacad.config.mistakes import DesignError, Mistake, in_order
-from clacad.config.toml_text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.model import (
@@ -60,7 +60,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
 
 def from_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> Design:
     """Read a design from nested dictionaries; see `Design.from_dict`."""
-    given = plain(data)
+    given = plain(data, float)
     if not isinstance(given, dict):
         raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(given)}")])
     if too_deep(given):
@@ -74,7 +74,7 @@ def replaced(design: Design, changes: Mapping[str, Any]) -> Design:
     mistakes = []
     for key, value in changes.items():
         try:
-            data = override.put(data, split_key(key), plain(value))
+            data = override.put(data, split_key(key), plain(value, float))
         except LookupError as problem:
             mistakes.append(Mistake("CL118", str(problem.args[0]), key=key))
     if mistakes:

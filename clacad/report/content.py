@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import plainly, shown
+from clacad.base.text import plain
 from clacad.report.fabrication import Line, fabrication, orientation
 from clacad.sheet.feasibility import describe
 
@@ -264,7 +265,6 @@ class Content:
     def numbers(self) -> dict[str, Any]:
         """Everything the page says as numbers: what goes into report.json."""
         from clacad.report.fabrication import fabrication_dict
-        from clacad.verification.checks import plain
 
         found = self.report.to_dict() | {"fabrication": plain(fabrication_dict(self.report))}
         found["budget"] = [list(one) for one in self._budget_numbers()]

@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clacad.base import units
+from clacad.base.text import DEEPEST, plain
 from clacad.base.units import Unit
 from clacad.config import overrides as override
 from clacad.config.key_positions import located, split_key
 from clacad.config.mistakes import DesignError, Mistake, in_order
-from clacad.config.toml_text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.keys import REQUIRED, Key
 from clacad.scene import keys
@@ -61,7 +62,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
 
 def from_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> Scene:
     """Read a scene from nested dictionaries; see `Scene.from_dict`."""
-    given = plain(data)
+    given = plain(data, float)
     if not isinstance(given, dict):
         raise SceneError([Mistake("CL104", f"a scene is a table, not {kind_of(given)}")])
     if too_deep(given):
@@ -75,7 +76,7 @@ def replaced(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     mistakes = []
     for key, value in changes.items():
         try:
-            data = put(data, key, plain(value))
+            data = put(data, key, plain(value, float))
         except LookupError as problem:
             mistakes.append(Mistake("CL118", str(problem.args[0]), key=key, path=scene.path))
     if mistakes:

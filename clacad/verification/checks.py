@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.base.text import plain
 from clacad.verification.limit_sources import sourced
 
 if TYPE_CHECKING:
@@ -102,19 +103,6 @@ class Check:
             "sentence": self.sentence, "detail": plain(dict(self.detail)),
             **({"alias": alias} if (alias := FORMER.get(self.id)) is not None else {}),
         }  # fmt: skip
-
-
-def plain(value: Any) -> Any:
-    """Value as JSON can hold it: no NaN, no infinity, no numpy, no tuple."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    return value
 
 
 def judge(

@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import plain
 from clacad.base.types import Progress
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
@@ -18,7 +19,7 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 from clacad.tracing.trace import trace
 from clacad.verification import checks as judging
-from clacad.verification.checks import Check, not_run, plain
+from clacad.verification.checks import Check, not_run
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
 from clacad.verification.files.find_files import (

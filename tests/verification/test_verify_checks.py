@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from clacad.base.text import plain
 from clacad.design import Design
-from clacad.verification.checks import CODES, Check, accepted, judge, not_run, passed, plain
+from clacad.verification.checks import CODES, Check, accepted, judge, not_run, passed
 
 GOOD = Check("eta", "pass", "fine")
 

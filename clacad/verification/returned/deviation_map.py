@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.text import plain
 from clacad.base.types import Floats, Ints
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.window import Window
 from clacad.storage.atomic import Stage, canonical_json, safe_name
-from clacad.verification.checks import plain
 from clacad.verification.files.cell_triangles import levels
 from clacad.verification.files.face_distance import STEEP, believed, drawn_in, off_faces
 from clacad.verification.returned.damage import MICRON, MILLIMETRE, Dent
