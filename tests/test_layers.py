@@ -49,7 +49,6 @@ EXCEPTIONS = {
 """Importing file, imported file: reason. One that nothing uses fails."""
 
 RINGS = {
-    ("cli/export_command.py", "cli/render_command.py"): "one exports scenes, the other reads angles as that does",
     ("config/key_positions.py", "config/mistakes.py"): "places are looked up only once something is wrong",
     ("design/canonical_text.py", "design/model.py", "design/read.py"): "methods of Design: hash, changed values",
     ("exporting/format_table.py", "exporting/request.py"): "which formats there are",
