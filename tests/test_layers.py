@@ -49,15 +49,10 @@ EXCEPTIONS = {
 """Importing file, imported file: reason. One that nothing uses fails."""
 
 RINGS = {
-    ("config/key_positions.py", "config/mistakes.py"): "places are looked up only once something is wrong",
-    ("design/canonical_text.py", "design/model.py", "design/read.py"): "methods of Design: hash, changed values",
     ("exporting/format_table.py", "exporting/request.py"): "which formats there are",
     ("exporting/limits.py", "exporting/tessellations.py"): "limits count the facets of one cell; tessellations know the limits",
     ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "methods of Law: then, inverse, fit",
     ("optics/material/database.py", "optics/material/material.py"): "materials named ri:… come from the database",
-    (
-        "scene/animation.py", "scene/model.py", "scene/named_files.py", "scene/read.py", "scene/rules.py",
-    ): "methods of Scene: its design, its frames",
     ("verification/files/map_file.py", "verification/files/map_light.py"): "point files are read in blocks by map_file",
 }  # fmt: skip
 """Modules that import one another in a ring, function-local imports counted: why. One that is gone fails."""

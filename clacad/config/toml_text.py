@@ -13,8 +13,9 @@ from dataclasses import replace
 from typing import Any, Final, NoReturn
 
 from clacad.base.text import DEEPEST, did_you_mean, near
+from clacad.config.design_error import DesignError
 from clacad.config.key_positions import Place, find, syntax_place
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import kind_of
 
 LARGEST_FILE: Final = 16 * 2**20

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
-from clacad.scene.model import Animation, Move, Scene
+from clacad.scene.sections import Animation, Move
+
+if TYPE_CHECKING:
+    from clacad.scene.model import Scene
 
 
 def value_at(move: Move, time: float) -> Any:
