@@ -19,7 +19,7 @@ from clacad.mesh.prototile_input import Maker
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
 from clacad.sheet.window import Body, Window, optical_tile
-from clacad.topology import CellComplex, Tiling
+from clacad.topology.complex_parts import CellComplex, Tiling
 
 
 @dataclass(frozen=True, eq=False)

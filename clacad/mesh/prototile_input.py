@@ -9,7 +9,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.mesh.integer_heights import FAR, NONE, to_levels
 from clacad.sheet.window import Body, Window, lens_height
-from clacad.topology import CellComplex, Tiling
+from clacad.topology.complex_parts import CellComplex, Tiling
 
 
 @dataclass(frozen=True, eq=False)

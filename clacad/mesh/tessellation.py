@@ -13,9 +13,9 @@ from clacad.mesh.land_triangles import make_plain
 from clacad.mesh.prototile import Prototile, make_prototile
 from clacad.mesh.window_mesh import Mesh
 from clacad.sheet.window import Body, Window
-from clacad.topology import CellComplex, cell_complex
+from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
-from clacad.topology.pieces_and_holes import saddle_count
+from clacad.topology.complex_parts import CellComplex
 
 COARSEST = 1e-2  # largest step of heights, in body thicknesses
 MOST_QUADS = 2048  # a prototile of 17 M triangles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from clacad.sheet.pieces_and_holes import count_together
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import make_border
 from clacad.topology.complex_parts import CellComplex, Tiling
@@ -78,15 +79,10 @@ def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
     return (arrays[0], arrays[1])
 
 
-def pieces(window: Window) -> tuple[int, ...]:
-    """Count the connected pieces of each body in closed form (no mesh)."""
-    from clacad.topology.pieces_and_holes import count_pieces
-
-    return tuple(count_pieces(cell_complex(window, body, rims=False)) for body in window.bodies)
-
-
-def holes(window: Window) -> tuple[int, ...]:
-    """Count the holes through each body in closed form (no mesh)."""
-    from clacad.topology.pieces_and_holes import count_holes
-
-    return tuple(count_holes(cell_complex(window, body, rims=False)) for body in window.bodies)
+def saddle_count(cells: CellComplex) -> int:
+    """Count the inner nodes' saddles (front and back each count)."""
+    total = 0
+    for node in (node for tiling in cells.tilings for node in tiling.nodes):
+        each = int(node.saddle_front) + int(node.saddle_back)
+        total += each * count_together(cells.window.lattice, [step for step, _ in node.cells]) if each else 0
+    return total

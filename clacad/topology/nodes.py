@@ -3,28 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice
+from clacad.sheet.lattice import node_cells
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line
 from clacad.topology.complex_parts import Node
-
-
-def node_cells(lattice: Lattice) -> tuple[tuple[tuple[tuple[int, int], int], ...], ...]:
-    """List each node class as the cells around it, counter-clockwise: (index step, tile corner).
-
-    The first cell of a class has step (0, 0). Square and rectangular: corner 1 (+x, +y) of the first
-    cell. Hexagonal: corner 1 (upper right) and corner 2 (top) of the first cell.
-    """
-    if lattice.hexagonal:
-        # Walking counter-clockwise about a corner, a cell's corner index advances by two.
-        return (
-            (((0, 0), 1), ((1, 0), 3), ((0, 1), 5)),
-            (((0, 0), 2), ((0, 1), 4), ((-1, 1), 0)),
-        )
-    return ((((0, 0), 1), ((1, 0), 2), ((1, 1), 3), ((0, 1), 0)),)
 
 
 def make_nodes(window: Window, body: Body, faces: tuple[str, ...], merge: float) -> tuple[Node, ...]:
@@ -88,23 +72,3 @@ def _saddle(level: Floats, proud: int) -> bool:
         return False
     z = proud * level
     return bool(min(z[0], z[2]) > max(z[1], z[3]) or min(z[1], z[3]) > max(z[0], z[2]))
-
-
-def node_masks(
-    lattice: Lattice, cells: tuple[tuple[tuple[int, int], int], ...]
-) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Find every node of a class in the finite sheet.
-
-    Returns
-    -------
-    anchor : (n, 2) int64
-        Index of the class's first cell (kept or not).
-    mask : (n,) uint8
-        Bit b set: cell b of the class is kept. 2**k − 1 is an inner node.
-    """
-    kept = lattice.cells()
-    anchors = np.unique(np.concatenate([kept - np.array(step) for step, _ in cells]), axis=0)
-    mask = np.zeros(len(anchors), dtype=np.uint8)
-    for bit, (step, _) in enumerate(cells):
-        mask |= lattice.contains(anchors + np.array(step)).astype(np.uint8) << np.uint8(bit)
-    return anchors, mask

@@ -14,8 +14,7 @@ from clacad.exporting.export_design import export
 from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
 from clacad.mesh.cell_template import WALL
-from clacad.topology.build_complex import cell_complex
-from clacad.topology.pieces_and_holes import saddle_count
+from clacad.topology.build_complex import cell_complex, saddle_count
 
 WIDTH = 1e-4
 SADDLED = ("saddle at every corner", "tilted about both axes, offset", "plano", "slab", "pinholes")

@@ -13,8 +13,9 @@ from clacad.base.sobol import sobol
 from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.feasibility import components, describe, feasibility
+from clacad.sheet.feasibility import describe, feasibility
 from clacad.sheet.feasibility.convex_extremes import least, share_covered
+from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.vignetting import clip, ghost_step, share, thin_cells
 from clacad.sheet.window import column
 from clacad.tracing.trace import trace
@@ -109,8 +110,8 @@ def flood(filled):
                     ]
                 )
             ]
-        first, second = np.concatenate(pairs, axis=1)
-        return components(mask.size, first, second) - int((~mask).sum())
+        edges = np.concatenate(pairs, axis=1).T
+        return len(np.unique(connect(mask.size, edges))) - int((~mask).sum())
 
     padded = np.pad(filled, 1)
     return regions(padded), regions(~padded) - 1

@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshwindows import FORMS, window
+from meshwindows import FORMS, pieces_and_holes, window
 
 from clacad.base.roots import sign_changes
-from clacad.sheet.lattice import Lattice
+from clacad.sheet.feasibility import body_facts
+from clacad.sheet.lattice import Lattice, node_cells
 from clacad.sheet.window import column, lens_height
-from clacad.topology import (
-    cell_complex,
-    count_holes,
-    count_pieces,
-    holes,
-    node_cells,
-    pieces,
-    saddle_count,
-)
+from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.nodes import cluster
 
 # -- roots -----------------------------------------------------------------------------------------
@@ -204,18 +197,32 @@ def test_heights_closer_than_the_merge_height_become_one_and_keep_their_order(he
 # -- pieces, holes -----------------------------------------------------------------------------------
 
 
+def counted(sheet):
+    return [pieces_and_holes(cell_complex(sheet, body)) for body in sheet.bodies]
+
+
 def test_the_papers_second_array_is_200_strips_as_stated():
-    assert pieces(window(thickness=0.0005, count=(200, 200))) == (1, 200)
+    assert counted(window(thickness=0.0005, count=(200, 200))) == [(1, 0), (200, 0)]
 
 
 def test_tilting_the_papers_sheet_further_leaves_single_cells():
-    assert pieces(window(thickness=0.0005, count=(200, 200), euler=(0, 3.2, 0)))[1] == 40_000
+    assert counted(window(thickness=0.0005, count=(200, 200), euler=(0, 3.2, 0)))[1] == (40_000, 0)
 
 
 def test_equal_round_lenses_that_miss_the_corners_leave_a_pinhole_at_every_inner_node():
-    sheet = window(thickness=0.0005, eta=(-1, -1), count=(200, 200))
-    assert pieces(sheet) == (1, 1)
-    assert holes(sheet) == (39_601, 39_601)
+    assert counted(window(thickness=0.0005, eta=(-1, -1), count=(200, 200))) == [(1, 39_601)] * 2
+
+
+@pytest.mark.parametrize("name", [name for name in FORMS if name != "tilted about both axes, offset"])
+def test_borders_sampled_and_borders_by_their_roots_give_the_same_pieces_and_holes(name):
+    sheet = window(**FORMS[name])
+    assert counted(sheet) == [(f.pieces, f.holes) for f in (body_facts(sheet, body) for body in sheet.bodies)]
+
+
+def test_air_of_both_sides_that_meets_in_a_line_is_a_hole_of_the_mesh_but_none_of_the_body():
+    sheet = window(**FORMS["tilted about both axes, offset"])
+    assert counted(sheet) == [(1, 4), (1, 0)]
+    assert [body_facts(sheet, body).holes for body in sheet.bodies] == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -253,14 +260,12 @@ def test_pieces_are_those_of_columns_sampled_along_their_borders(keys):
                         if cell in left:
                             left.remove(cell)
                             stack.append(cell)
-        assert count_pieces(cell_complex(sheet, body)) == number
+        assert pieces_and_holes(cell_complex(sheet, body))[0] == number
 
 
 def test_a_web_makes_one_piece_without_holes():
     sheet = window(**FORMS["turned web"])
-    assert [(count_pieces(c), count_holes(c)) for c in (cell_complex(sheet, b) for b in sheet.bodies)] == [
-        (1, 0)
-    ] * 2
+    assert counted(sheet) == [(1, 0)] * 2
 
 
 # -- rims ----------------------------------------------------------------------------------------------
