@@ -46,9 +46,9 @@ def pieces_and_holes(cells: CellComplex) -> tuple[int, int]:
     if len(cells.tilings) == 2 or (None not in flats and flats[0] < flats[1]):
         return 1, 0
     (tiling,) = cells.tilings
-    joints = [(b.step, b.joint.intervals) for b in tiling.borders]
+    joints = [(border.step, border.joints) for border in tiling.borders]
     glued = sum(len(on) * count_together(lattice, [(0, 0), step]) for step, on in joints)
-    filled = [[step for step, _ in node.cells] for node in tiling.nodes if node.joint]
+    filled = [[step for step, _ in node.cells] for node in tiling.nodes if node.joined]
     euler = lattice.cell_count - glued + sum(count_together(lattice, around) for around in filled)
     ends = [bool(on) and (on[0][0] == 0.0, on[-1][1] == 1.0) for _, on in joints]
     found = [BorderJoint(step, len(on), end or (False, False)) for (step, on), end in zip(joints, ends)]

@@ -126,7 +126,7 @@ def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) 
             f"body {body.name!r} is {thick:.3g} thick: no mesh holds it; STEP does, or a shorter pair.separation",
         )
     gap = merge_steps(merge, step)
-    cells = cell_complex(window, body, merge=gap * step, spacing=0.0, rims=False)
+    cells = cell_complex(window, body, merge=gap * step, spacing=0.0)
     return _Parts(window, body, cells, step, gap, bevel)
 
 

@@ -157,7 +157,7 @@ def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...
         merge,
     )
     if body not in _known or _known[body][0] != key:
-        complex_ = cell_complex(window, body, merge / scale, SNAP / scale, rims=False)
+        complex_ = cell_complex(window, body, merge / scale, SNAP / scale)
         found = tuple(tuple(border.breaks for border in tiling.borders) for tiling in complex_.tilings)
         _known[body] = (key, found)
     return _known[body][1]

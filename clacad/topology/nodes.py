@@ -1,4 +1,4 @@
-"""Nodes: where the corners of three or four cells meet, their levels and saddles."""
+"""Nodes: where the corners of three or four cells meet, their saddles."""
 
 from __future__ import annotations
 
@@ -8,41 +8,25 @@ from clacad.base.types import Floats
 from clacad.sheet.lattice import node_cells
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line
-from clacad.topology.complex_parts import Node
+from clacad.topology.complex_parts import SIDES, Node, Side
 
 
-def make_nodes(window: Window, body: Body, faces: tuple[str, ...], merge: float) -> tuple[Node, ...]:
-    """Build the node classes of a body's tiling; `faces` names those that repeat on it."""
+def make_nodes(window: Window, body: Body, faces: tuple[Side, ...], merge: float) -> tuple[Node, ...]:
+    """Build the node classes of a body's tiling; `faces` names those that repeat on it, `merge` is a length."""
     tile = window.lattice.tile()
     zone = window.land.seam == 0.0
     nodes = []
-    for index, cells in enumerate(node_cells(window.lattice)):
+    for cells in node_cells(window.lattice):
         heights = np.full((2, len(cells)), np.nan)
         for n, (_, corner) in enumerate(cells):
             x, y = tile[corner]
             line = column_line(window, body, (x, y), (x, y), zone)
             front, back = line.heights(np.zeros(1))
             heights[:, n] = front[0], back[0]
-        shared = bool(np.isfinite(heights).all() and heights[1].min() > heights[0].max())
-        raw = [
-            heights[f] if name in faces else np.full(len(cells), np.nan)
-            for f, name in enumerate(("front", "back"))
-        ]
-        levels = cluster(np.concatenate(raw), merge)
-        front_level, back_level = levels[: len(cells)], levels[len(cells) :]
-        nodes.append(
-            Node(
-                index,
-                cells,
-                raw[0],
-                raw[1],
-                front_level,
-                back_level,
-                _saddle(front_level, proud=-1),
-                _saddle(back_level, proud=1),
-                shared,
-            )  # fmt: skip
-        )
+        joined = bool(np.isfinite(heights).all() and heights[1].min() > heights[0].max())
+        raw = [heights[f] if name in faces else np.full(len(cells), np.nan) for f, name in enumerate(SIDES)]
+        front, back = cluster(np.concatenate(raw), merge).reshape(2, -1)
+        nodes.append(Node(cells, _saddle(front, proud=-1), _saddle(back, proud=1), joined))
     return tuple(nodes)
 
 
