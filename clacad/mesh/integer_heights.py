@@ -13,6 +13,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import Window
+from clacad.topology.walls import linked
 
 FAR = 2**60  # the other side of a body whose faces are meshed apart
 NONE = 2**61  # a front without a surface; −NONE a back without one
@@ -52,10 +53,9 @@ def cluster(levels: Ints, fixed: Bools, gap: int) -> Ints:
     """
     order = np.argsort(levels, axis=1, kind="stable")
     z = np.take_along_axis(levels, order, axis=1)
-    new = np.ones(z.shape, dtype=bool)
-    # levels of magnitude FAR never lie within `gap` of a real one, and equal ones may share a group
-    new[:, 1:] = np.diff(z, axis=1) > gap
-    group = np.cumsum(new, axis=1) - 1
+    group = linked(
+        z, gap
+    )  # levels of magnitude FAR never lie within `gap` of a real one; equal ones may share a group
     n, c = z.shape
     flat = group + c * np.arange(n)[:, None]
     first = np.full(n * c, np.iinfo(np.int64).max)

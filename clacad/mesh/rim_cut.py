@@ -1,4 +1,8 @@
-"""Cutting a triangulated cell along rims: curves where a lens meets the other lens, a plane or land."""
+"""Cutting a triangulated cell along rims: curves where a lens meets the other lens, a plane or land.
+
+The curves are not those `topology.rims` traces: a cut is a point on an edge of the triangles at a whole level, and where
+rounding has put a point on a curve already, its level decides and not its exact height.
+"""
 
 from __future__ import annotations
 

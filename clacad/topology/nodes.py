@@ -9,6 +9,7 @@ from clacad.sheet.lattice import node_cells
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line
 from clacad.topology.complex_parts import SIDES, Node, Side
+from clacad.topology.walls import linked
 
 
 def make_nodes(window: Window, body: Body, faces: tuple[Side, ...], merge: float) -> tuple[Node, ...]:
@@ -42,7 +43,7 @@ def cluster(heights: Floats, merge: float) -> Floats:
         return out
     order = known[np.argsort(out[known], kind="stable")]
     z = out[order]
-    group = np.concatenate([[0], np.cumsum(np.diff(z) > merge)])
+    group = linked(z, merge)
     first = np.searchsorted(group, group, side="left")
     last = np.searchsorted(group, group, side="right") - 1
     # the middle, written so that a cluster of equal heights keeps its very value

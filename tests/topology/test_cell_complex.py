@@ -12,12 +12,16 @@ from hypothesis import strategies as st
 from meshwindows import FORMS, pieces_and_holes, window
 
 from clacad.base.roots import sign_changes
+from clacad.mesh import mesh_body
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.lattice import Lattice, node_cells
 from clacad.sheet.window import column, lens_height, optical_tile
+from clacad.solid.describe_body import layers
+from clacad.solid.wall_segments import column_of_side
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.nodes import cluster
 from clacad.topology.rims import trace_zero
+from clacad.topology.walls import Curve, runs_round, solid_strips
 
 # -- roots -----------------------------------------------------------------------------------------
 
@@ -197,6 +201,53 @@ def test_heights_closer_than_the_merge_height_become_one_and_keep_their_order(he
                 if z[a] < z[b]:
                     assert merged[a] <= merged[b]
     assert np.array_equal(np.isnan(z), np.isnan(merged))
+
+
+# -- walls -------------------------------------------------------------------------------------------
+
+LEVELS = st.tuples(st.integers(0, 6), st.integers(0, 6)).map(sorted)
+
+
+@given(LEVELS, LEVELS)
+def test_a_strip_between_two_curves_is_solid_where_its_middle_lies_in_the_column(left, right):
+    heights = sorted({*left, *right})
+    curves = [
+        [Curve(c, z == column[0]) for c, column in enumerate((left, right)) if z in column and column[0] < column[1]]
+        for z in heights
+    ]  # fmt: skip
+    middles = [0.5 * (a + b) for a, b in zip(heights[:-1], heights[1:])]
+    expected = [(left[0] < z < left[1], right[0] < z < right[1]) for z in middles]
+    assert solid_strips(curves) == expected
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=9))
+def test_runs_round_a_line_are_numbered_by_where_they_begin(solid):
+    runs = runs_round(solid)
+    assert [run >= 0 for run in runs] == solid
+    starts = [n for n in range(len(solid)) if solid[n] and not solid[n - 1]]
+    assert [runs[n] for n in starts] == list(range(len(starts)))
+    assert all(runs[n] == runs[n - 1] for n in range(len(solid)) if solid[n] and solid[n - 1])
+
+
+@pytest.mark.parametrize(
+    "name", ["saddle at every corner", "tilted about both axes, offset", "hexagonal", "border and web"]
+)
+def test_levels_of_a_node_in_millimetres_and_in_whole_steps_are_those_of_the_columns(name):
+    sheet = window(**FORMS[name])
+    lattice, tile = sheet.lattice, sheet.lattice.tile()
+    for body in sheet.bodies:
+        mesh = mesh_body(sheet, body, 4)
+        (layer,) = layers(sheet, body)
+        for cells in node_cells(lattice):
+            corners = [corner for _, corner in cells]
+            exact = np.stack(column(sheet, body, *tile[corners].T), axis=1)
+            solid = [[layer.cell.faces[f].height(column_of_side(layer.cell, c, np.zeros(2), False).kind(f, 0.0),
+                      *tile[[c]].T * 1e3)[0] for f in (0, 1)] for c in corners]  # fmt: skip
+            np.testing.assert_allclose(np.array(solid), exact * 1e3, rtol=0, atol=1e-11)
+            template = mesh.tiled[0].maker
+            for corner, heights in zip(corners, exact):
+                levels = [template.border_levels(corner, 0, f)[0] for f in (0, 1)]
+                np.testing.assert_allclose(np.array(levels) * mesh.step, heights, rtol=0, atol=4 * mesh.step)
 
 
 # -- pieces, holes -----------------------------------------------------------------------------------
