@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,43 +15,16 @@ from clacad.solid.outline_faces import flat_faces, outline_faces
 from clacad.solid.outline_path import outline_path
 from clacad.solid.repeated_cell import Cell, CellFace, make_cell
 from clacad.solid.shells import MERGE, Shells, Writer
+from clacad.solid.tiling_borders import Layer, Surround
 from clacad.solid.tiling_columns import Columns
 from clacad.solid.wall_segments import Column
-from clacad.topology.build_complex import cell_complex
+from clacad.topology.build_complex import cell_complex, one_tiling
 from clacad.topology.cannot_build import CannotBuild
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """Cells of one tiling between two faces: a whole body, or half of a displaced slab.
-
-    Attributes
-    ----------
-    cell : Cell
-    shift : (2,), mm
-    outside : Column or None
-        The land between the cells and the outline.
-    breaks : tuple of (n,) parameters, or None
-        Per class of borders between two cells: where anything changes, from the cell complex.
-    """
-
-    cell: Cell
-    shift: Floats
-    outside: Column | None
-    breaks: tuple[Floats, ...] | None = None
 
 
 def millimetres(window: Window) -> float:
     """Millimetres per design unit."""
     return window.unit * 1e3
-
-
-def displaced(window: Window, body: Body) -> bool:
-    """Whether the two faces of a body repeat on grids that do not coincide."""
-    arrays = body.front.array, body.back.array
-    if None in arrays or arrays[0] == arrays[1]:
-        return False
-    return window.shifts[0] != window.shifts[1]
 
 
 def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
@@ -70,12 +43,10 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
         The body cannot be built; see `make_cell`.
     """
     scale = millimetres(window)
-    if not displaced(window, body):
-        array = body.front.array if body.front.array is not None else body.back.array
-        if array is None:
-            raise ValueError(f"body {body.name!r} has no lenslets")
+    arrays = one_tiling(window, body)
+    if len(arrays) == 1:
         cell = make_cell(window, body.front, body.back, scale)
-        return (Layer(cell, np.array(window.shifts[array]) * scale, _outside(window, cell)),)
+        return (Layer(cell, np.array(window.shifts[arrays[0]]) * scale, _outside(window, cell)),)
     made = []
     for face, front in ((body.front, True), (body.back, False)):
         assert face.array is not None
@@ -174,9 +145,7 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
     for part in parts:
         if path is not None and outline is not None:
             _refuse_beyond(part, lattice, outline, scale, centre)
-        tiling = Columns(
-            shells, part.cell, lattice, scale, part.shift, part.outside, rim, hollow, part.breaks, path
-        )  # fmt: skip
+        tiling = Columns(shells, part, lattice, scale, Surround(path, rim, hollow))
         tiling.describe()
         tilings.append(tiling)
     if path is not None:

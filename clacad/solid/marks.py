@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from clacad.sheet.gap import NoFixture, plane_of
 from clacad.sheet.lattice import Circle
+from clacad.topology.build_complex import one_tiling
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Body, Window
@@ -60,12 +61,8 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
         raise NoFixture(
             f"{body.name} has no border to engrave: give body.border a width, such as '2 mm' (or mark the frame)"
         )
-    array = body.front.array if body.front.array is not None else body.back.array
-    assert array is not None
-    displaced = body.front.array != body.back.array and None not in (body.front.array, body.back.array)
-    centre = (
-        np.zeros(2) if displaced and window.shifts[0] != window.shifts[1] else np.array(window.shifts[array])
-    )
+    arrays = one_tiling(window, body)
+    centre = np.array(window.shifts[arrays[0]]) if len(arrays) == 1 else np.zeros(2)
     lowest = window.lattice.extent()[2]
     for face in (body.front, body.back):
         if face.array is not None:

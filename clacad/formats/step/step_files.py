@@ -21,16 +21,15 @@ from clacad.formats.step.shell_text import TextWriter
 from clacad.formats.step.step_cost import StepForecast, forecast
 from clacad.sheet.window import Body, Window
 from clacad.solid.describe_body import (
-    Layer,
     describe_body,
     describe_layers,
-    displaced,
     layers,
     middle_plane,
     millimetres,
     single,
 )
 from clacad.solid.shells import MERGE, ShellCounts, Shells
+from clacad.solid.tiling_borders import Layer
 
 __all__ = ["BodyFacts", "chosen_mode", "forecast_step", "read_step", "write_step"]
 
@@ -228,7 +227,7 @@ def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, mer
     array and cells of the back array, which touch there and together are exactly the slab.
     """
     scale = millimetres(window)
-    parts = layers(window, body, middle_plane(body, window) if displaced(window, body) else None)
+    parts = layers(window, body, middle_plane(body, window))
     placed: list[tuple[Part, Floats, str]] = []
     counts, solids, styles = ShellCounts(), 0, []
     for n, layer in enumerate(parts):
