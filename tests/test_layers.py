@@ -49,8 +49,6 @@ EXCEPTIONS = {
 """Importing file, imported file: reason. One that nothing uses fails."""
 
 RINGS = {
-    ("exporting/format_table.py", "exporting/request.py"): "which formats there are",
-    ("exporting/limits.py", "exporting/tessellations.py"): "limits count the facets of one cell; tessellations know the limits",
     ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "methods of Law: then, inverse, fit",
     ("optics/material/database.py", "optics/material/material.py"): "materials named ri:… come from the database",
     ("verification/files/map_file.py", "verification/files/map_light.py"): "point files are read in blocks by map_file",
