@@ -11,12 +11,11 @@ from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_design
 from clacad.cli.option_values import (
     BadOption,
+    one_of,
     parse_angle,
     parse_cells,
     parse_length,
-    parse_schema,
     parse_slope_error,
-    parse_step,
     per_format,
 )
 
@@ -26,51 +25,45 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class ExportRequest:
-    """What to export, where to, and how finely."""
+class ExportWords:
+    """What the command line says of an export.
+
+    out : Path
+    options : mapping
+        Those of `clacad.exporting.request.Request` by name, as typed.
+    dry_run : bool
+    target, normals : str
+        Of the coarsest facets that are good enough, and what a file is read by.
+    """
 
     out: Path
-    formats: tuple[str, ...]
-    slope_error: str | None
-    quads: str | None
-    step: str
-    cells: str | None
-    overwrite: bool
-    force: bool
-    dry_run: bool
-    step_schema: str = "ap242"
-    pcurves: bool = True
-    saddle_bevel: str | None = None
-    gpu_instancing: bool = False
-    grey_levels: int = 64
+    options: Mapping[str, Any]
+    dry_run: bool = False
     target: str | None = None
     normals: str = "facet"
-    role: str | None = None
 
 
-def export_design(
-    path: Path, overrides: list[str], request: ExportRequest, *, json: bool, quiet: bool
-) -> int:
+def export_design(path: Path, overrides: list[str], words: ExportWords, *, json: bool, quiet: bool) -> int:
     """Export and print what was made; with --dry-run print the forecast only."""
-    if request.formats == ("pov",):
+    formats = tuple(word.strip() for word in words.options["formats"].split(",") if word.strip())
+    if formats == ("pov",):
         from clacad.cli.export_scene import export_scene, is_scene
 
         if is_scene(path):
-            return export_scene(
-                path, overrides, request.out, overwrite=request.overwrite, json=json, quiet=quiet
-            )
+            overwrite = words.options["overwrite"]
+            return export_scene(path, overrides, words.out, overwrite=overwrite, json=json, quiet=quiet)
     design = load_design(path, overrides)
-    asked = _asked(design, request)
-    if not request.force:
+    asked = _asked(design, formats, words.options)
+    if not asked.force:
         _refuse_early(design, asked)
-    if request.target is not None:
-        asked = _within_target(design, request, asked, quiet=quiet)
-    if request.dry_run:
-        return _forecast(design, request.out, asked, json=json, quiet=quiet)
-    return _export(path, design, request.out, asked, json=json, quiet=quiet)
+    if words.target is not None:
+        asked = _within_target(design, words, asked, quiet=quiet)
+    if words.dry_run:
+        return _forecast(design, words.out, asked, json=json, quiet=quiet)
+    return _export(path, design, words.out, asked, json=json, quiet=quiet)
 
 
-def _asked(design: Design, request: ExportRequest) -> Request:
+def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -> Request:
     """What the words of the command line ask for.
 
     Raises
@@ -79,13 +72,14 @@ def _asked(design: Design, request: ExportRequest) -> Request:
     """
     from clacad.exporting.request import Request, asked_quads, asked_roles
 
-    quads, role = per_format("--quads", request.quads), per_format("--role", request.role)
-    return Request(
-        request.formats, parse_slope_error(request.slope_error), asked_quads(_numbers(quads), request.formats),
-        parse_step(request.step), parse_cells(request.cells), request.overwrite, request.force,
-        parse_schema(request.step_schema), request.pcurves, parse_length(request.saddle_bevel, design),
-        request.gpu_instancing, request.grey_levels, asked_roles(role, request.formats),
-    )  # fmt: skip
+    quads, role = per_format("--quads", typed["quads"]), per_format("--role", typed["role"])
+    read = {
+        "formats": formats, "slope_error": parse_slope_error(typed["slope_error"]),
+        "quads": asked_quads(_numbers(quads), formats), "step": one_of("step", typed["step"]),
+        "cells": parse_cells(typed["cells"]), "step_schema": one_of("step_schema", typed["step_schema"], str.lower),
+        "saddle_bevel": parse_length(typed["saddle_bevel"], design), "role": asked_roles(role, formats),
+    }  # fmt: skip
+    return Request(**{**typed, **read})
 
 
 def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
@@ -142,7 +136,7 @@ def _refuse_early(design: Design, asked: Request) -> None:
     refuse_early(_cut(design, asked), asked.formats, asked.quads)
 
 
-def _within_target(design: Design, request: ExportRequest, asked: Request, *, quiet: bool) -> Request:
+def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet: bool) -> Request:
     """The request with the coarsest facets that meet its target in the files that are no declared previews.
 
     Raises
@@ -154,19 +148,19 @@ def _within_target(design: Design, request: ExportRequest, asked: Request, *, qu
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import facets_for
 
-    assert request.target is not None
-    target = parse_angle("--target", request.target)
+    assert words.target is not None
+    target = parse_angle("--target", words.target)
     masters = [name for name in known_formats(asked.formats) if asked.role.get(name) is not Role.PREVIEW]
-    if request.slope_error is not None or any(name in asked.quads for name in masters):
+    if words.options["slope_error"] is not None or any(name in asked.quads for name in masters):
         raise BadOption(
             "--target chooses the facets of all files but declared previews: leave out --quads for them, and "
             "--slope-error"
         )
-    if request.normals not in ("facet", "vertex"):
-        raise BadOption(f"--normals {request.normals}: it is facet or vertex")
+    if words.normals not in ("facet", "vertex"):
+        raise BadOption(f"--normals {words.normals}: it is facet or vertex")
     made = _cut(design, asked)
     chosen = facets_for(
-        made, prescribe(made), target, masters, "facet" if request.normals == "facet" else "vertex"
+        made, prescribe(made), target, masters, "facet" if words.normals == "facet" else "vertex"
     )
     if chosen is None:
         say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose", quiet=quiet)

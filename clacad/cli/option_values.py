@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, cast
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -24,15 +25,15 @@ def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
     """
     if text is None or ("=" not in text and "," not in text):
         return text
-    found: dict[str, str] = {}
-    for part in text.split(","):
-        name, sign, value = (word.strip() for word in part.partition("="))
-        if not (name and sign and value):
-            raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
-        if name in found:
-            raise BadOption(f"{option} {text}: {name} is named twice")
-        found[name] = value
-    return found
+    from clacad.exporting.request import assignments
+
+    named = assignments(text)
+    if named is None:
+        raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
+    twice = next((name for n, (name, _) in enumerate(named) if name in dict(named[:n])), None)
+    if twice is not None:
+        raise BadOption(f"{option} {text}: {twice} is named twice")
+    return dict(named)
 
 
 def parse_cells(text: str | None) -> tuple[int, int] | None:
@@ -64,18 +65,14 @@ def parse_angle(option: str, text: str) -> float:
     return value
 
 
-def parse_step(text: str) -> Literal["auto", "fused", "instanced"]:
-    """One of the three STEP modes."""
-    if text not in ("auto", "fused", "instanced"):
-        raise BadOption(f"--step {text}: it is one of auto, fused, instanced")
-    return cast("Literal['auto', 'fused', 'instanced']", text)
+def one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:
+    """A word that the declaration of an export's options allows, as it spells it."""
+    from clacad.exporting.request import OPTIONS
 
-
-def parse_schema(text: str) -> Literal["ap242", "ap214"]:
-    """One of the two application protocols of STEP."""
-    if text.lower() not in ("ap242", "ap214"):
-        raise BadOption(f"--step-schema {text}: it is one of ap242, ap214")
-    return cast("Literal['ap242', 'ap214']", text.lower())
+    option = OPTIONS[name]
+    if spelt(typed) not in option.words:
+        raise BadOption(f"{option.flag} {typed}: it is one of {', '.join(option.words)}")
+    return spelt(typed)
 
 
 def parse_length(text: str | None, design: Design) -> float:
