@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.text import did_you_mean, near
 from clacad.base.types import Progress
 from clacad.exporting.fixtures.fixture_files import (
     baffle_records,
