@@ -15,7 +15,7 @@ from math import exp, pi
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import FaceCrossing, RayBlock, inside_of, unit_rows
+from clacad.effects.engine.block import FaceCrossing, RayBlock, inside_plate, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect, Losses, When
@@ -87,7 +87,7 @@ def path_in(block: RayBlock, number: int, body: Body) -> Floats:
 
         ray = unit_rows(block.rays.direction) if number == 0 else result.direction
         axis = block.window.thin.rotation[:, 2]
-        cos = inside_of(body, block, ray, axis) @ axis
+        cos = inside_plate(ray, axis, block.index(body)) @ axis
         return np.where(block.emerging(), mean_thickness(block.window, body) / cos, 0.0)
     assert result.hits is not None
     step = result.hits[2 * number + 1] - result.hits[2 * number]

@@ -18,6 +18,7 @@ from often import often
 from clacad import Design, load, prescribe
 from clacad.base.sobol import sobol
 from clacad.effects import Setting, light_reaching_camera, trace_with
+from clacad.effects.engine.block import inside_plate
 from clacad.effects.engine.homogeneous_light import overlap
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import NAMES
@@ -29,7 +30,6 @@ from clacad.optics.surface.fresnel_coefficients import (
     amplitudes,
     coated,
     deviation,
-    inside_plate,
     transmission,
 )
 from clacad.sheet.vignetting import clip

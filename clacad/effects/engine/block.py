@@ -129,25 +129,26 @@ def plate_crossings(block: RayBlock) -> Iterator[FaceCrossing]:
     axis = block.window.thin.rotation[:, 2]
     first, last = block.window.bodies[0], block.window.bodies[-1]
     if first is last:
-        inside, index = inside_of(first, block, start, axis), block.index(first)
-        outside = inside_of(first, block, end, axis)
+        index = block.index(first)
+        inside, outside = inside_plate(start, axis, index), inside_plate(end, axis, index)
         yield FaceCrossing(start, inside, 1.0, index, through)
         yield FaceCrossing(inside, outside, index, index, through)
         yield FaceCrossing(outside, end, index, 1.0, through)
         return
     for body, ray in ((first, start), (last, end)):
-        inside, index = inside_of(body, block, ray, axis), block.index(body)
+        index = block.index(body)
+        inside = inside_plate(ray, axis, index)
         if body is last:
             yield FaceCrossing(start, end, 1.0, 1.0, through)  # the lenses' turn costs nothing
         yield FaceCrossing(ray, inside, 1.0, index, through)
         yield FaceCrossing(inside, ray, index, 1.0, through)
 
 
-def inside_of(body: Body, block: RayBlock, ray: Floats, axis: Floats) -> Floats:
-    """Directions inside the plate that stands for a body's lens."""
-    from clacad.optics.surface.fresnel_coefficients import inside_plate
+def inside_plate(direction: Floats, axis: Floats, index: float) -> Floats:
+    """Unit directions (m, 3) inside a plane plate of the given normal (3,) and index, light coming from air."""
+    from clacad.optics.surface import refract
 
-    return inside_plate(ray, axis, block.index(body))
+    return refract(direction, np.broadcast_to(axis, direction.shape), direction @ axis, 1.0, index)[0]
 
 
 def unit_rows(direction: Floats) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.effects.engine.mirrored_window import mirrored
 from clacad.optics.rays import Rays
+from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, sheet_position
@@ -334,12 +335,10 @@ class _Packets:
         """Send on what passes the interface and what is reflected."""
         up, number, inside = state
         n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))
-        ray, mu = packet.beam.direction, n1 / n2
+        ray = packet.beam.direction
         cos = np.maximum((ray * normal).sum(axis=1), 0.0)
-        square = 1.0 - mu * mu * (1.0 - cos) * (1.0 + cos)
-        total = square < 0.0
-        q = np.sqrt(np.maximum(square, 0.0))
-        through = mu * ray + (q - mu * cos)[:, None] * normal
+        through, _ = refract(ray, normal, cos, n1, n2)
+        total = np.isnan(through[:, 0])
         back = ray - 2.0 * cos[:, None] * normal
         lost = np.zeros(len(packet))
         if self.rules.losses:
