@@ -10,7 +10,7 @@ import numpy as np
 from clacad import Design, DesignError, prescribe
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.probe_rays import situation_of_window
-from clacad.optics.material.material import find
+from clacad.optics.material.catalogue import find
 
 MATERIALS = ("PMMA", "polycarbonate", "polystyrene", "N-BK7", "fused silica")
 D65 = tuple(1e-9 * (430.0 + 27.5 * k) for k in range(9))

@@ -7,7 +7,8 @@ from math import exp, sqrt
 import numpy as np
 import pytest
 
-from clacad.optics.material.material import Material, constant, find, names, suggestions
+from clacad.optics.material.catalogue import find, names, suggestions
+from clacad.optics.material.material import Material, constant
 
 D_LINE, F_LINE, C_LINE = 587.5618e-9, 486.1327e-9, 656.2725e-9
 TABLE = [find(name) for name in names()]

@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 from clacad import Design, DesignError, prescribe
 from clacad.effects import Setting, plan_effects, trace_with
 from clacad.effects.engine.probe_rays import cone, situation_of_window
-from clacad.optics.material.material import find
+from clacad.optics.material.catalogue import find
 
 pytest.importorskip("yaml")
 TOY = Path(__file__).parents[1] / "data" / "refractiveindex"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracle.windows import PITCH, beam, biconvex, collection, plano, slab
 
-from clacad.optics.material.material import find
+from clacad.optics.material.catalogue import find
 from clacad.optics.rays import NO_CELL, Fate, Rays
 from clacad.sheet.lattice import Lattice
 from clacad.tracing.trace import Interface, trace, trace_sequence
