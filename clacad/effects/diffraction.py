@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
@@ -114,7 +115,7 @@ def bound(situation: Situation) -> Bound:
     wave = max(lines)
     angle = hypot(*(wave / (mean * window.unit)))
     why = (
-        f"lit slits of {mean[0] * window.unit * 1e3:.3g} by {mean[1] * window.unit * 1e3:.3g} mm spread "
+        f"lit slits of {mean[0] * millimetres(window.unit):.3g} by {mean[1] * millimetres(window.unit):.3g} mm spread "
         f"{wave * 1e9:.0f} nm light by {angle:.2g} rad"
     )
     return Bound(angle, 0.0, why, COST)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
+from clacad.base.units import millimetres
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import Surface, Window
 from clacad.storage.atomic import canonical_json, owns, read_manifest
@@ -129,7 +130,7 @@ def document(design: Design, window: Window, records: Sequence[FileRecord], opti
 
 
 def _window(design: Design, window: Window) -> dict[str, Any]:
-    scale = window.unit / 1e-3
+    scale = millimetres(window.unit)
     recipe = {k: plain(v, lambda _: "infinite") for k, v in window.recipe.items() if v is not None}
     for key in ("R", "f", "d", "T", "s"):
         if key in recipe:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.units import millimetres
 from clacad.exporting.manifest import FileRecord
 from clacad.sheet.volume_and_extent import Integral, volume_sum, whole_extent
 from clacad.sheet.window import Window
@@ -100,7 +101,7 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
     ------
     FileDisagrees
     """
-    scale = window.unit / 1e-3
+    scale = millimetres(window.unit)
     pitch = min(window.lattice.pitch) * scale
     if found["dangling"] or found["open_edges"]:
         raise FileDisagrees(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import plainly, shown
 from clacad.base.text import plain
+from clacad.base.units import millimetres
 from clacad.report.fabrication import Line, fabrication, orientation
 from clacad.sheet.feasibility import describe
 
@@ -199,7 +200,7 @@ class Content:
         """Foci of both lenses in both meridians, mm."""
         if self.evidence.foci is None:
             return []
-        mm = 1e3 * self.report.window.unit
+        mm = millimetres(self.report.window.unit)
         return [
             (name, number(f.lens1.focus[0] * mm), number(f.lens2.focus[0] * mm), number(f.gap * mm),
              f"{abs(f.gap) / f.distance:.2g}", ", ".join(number(v * mm) for v in f.length))

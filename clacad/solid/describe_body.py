@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.window import Body, Face, Window
 from clacad.solid.face_pattern import SNAP, Kind
@@ -20,11 +21,6 @@ from clacad.solid.tiling_columns import Columns
 from clacad.solid.wall_segments import Column
 from clacad.topology.build_complex import cell_complex, one_tiling
 from clacad.topology.cannot_build import CannotBuild
-
-
-def millimetres(window: Window) -> float:
-    """Millimetres per design unit."""
-    return window.unit * 1e3
 
 
 def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
@@ -42,7 +38,7 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
     ValueError
         The body cannot be built; see `make_cell`.
     """
-    scale = millimetres(window)
+    scale = millimetres(window.unit)
     arrays = one_tiling(window, body)
     if len(arrays) == 1:
         cell = make_cell(window, body.front, body.back, scale)
@@ -106,7 +102,7 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
     parts = tuple(
         replace(part, breaks=breaks) for part, breaks in zip(parts, _breaks(window, body, merge), strict=True)
     )
-    return describe_layers(parts, window.lattice, window.outline, millimetres(window), writer, merge)
+    return describe_layers(parts, window.lattice, window.outline, millimetres(window.unit), writer, merge)
 
 
 _known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ...], ...]]] = (
@@ -116,7 +112,7 @@ _known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ..
 
 def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...], ...]:
     """Where anything changes on the borders of each tiling; kept, for it is the same for any number of cells."""
-    scale = millimetres(window)
+    scale = millimetres(window.unit)
     lattice = window.lattice
     key = (
         lattice.kind,
@@ -187,7 +183,7 @@ def single(window: Window) -> Lattice:
 
 def middle_plane(body: Body, window: Window) -> float:
     """Height (mm) of the plane at which a displaced slab is cut into two layers of cells."""
-    scale = millimetres(window)
+    scale = millimetres(window.unit)
     return 0.5 * scale * sum(_reference(face) for face in (body.front, body.back))
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.units import millimetres
 from clacad.sheet.gap import NoFixture, plane_of
 from clacad.sheet.lattice import Circle
 from clacad.topology.build_complex import one_tiling
@@ -56,7 +57,7 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
     NoFixture
         The body has no border, or one too narrow for letters.
     """
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     if window.outline is None:
         raise NoFixture(
             f"{body.name} has no border to engrave: give body.border a width, such as '2 mm' (or mark the frame)"
@@ -118,7 +119,7 @@ class Pocket:
 
 def pockets(window: Window) -> tuple[Pocket, ...]:
     """The room for marks in every body that has one; the same places `mark_place` gives."""
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     found = []
     for body in window.bodies:
         try:

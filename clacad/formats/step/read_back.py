@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.step.lens_placements import WALL, LensPoints, lens_facts, on_lenses
 from clacad.formats.step.placements import applied
 from clacad.formats.step.shape_parts import Piece, boxes_of, moved, pieces, whole_box
@@ -228,7 +229,7 @@ def _engraved(several: list[Piece], window: Window) -> float:
     from clacad.solid.marks import pockets
     from clacad.solid.occ_writer import surface_area
 
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     room = pockets(window)
     if not room:
         return 0.0

@@ -16,6 +16,7 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.step.part21 import Colour, Part21
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
@@ -25,7 +26,6 @@ from clacad.solid.describe_body import (
     describe_layers,
     layers,
     middle_plane,
-    millimetres,
     single,
 )
 from clacad.solid.shells import MERGE, ShellCounts, Shells
@@ -115,7 +115,7 @@ def step_text_length(window: Window, mode: Literal["fused", "instanced"], pcurve
 def _write(
     window: Window, stream: IO[str], mode: str, schema: str, pcurves: bool, merge: float
 ) -> dict[str, Any]:
-    pitch = min(window.lattice.pitch) * millimetres(window)
+    pitch = min(window.lattice.pitch) * millimetres(window.unit)
     part = Part21(stream, schema, window.name, PROGRAM, pitch)
     bodies = (_write_fused if mode == "fused" else _write_instanced)(window, part, pcurves, merge)
     part.close()
@@ -236,7 +236,7 @@ def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, mer
     A slab whose arrays are displaced has no common cell: it is cut at a plane half way into cells of the front
     array and cells of the back array, which touch there and together are exactly the slab.
     """
-    scale = millimetres(window)
+    scale = millimetres(window.unit)
     parts = layers(window, body, middle_plane(body, window))
     placed: list[tuple[Part, Floats, str]] = []
     counts, solids, styles = ShellCounts(), 0, []

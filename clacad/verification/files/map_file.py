@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.maps.gds import GRID, gds_misfit, grey_cell, layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
@@ -130,7 +131,7 @@ def _labelled(window: Window, name: str) -> bool:
 
 def _map(kind: str) -> Callable[[Window, Body, Face, str, Path], Misfit]:
     def compare(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-        scale = window.unit / 1e-3
+        scale = millimetres(window.unit)
         map_ = height_map(window, body, face, label, samples_per_cell(window, None))
         worst, count = map_misfit(map_, path, kind, scale)
         if kind == "tiff32":
@@ -143,25 +144,25 @@ def _map(kind: str) -> Callable[[Window, Body, Face, str, Path], Misfit]:
 
 
 def _points(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    scale = window.unit / 1e-3
+    scale = millimetres(window.unit)
     worst, count = points_misfit(window, face, path, scale)
     return worst, 2e-9 + 1e-8 * min(window.lattice.pitch) * scale, f"{count:,} points of {label}"
 
 
 def _grid(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    check_grid_sag(window, face, path, window.unit / 1e-3)
+    check_grid_sag(window, face, path, millimetres(window.unit))
     return 0.0, 0.0, f"the sag of {label} at every node"
 
 
 def _mask(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    scale = window.unit / 1e-3
+    scale = millimetres(window.unit)
     worst, count = mask_misfit(window, body, face, path, scale)
     return worst, SAME * min(window.lattice.pitch) * scale, f"outline and {count:,} places of {label}"
 
 
 def _layers(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
     """Layers say how many levels there are, but for some at the top that no pixel may reach."""
-    scale, refusal = window.unit / 1e-3, None
+    scale, refusal = millimetres(window.unit), None
     most = max(layer_counts(path), default=0)
     for levels in range(max(2, most + 1), most + 4):
         try:
@@ -250,12 +251,12 @@ def point_blocks(path: Path) -> Iterator[Floats]:
 
 def _surfaces(window: Window, path: Path) -> Misfit:
     found = _json(path)
-    worst = _apart(surface_table(window, window.unit / 1e-3), found)
+    worst = _apart(surface_table(window, millimetres(window.unit)), found)
     return worst, SAME, "every number of the surface table, relative"
 
 
 def _calibration(window: Window, path: Path) -> Misfit:
-    found, scale = _json(path), window.unit / 1e-3
+    found, scale = _json(path), millimetres(window.unit)
     faces = {}
     for body, face, label in structured_faces(window):
         levels = found["faces"][label].get("levels")  # layers of a GDSII file, or pixels of a map
@@ -293,7 +294,7 @@ def _apart(wanted: Any, found: Any) -> float:
 
 def _poses(window: Window, path: Path) -> Misfit:
     """Every line in its place: cell, apex and angles."""
-    scale, count, worst = window.unit / 1e-3, 0, 0.0
+    scale, count, worst = millimetres(window.unit), 0, 0.0
     rows = (window.lattice.row(j) for j in range(window.lattice.count[1]))
     wanted = pose_lines(window, scale, rows)
     with path.open(encoding="ascii", newline="") as stream:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.maps.raster import read_png, read_tiff
 from clacad.formats.maps.sag import NO_DATA, HeightMap, height_map, samples_per_cell, structured_faces
 from clacad.sheet.bundle import central_cell
@@ -99,7 +100,7 @@ def _pixels(kind: str) -> Callable[..., Samples]:
         window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path
     ) -> Samples:
         assert face.array is not None
-        scale = window.unit / 1e-3
+        scale = millimetres(window.unit)
         map_ = height_map(window, body, face, label, samples_per_cell(window, None))
         pixels = read_png(path) if kind == "png16" else read_tiff(path)
         centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(
@@ -132,7 +133,7 @@ def _points(window: Window, body: Body, face: Face, label: str, cell: tuple[int,
     from clacad.verification.files.map_file import point_blocks
 
     assert face.array is not None
-    scale = window.unit / 1e-3
+    scale = millimetres(window.unit)
     dx, dy = window.shifts[face.array]
     kept = []
     for table in point_blocks(path):
@@ -160,7 +161,7 @@ def _spacing(points: Floats) -> Floats:
 def _grid(window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path) -> Samples:
     from clacad.formats.maps.sag import read_grid_sag
 
-    points, step = read_grid_sag(face, path, window.unit / 1e-3)
+    points, step = read_grid_sag(face, path, millimetres(window.unit))
     return Samples(points, step)
 
 

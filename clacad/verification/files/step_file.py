@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Progress
+from clacad.base.units import millimetres
 from clacad.exporting.roles import Role
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
@@ -70,7 +71,7 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
     Light allows a tenth of `law_rms`; a face whose slopes are off by less than that makes of it lies, over a pitch,
     within slope × pitch / 2π of the exact one.
     """
-    pitch = min(window.lattice.pitch) * window.unit * 1e3
+    pitch = min(window.lattice.pitch) * millimetres(window.unit)
     # a biconic has no exact rational patch: its fit is stated to 1e-6 of the pitch
     exact = SHAPE_LIMIT * pitch * (10.0 if design.pair.surface == "biconic" else 1.0)
     if stated:
@@ -161,7 +162,11 @@ def hole_words(
     """
     words = []
     for hole in holes[:4]:
-        at = np.array([hole["at"]]) / (window.unit * 1e3) if onto is None else onto(np.array([hole["at"]]))
+        at = (
+            np.array([hole["at"]]) / millimetres(window.unit)
+            if onto is None
+            else onto(np.array([hole["at"]]))
+        )
         cell = window.lattice.locate(at[:, 0], at[:, 1])[0][0]
         where = f"cell ({cell[0]}, {cell[1]})" if window.lattice.contains(cell) else "no cell"
         words.append(f"{hole['diameter']:.4g} mm across in {where} at x {at[0, 0]:.4g}, y {at[0, 1]:.4g}")
@@ -317,7 +322,7 @@ def _volume(
     if any(p is None for p in parts):
         return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand",
                        required=False, unit="mm³", **common)  # fmt: skip
-    cube = (window.unit * 1e3) ** 3
+    cube = millimetres(window.unit) ** 3
     want = sum(p.value for p in parts if p is not None) * cube
     error = sum(p.error for p in parts if p is not None) * cube
     got = float(found["volume"])
@@ -325,7 +330,7 @@ def _volume(
     source = "1e-9 relative"
     if room.fitted:  # every lens face off as far as it may be, and borders that another kernel fitted
         x0, x1, y0, y1 = whole_extent(window)
-        area = (x1 - x0) * (y1 - y0) * (window.unit * 1e3) ** 2 * 2.0 * len(bodies)
+        area = (x1 - x0) * (y1 - y0) * millimetres(window.unit) ** 2 * 2.0 * len(bodies)
         allowed += room.shape * area + FITTED * want
         source = room.source
     merged = int(stated.get("merged_steps", 0) or 0)
@@ -354,7 +359,7 @@ def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
         return tuple(body for body in window.bodies if body.name in at["bodies"])
     if "box" not in found:
         return window.bodies
-    low, high = (corner[2] / (window.unit * 1e3) for corner in found["box"])
+    low, high = (corner[2] / millimetres(window.unit) for corner in found["box"])
     middles = [0.5 * sum(body_range(window, body)) for body in window.bodies]
     held = tuple(body for body, z in zip(window.bodies, middles, strict=True) if low < z < high)
     return held or window.bodies

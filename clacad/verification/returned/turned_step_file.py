@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Progress
+from clacad.base.units import MILLIMETRE, millimetres
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
@@ -42,7 +43,6 @@ SCALE = 1e-5
 """Relative error of size that registration leaves."""
 
 SECONDS = 600.0
-MILLIMETRE = 1e-3
 THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
 """What light says: through the faces, not through triangles made here."""
 KEPT = ("readable", "closed", "solids")
@@ -99,7 +99,7 @@ def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
     such sheet at all (one in another unit, say), whose facets would fill the memory.
     """
     low, high = facts.get("box", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    sag = min(lens.sag for lens in feasibility(window).lenses) * window.unit / MILLIMETRE
+    sag = min(lens.sag for lens in feasibility(window).lenses) * millimetres(window.unit)
     return max(sag / FINE, COARSE * float(np.linalg.norm(np.subtract(high, low))))
 
 
@@ -114,7 +114,7 @@ def _through_faces(
         with Worker() as worker:
             worker.run(
                 "clacad.formats.step.step_triangles:set_down", str(subject.path), str(target), pose.turn.tolist(),
-                (pose.move * design.unit_m / MILLIMETRE).tolist(), timeout=SECONDS, progress=progress,
+                (pose.move * millimetres(design.unit_m)).tolist(), timeout=SECONDS, progress=progress,
             )  # fmt: skip
     except (ExportError, OSError) as error:
         return [
