@@ -11,6 +11,7 @@ from clacad.effects.engine.bounds import Situation
 from clacad.effects.engine.camera_light import light_reaching_camera
 from clacad.effects.engine.light_rays import LightRays
 from clacad.effects.engine.passes import trace_with
+from clacad.optics.law.angle import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.tracing.trace import trace
 
@@ -135,6 +136,4 @@ def _turned(situation: Situation, name: str) -> Floats:
 def angles(a: TraceResult, b: TraceResult, last: Fate) -> Floats:
     """Angles between the exit directions of rays that both traces let pass with the same fate and order."""
     same = (a.fate <= last) & (a.fate == b.fate) & (a.order == b.order).all(axis=1)
-    across = np.cross(a.direction[same], b.direction[same])
-    along = (a.direction[same] * b.direction[same]).sum(axis=1)
-    return np.asarray(np.arctan2(np.sqrt((across * across).sum(axis=1)), along))
+    return angle_between(a.direction[same], b.direction[same])

@@ -9,6 +9,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.exporting.compare_instances import owner
+from clacad.optics.law.angle import angle_between
 from clacad.sheet.window import Face, Window, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check
@@ -79,12 +80,8 @@ def _rms(window: Window, gathered: Gathered, body: int, side: int, cell: int) ->
         *(centre + np.asarray(window.shifts[owner(piece, face)])),
         0.0,
     ]
-    exact = exact_normals(window, face, local)
-    length = np.linalg.norm(normals, axis=2)
-    across = np.linalg.norm(np.cross(exact, normals), axis=2)
-    angle = np.arctan2(across, np.einsum("kcx,kcx->kc", exact, normals))[
-        np.isfinite(exact).all(axis=2) & (length > 0.0)
-    ]
+    angle = angle_between(exact_normals(window, face, local), normals)
+    angle = angle[np.isfinite(angle)]
     return float(np.sqrt(np.mean(angle**2))) if len(angle) else None
 
 
