@@ -74,10 +74,7 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     residual = float(np.linalg.norm(n @ matrix - k * n))
 
     # Principal axes: eigenvectors of the symmetric 2 × 2 block across n.
-    helper = np.eye(3)[np.argmin(np.abs(n))]
-    e1 = np.cross(helper, n)
-    e1 /= np.linalg.norm(e1)
-    across = np.stack([e1, np.cross(n, e1)], axis=1)
+    across = _across(n)
     block = across.T @ matrix @ across / k
     asymmetry = float(abs(block[0, 1] - block[1, 0])) * k
     values, vectors = np.linalg.eigh((block + block.T) / 2)
@@ -94,6 +91,13 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
         return None
     law = LawParameters(numbers[0], numbers[1], numbers[2], numbers[3], phi, theta, psi)
     return Decomposition(canonical(law), residual, asymmetry)
+
+
+def _across(n: Floats) -> Floats:
+    """Two unit vectors across a unit vector n (3,) and each other, as the columns of (3, 2)."""
+    e1 = np.cross(np.eye(3)[np.argmin(np.abs(n))], n)
+    e1 /= np.linalg.norm(e1)
+    return np.stack([e1, np.cross(n, e1)], axis=1)
 
 
 def candidate_axes(matrix: Floats) -> list[Floats]:

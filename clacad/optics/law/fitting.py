@@ -85,36 +85,28 @@ def fit_law(
         Hold φ, θ, ψ of this law and fit η and δ (4 parameters, well conditioned); None fits all seven.
         From a narrow bundle θ and δ act alike, and the covariance says so.
     aperture : float or None, length
-        Carried into the result.
-
-    Returns
-    -------
-    Fit
 
     Raises
     ------
     ValueError
-        If fewer than 2 (axes held) or 4 usable rays are given, shapes differ, or the exit directions do
-        not depend on the incoming ones along an axis (η would be infinite).
+        Fewer than 2 (axes held) or 4 usable rays, shapes that differ, or exit directions that do not depend on
+        the incoming ones along an axis (η would be infinite).
 
     Notes
     -----
-    A linear start (with free axes a direct linear transform: Hartley & Zisserman, Multiple View Geometry,
-    ch. 4), then Gauss–Newton on the directions, in 1/η, δ/η and a small turn of the lens frame, which stay
-    regular where Euler angles do not. Least squares in angle, all rays of weight 1.
+    A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4), then
+    Gauss–Newton in 1/η, δ/η and a small turn of the lens frame, which stay regular where Euler angles do not.
     """
-    a, b = _usable_rays(d_in, d_out, 2 if axes is not None else 4)
-    found = _held_fit(a, b, axes) if axes is not None else _free_fit(a, b)
-    free = NAMES[:4] if axes is not None else NAMES
+    a, b = _usable_rays(d_in, d_out, 4 if axes is None else 2)
+    found, free = (_free_fit(a, b), NAMES) if axes is None else (_held_fit(a, b, axes), NAMES[:4])
     covariance, rank = _covariance(found, a, b, len(free))
-    middle = a.mean(axis=0)
     return Fit(
         law=law(*found),
         rms=float(np.sqrt(np.mean(angle_between(_exit(found, a), b) ** 2))),
         covariance=covariance,
         rank=rank,
         free=free,
-        field=float(angle_between(a, middle).max()),
+        field=float(angle_between(a, a.mean(axis=0)).max()),
         rays=len(a),
         aperture=aperture,
     )

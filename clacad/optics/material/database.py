@@ -69,6 +69,7 @@ def folder() -> Path:
 
 @cache
 def _read(place: Path, parts: tuple[str, ...], name: str) -> Material:
+    """The material of shelf, book and page in the database's folder."""
     where = _catalogue(place).get(parts)
     if where is None:
         raise ValueError(f"unknown page {name!r}; {_nearest(place, parts)}")
