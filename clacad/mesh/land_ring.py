@@ -81,7 +81,7 @@ Segment = tuple[int, Key, Key, tuple[int, int, int, int] | None]
 
 
 @dataclass(frozen=True, eq=False)
-class Land:
+class LandRing:
     """The ring of land of one tiling.
 
     keys : list of Key
@@ -112,7 +112,7 @@ def boundary(lattice: Lattice) -> list[tuple[int, int, int]]:
 
 def make_land(
     window: Window, maker: TemplateMaker, shift: tuple[float, float], centre: tuple[float, float]
-) -> Land:
+) -> LandRing:
     """Triangulate the land between the cells of one tiling and the outline.
 
     Parameters
@@ -162,7 +162,7 @@ def make_land(
     loops = link_loops(directed, position)
     keys = list(dict.fromkeys(key for loop in loops for key in loop))
     number = {key: n for n, key in enumerate(keys)}
-    return Land(keys, position, triangulate_loops(loops, number, position), rim)
+    return LandRing(keys, position, triangulate_loops(loops, number, position), rim)
 
 
 def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:

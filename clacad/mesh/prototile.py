@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside, settle_sides, with_borders
-from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID
-from clacad.mesh.prototile_input import Maker
+from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
 from clacad.sheet.window import Body, Window, optical_tile
@@ -113,7 +112,7 @@ def make_prototile(
     ValueError
         A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge.
     """
-    make = Maker(window, body, cells, tiling, step, gap, bevel)
+    make = CellLevels(window, body, cells, tiling, step, gap, bevel)
     tile, zone = tiling.tile, optical_tile(window)
     plan = pl.grid(window.lattice, tile, zone, quads, _diagonal(make, zone, quads))
     plan, side_t, levels = with_borders(make, plan, quads)
@@ -127,7 +126,7 @@ def make_prototile(
         material = plan.zone & enclosed
     proud = []
     for side in (0, 1):
-        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.names()[side]:
+        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]:
             proud.append(material)
             continue
         plan, lens, positive = cut(make, plan, lens, material, land_curve(make, side), done)
@@ -148,27 +147,27 @@ def make_prototile(
     return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t), lifted)
 
 
-def _again(make: Maker, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:
+def _again(make: CellLevels, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:
     """Tell material and proud triangles anew after triangles were cut further."""
     material = plan.zone.copy()
     if make.cells.columnar:
         material &= side_of(plan.triangles, rim_curve().value(lens)) > 0
     again = []
     for side in range(len(proud)):
-        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.names()[side]:
+        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]:
             again.append(material)
         else:
             again.append(material & (side_of(plan.triangles, land_curve(make, side).value(lens)) > 0))
     return material, again
 
 
-def _parts(make: Maker, material: Bools, proud: list[Bools]) -> NDArray[np.uint8]:
+def _parts(make: CellLevels, material: Bools, proud: list[Bools]) -> NDArray[np.uint8]:
     """What front and back of each triangle are."""
     part = np.full((len(material), 2), VOID, dtype=np.uint8)
     lands = [level not in (NONE, -NONE) for level in make.land]
     for side in (0, 1):
         flat = LENS if make.held[side] else LAND
-        if not make.names()[side]:
+        if not make.meshed()[side]:
             part[:, side] = LENS
             continue
         part[:, side] = np.where(proud[side], LENS, np.where(lands[side], flat, VOID))
@@ -179,7 +178,7 @@ def _parts(make: Maker, material: Bools, proud: list[Bools]) -> NDArray[np.uint8
     return part
 
 
-def _diagonal(make: Maker, zone: Floats, quads: int) -> int:
+def _diagonal(make: CellLevels, zone: Floats, quads: int) -> int:
     """Split squares along the direction in which the surfaces bend less."""
     if make.window.lattice.hexagonal:
         return 1

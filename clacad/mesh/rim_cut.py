@@ -14,8 +14,7 @@ import numpy as np
 from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
-from clacad.mesh.integer_heights import cluster
-from clacad.mesh.prototile_input import Maker, shortest
+from clacad.mesh.integer_heights import CellLevels, cluster, shortest
 from clacad.topology.cannot_build import CannotBuild
 
 _WARP = 0.2  # a cut nearer than this share of an edge to a free point moves the point instead
@@ -46,7 +45,7 @@ def rim_curve() -> Curve:
     return Curve(lambda lens: np.asarray(lens[:, 1] - lens[:, 0]), meet, -1)
 
 
-def land_curve(make: Maker, side: int) -> Curve:
+def land_curve(make: CellLevels, side: int) -> Curve:
     """The lens of one face stands proud of its land on the positive side."""
     land = make.land[side]
     sign = 1 if side else -1
@@ -67,7 +66,7 @@ def side_of(triangles: Ints, value: Ints) -> Ints:
 
 
 def cut(
-    make: Maker, plan: pl.Planar, lens: Ints, region: Bools, curve: Curve, done: list[Curve]
+    make: CellLevels, plan: pl.Planar, lens: Ints, region: Bools, curve: Curve, done: list[Curve]
 ) -> tuple[pl.Planar, Ints, Bools]:
     """Cut triangles of a region along a curve; `done` lists earlier curves and takes this one.
 
@@ -124,7 +123,7 @@ def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
         )
 
 
-def _roots(make: Maker, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
+def _roots(make: CellLevels, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
     """Parameter of the last point from the inside at which the function is not negative.
 
     Where a point's levels were moved onto an earlier curve and its own heights no longer have its sign,
@@ -150,7 +149,7 @@ def _roots(make: Maker, xy: Floats, lens: Ints, inside: Ints, outside: Ints, cur
     return np.asarray(np.clip(t, np.minimum(least, 0.25), 1.0 - np.minimum(least, 0.25)))
 
 
-def _exact(make: Maker, heights: Floats, curve: Curve) -> Floats:
+def _exact(make: CellLevels, heights: Floats, curve: Curve) -> Floats:
     """The cut function on unrounded heights (length): −inf where a surface is missing."""
     scaled = heights / make.step
     # value() is linear in the levels up to its constant: evaluate it on floats of level size
@@ -159,7 +158,7 @@ def _exact(make: Maker, heights: Floats, curve: Curve) -> Floats:
     return np.where(np.isnan(out), -np.inf, out)
 
 
-def _forced(make: Maker, xy: Floats, curve: Curve) -> Ints:
+def _forced(make: CellLevels, xy: Floats, curve: Curve) -> Ints:
     """Levels at points on a curve, where the meeting surfaces agree exactly."""
     heights = make.heights(xy)
     heights = np.where(np.isnan(heights), np.flip(heights, axis=1), heights)
@@ -170,7 +169,7 @@ def _forced(make: Maker, xy: Floats, curve: Curve) -> Ints:
 
 
 def _snap(
-    make: Maker, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
+    make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
 ) -> Ints:
     """Let points that lie on the last curve but for a hair lie on it, so that no hair's breadth is cut off."""
     length = np.hypot(*(plan.xy[outside] - plan.xy[inside]).T)
@@ -204,7 +203,7 @@ def _lonely(plan: pl.Planar, lens: Ints, inside: Ints, t: Floats, curve: Curve) 
 
 
 def _warp(
-    make: Maker, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curve: Curve
+    make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curve: Curve
 ) -> tuple[pl.Planar, Ints]:
     """Move free points that lie close to the curve onto it, so that no sliver is cut there."""
     point = np.concatenate([inside, outside])

@@ -9,7 +9,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.solid.face_pattern import Kind
-from clacad.solid.rational_conics import Arc, Patch, line, ruled_wall
+from clacad.solid.rational_conics import Arc, RationalPatch, line, ruled_wall
 from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import TOLERANCE, Column, SegmentShape, WallShape
 
@@ -23,7 +23,7 @@ class Plane:
     across: Floats
 
 
-Surface = Patch | Plane
+Surface = RationalPatch | Plane
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -39,7 +39,7 @@ DEPTH = 7
 """Halvings of an arc whose highest degree misses the tolerance."""
 
 SLACK = 1e-7
-"""Largest error (mm) of a fitted rim that is stated rather than refused: what kernels take for one point."""
+"""Largest error (mm) of a fitted rim that is stated rather than refused: what CAD programs take for one point."""
 
 _NEWTON = 12
 _NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(41) / 40)

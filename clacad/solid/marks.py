@@ -268,7 +268,7 @@ def _looks_down(face: Any, level: float) -> bool:
 
 
 def _check(part: Any, letters: Any, made: Any) -> None:
-    # The kernel integrates plane faces bounded by letters to some per cent of the letters.
+    # OCCT integrates plane faces bounded by letters to some per cent of the letters.
     apart = abs(part.volume - letters.volume - made.volume) / letters.volume
     if not made.is_valid or apart > 0.1:
         raise RuntimeError(f"the engraved body is not valid, or {apart:.2g} of the letters off in volume")

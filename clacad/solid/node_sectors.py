@@ -17,7 +17,7 @@ from clacad.base.types import Floats
 from clacad.sheet.lattice import Lattice, NodeCells, Step, node_cells
 from clacad.solid.outline_path import Path
 from clacad.solid.repeated_cell import Cell
-from clacad.solid.shells import Node, Shells
+from clacad.solid.shells import NodeVertices, Shells
 from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import Column, column_of_side
 
@@ -61,13 +61,13 @@ class Touch:
 
     Attributes
     ----------
-    node : Node
+    node : NodeVertices
     position : (side, parameter) on the path
     out, back : rays along the outline, forwards and backwards
     leaving, arriving : sectors inside the outline next to those rays
     """
 
-    node: Node
+    node: NodeVertices
     position: tuple[int, float]
     out: int
     back: int
@@ -79,7 +79,7 @@ class Touch:
 class Corner:
     """A node seen from one of its cells."""
 
-    node: Node
+    node: NodeVertices
     sectors: Sectors
     cell: int
 
@@ -139,7 +139,7 @@ class Nodes:
         self._shells, self._cell, self._rings = shells, cell, rings(lattice)
         self._centre, self._state, self._outside, self._path = centre, state, outside, path
         self._levels: dict[tuple[int, tuple[State, ...]], Levels] = {}
-        self._made: dict[tuple[int, int, int], tuple[Node, Sectors]] = {}
+        self._made: dict[tuple[int, int, int], tuple[NodeVertices, Sectors]] = {}
 
     def at(self, index: Step, corner: int) -> Corner:
         """The node at a corner of the cell with an index (kept or not)."""
@@ -151,7 +151,7 @@ class Nodes:
         node, sectors = self._made[key]
         return Corner(node, sectors, ring.sector)
 
-    def _make(self, anchor: Step, ring: CornerRing) -> tuple[Node, Sectors]:
+    def _make(self, anchor: Step, ring: CornerRing) -> tuple[NodeVertices, Sectors]:
         states = tuple(self._state((anchor[0] + a, anchor[1] + b)) for (a, b), _ in ring.cells)
         corners = tuple(corner for _, corner in ring.cells)
         place = self._centre(anchor) + self._cell.tile[corners[0]]
@@ -168,7 +168,7 @@ class Nodes:
         return self._shells.node(origin, self._levels[key]), sectors
 
     def _touch(self, origin: Floats, position: tuple[int, float], states: tuple[State, ...],
-               corners: tuple[int, ...]) -> tuple[Node, Sectors]:  # fmt: skip
+               corners: tuple[int, ...]) -> tuple[NodeVertices, Sectors]:  # fmt: skip
         assert self._path is not None
         sectors = self._cut(states, corners, self._path.rays(*position))
         node = self._shells.node(origin, self._levels_round(sectors))

@@ -21,7 +21,7 @@ from clacad.solid.repeated_cell import Cell, CellFace
 from clacad.topology.walls import Curve, solid_strips
 
 TOLERANCE = 1e-7
-"""Length below which exchange kernels call two points one (mm)."""
+"""Length below which CAD programs call two points one (mm)."""
 
 NOISE = 1e-13
 """Rounding of heights of some tens of millimetres (mm)."""
@@ -32,7 +32,7 @@ RULED_BELOW = 0.032
 FLATTEST = 2e-3
 """Slope at which an arc must leave a straight edge for the wall between them to be plane, however narrow it ends.
 
-Kernels find where a line meets an arc by roots, not by polygons, so no nearness deceives them; only the stretch in
+CAD programs find where a line meets an arc by roots, not by polygons, so no nearness deceives them; only the stretch in
 which the two are closer than 1e-10 must be shorter than a vertex's tolerance of 1e-7, which takes a slope of 1e-3.
 """
 

@@ -16,10 +16,9 @@ from clacad.exporting.export_design import export
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.mesh import tessellate
 from clacad.sheet.feasibility import body_facts
-from clacad.solid.describe_body import layers
+from clacad.solid.describe_body import describe_body, layers
 from clacad.solid.fitted_rims import Gap, fitted_rim
-from clacad.solid.occ_writer import KernelWriter, is_valid, volume
-from clacad.solid.solids import describe_body
+from clacad.solid.occ_writer import OccWriter, is_valid, volume
 from clacad.topology.cannot_build import CannotBuild
 
 BASE = {
@@ -47,7 +46,7 @@ def window(**changes):
 
 
 def built(sheet, body):
-    writer = KernelWriter()
+    writer = OccWriter()
     shells = describe_body(sheet, body, writer)
     return [writer.solid(faces) for faces in shells.pieces()], shells.counts
 

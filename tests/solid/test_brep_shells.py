@@ -15,8 +15,8 @@ import clacad
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.window import column
-from clacad.solid.occ_writer import KernelWriter, is_valid, volume
-from clacad.solid.solids import describe_body
+from clacad.solid.describe_body import describe_body
+from clacad.solid.occ_writer import OccWriter, is_valid, volume
 from clacad.topology.build_complex import cell_complex
 from clacad.topology.cannot_build import CannotBuild
 
@@ -24,7 +24,7 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 
 
 def built(window, body):
-    writer = KernelWriter()
+    writer = OccWriter()
     shells = describe_body(window, body, writer)
     return [writer.solid(faces) for faces in shells.pieces()], shells.counts
 
@@ -103,7 +103,7 @@ def test_rims_and_lands_lie_where_the_columns_of_the_sheet_have_them(name):
 def test_a_web_too_thin_for_the_rim_of_its_tilted_lens_is_refused_with_the_thickness_that_holds_it():
     thin = biconvex(count=(1, 1), thickness=0.02, web=0.002, euler=(0.0, 5.0, 0.0))
     with pytest.raises(ValueError, match=r"a web of at least ([0-9.]+) mm") as found:
-        describe_body(thin, thin.bodies[0], KernelWriter())
+        describe_body(thin, thin.bodies[0], OccWriter())
     needed = float(str(found.value).split("at least ")[1].split(" mm")[0])
     enough = biconvex(count=(1, 1), thickness=0.02, web=needed * 1.001, euler=(0.0, 5.0, 0.0))
     solids, _ = built(enough, enough.bodies[0])

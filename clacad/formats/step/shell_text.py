@@ -14,7 +14,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.formats.step.part21 import Part21, quoted, real, weight
 from clacad.solid.edge_classes import Plane, Surface
-from clacad.solid.rational_conics import Arc, Patch
+from clacad.solid.rational_conics import Arc, RationalPatch
 from clacad.solid.shells import Loop, Role
 
 _KEPT = 200_000
@@ -215,7 +215,7 @@ class TextWriter:
         place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{normal},#{across})")
         return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
 
-    def _patch(self, patch: Patch, offset: Floats) -> int:
+    def _patch(self, patch: RationalPatch, offset: Floats) -> int:
         part = self.part
         m, n = patch.weights.shape
         found = self._kept.get(id(patch))
