@@ -37,6 +37,7 @@ def facet_errors(tile: Prototile, body: Body) -> tuple[float, float]:
 
 
 def _face_errors(tile: Prototile, face: Face, side: int, chosen: NDArray[np.bool_]) -> tuple[float, float]:
+    """Rms angle (radians) and largest distance (length) of the chosen facets of one face from its surface."""
     triangles = tile.plan.triangles[chosen]
     corner = np.concatenate(
         [tile.plan.xy[triangles], (tile.lens[triangles, side] * tile.step)[..., None]], axis=2

@@ -113,26 +113,11 @@ def make_prototile(
         A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge.
     """
     make = CellLevels(window, body, cells, tiling, step, gap, bevel)
-    tile, zone = tiling.tile, optical_tile(window)
-    plan = pl.grid(window.lattice, tile, zone, quads, _diagonal(make, zone, quads))
+    zone = optical_tile(window)
+    plan = pl.grid(window.lattice, tiling.tile, zone, quads, _diagonal(make, zone, quads))
     plan, side_t, levels = with_borders(make, plan, quads)
-    lens = make.levels(make.heights(plan.xy))
-    lens = settle_inside(make, lens)
-    lens = settle_sides(plan, lens, levels)
-    material = plan.zone.copy()
-    done: list[Curve] = []
-    if make.cells.columnar:
-        plan, lens, enclosed = cut(make, plan, lens, plan.zone, rim_curve(), done)
-        material = plan.zone & enclosed
-    proud = []
-    for side in (0, 1):
-        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]:
-            proud.append(material)
-            continue
-        plan, lens, positive = cut(make, plan, lens, material, land_curve(make, side), done)
-        material, proud = _again(make, plan, lens, proud)
-        proud.append(material & positive)
-    part = _parts(make, material, proud)
+    lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), levels)
+    plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
         raise ValueError(
             f"quads = {quads}: no point of the grid meets the lenslet of body {body.name!r}, whose rim lies well "
@@ -147,6 +132,29 @@ def make_prototile(
     return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t), lifted)
 
 
+def _with_rims(make: CellLevels, plan: pl.Planar, lens: Ints) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:
+    """Cut a cell along its rims: (plan, lens, part) as in `Prototile`."""
+    material = plan.zone.copy()
+    done: list[Curve] = []
+    if make.cells.columnar:
+        plan, lens, enclosed = cut(make, plan, lens, plan.zone, rim_curve(), done)
+        material = plan.zone & enclosed
+    proud: list[Bools] = []
+    for side in (0, 1):
+        if _without_rim(make, side):
+            proud.append(material)
+            continue
+        plan, lens, positive = cut(make, plan, lens, material, land_curve(make, side), done)
+        material, proud = _again(make, plan, lens, proud)
+        proud.append(material & positive)
+    return plan, lens, _parts(make, material, proud)
+
+
+def _without_rim(make: CellLevels, side: int) -> bool:
+    """Whether a face does not end on land of its own: it is a plane, has no land, or is meshed apart."""
+    return make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]
+
+
 def _again(make: CellLevels, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:
     """Tell material and proud triangles anew after triangles were cut further."""
     material = plan.zone.copy()
@@ -154,7 +162,7 @@ def _again(make: CellLevels, plan: pl.Planar, lens: Ints, proud: list[Bools]) ->
         material &= side_of(plan.triangles, rim_curve().value(lens)) > 0
     again = []
     for side in range(len(proud)):
-        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]:
+        if _without_rim(make, side):
             again.append(material)
         else:
             again.append(material & (side_of(plan.triangles, land_curve(make, side).value(lens)) > 0))

@@ -95,20 +95,30 @@ def cut(
         if stage == "snap":
             lens = _snap(make, plan, lens, inside, outside, t, [*done, curve])
             continue
-        xy = plan.xy[inside] + t[:, None] * (plan.xy[outside] - plan.xy[inside])
-        new = _forced(make, xy, curve)
-        for earlier in done:  # an edge that lies on an earlier curve stays on it
-            on = (earlier.value(lens)[inside] == 0) & (earlier.value(lens)[outside] == 0)
-            new[on] = earlier.meet(new[on], curve.face)
         middle = np.full(len(edges), -1)
         middle[crossed] = len(plan.xy) + np.arange(len(t))
-        every = np.concatenate([plan.xy, xy])
-        triangles, zone = pl.split(plan.triangles, plan.zone, every, number, middle)
-        fixed = np.concatenate([plan.fixed, np.ones(len(t), dtype=bool)])
-        plan = replace(plan, xy=every, triangles=triangles, zone=zone, fixed=fixed)
-        lens = np.concatenate([lens, new])
+        plan, lens = _split(make, plan, lens, (inside, outside, t), (number, middle), [*done, curve])
     done.append(curve)
     return plan, lens, side_of(plan.triangles, curve.value(lens)) > 0
+
+
+def _split(make: CellLevels, plan: pl.Planar, lens: Ints, roots: tuple[Ints, Ints, Floats], edges: tuple[Ints, Ints],
+           curves: list[Curve]) -> tuple[pl.Planar, Ints]:  # fmt: skip
+    """Put a point on every crossed edge, at (inside, outside, share), and split its triangles there.
+
+    `edges`: the triangles' edge numbers, and the new point on each edge or −1; the last curve is the one cut along.
+    """
+    inside, outside, t = roots
+    curve = curves[-1]
+    xy = plan.xy[inside] + t[:, None] * (plan.xy[outside] - plan.xy[inside])
+    new = _forced(make, xy, curve)
+    for earlier in curves[:-1]:  # an edge that lies on an earlier curve stays on it
+        on = (earlier.value(lens)[inside] == 0) & (earlier.value(lens)[outside] == 0)
+        new[on] = earlier.meet(new[on], curve.face)
+    every = np.concatenate([plan.xy, xy])
+    triangles, zone = pl.split(plan.triangles, plan.zone, every, *edges)
+    fixed = np.concatenate([plan.fixed, np.ones(len(t), dtype=bool)])
+    return replace(plan, xy=every, triangles=triangles, zone=zone, fixed=fixed), np.concatenate([lens, new])
 
 
 def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:

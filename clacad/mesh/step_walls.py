@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 
-from clacad.topology.walls import Curve, runs_round, solid_strips
+from clacad.topology.walls import BorderCurve, runs_round, solid_strips
 
 Column = tuple[int, int] | None  # front and back level; None: no material
 Vertex = tuple[int, int]  # point of the footprint, level
@@ -74,7 +74,10 @@ def strip(
     for which, (at_p, at_q) in enumerate((left, right)):
         # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
         if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
-            lines += [(at_p[0], at_q[0], Curve(which, True)), (at_p[1], at_q[1], Curve(which, False))]
+            lines += [
+                (at_p[0], at_q[0], BorderCurve(which, True)),
+                (at_p[1], at_q[1], BorderCurve(which, False)),
+            ]
     lines.sort(key=lambda line: (line[0] + line[1], not line[2].opens))
     triangles: list[tuple[Vertex, Vertex, Vertex]] = []
     for below, above, solid in zip(lines[:-1], lines[1:], solid_strips([line[2]] for line in lines)):
@@ -85,12 +88,13 @@ def strip(
                 f"two heights cross inside the edge {p}–{q} of the footprint: a crossing was missed"
             )
         tag = tags[0] if solid[0] else tags[1]
-        chains = [
+        first, second = (
             [(point, z) for z in (ring.chain(low, high, tag) if low < high else [low])]
             for point, ring, low, high in zip((p, q), rings, below[:2], above[:2])
-        ]
-        # seen from the right hand of p → q, p lies on the left: outward of the left column
-        faces = zipper(chains[0], chains[1])
+        )
+        faces = zipper(
+            first, second
+        )  # seen from the right hand of p → q, p on the left: outward of the left column
         triangles += faces if solid[0] else [(a, c, b) for a, b, c in faces]
     return triangles
 

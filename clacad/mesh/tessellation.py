@@ -48,8 +48,8 @@ def tessellate(
     Raises
     ------
     ValueError
-        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
-        surface ends inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
+        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's surface ends
+        inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
@@ -58,9 +58,8 @@ def tessellate(
         quads = forecast_quads(window, slope_error)
     if quads < 1:
         raise ValueError(f"quads = {quads}: at least 1 is needed")
-    return Mesh(
-        window, tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies), quads
-    )
+    bodies = tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies)
+    return Mesh(window, bodies, quads)
 
 
 def mesh_body(

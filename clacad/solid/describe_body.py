@@ -55,6 +55,7 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
 
 
 def _outside(window: Window, cell: Cell) -> Column | None:
+    """The land between the cells and the outline as a column; None without an outline."""
     if window.outline is None:
         return None
     faces, runs = [], []

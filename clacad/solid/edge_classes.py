@@ -131,6 +131,7 @@ def segment_class(shape: SegmentShape, columns: Sequence[Column | None], start: 
 def _edge(
     shape: SegmentShape, i: int, n: int, first: Post, last: Post, columns: Sequence[Column | None]
 ) -> EdgeClass:
+    """Curve n of piece i of a segment as an edge between vertices of its two posts."""
     curve = shape.pieces[i].curves[n]
     lead = curve.strands[0]
     levels = tuple(_place(post, lead.column, lead.face) for post in (first, last))

@@ -221,8 +221,7 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     ValueError
         The surface ends inside the rectangle, or the highest degree does not reach the tolerance.
     """
-    low, high = zone.min(axis=0), zone.max(axis=0)
-    fine = np.linspace(0.0, 1.0, 41)
+    low, high, fine = zone.min(axis=0), zone.max(axis=0), np.linspace(0.0, 1.0, 41)
     true = _heights(face, low, high, fine)
     best: FittedLens | None = None
     for degree in range(4, HIGHEST_DEGREE + 1):
@@ -237,13 +236,14 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
         if error <= tolerance:
             return best
     assert best is not None
-    if best.error <= LOOSEST * tolerance:
-        return best
-    raise CannotBuild(
-        "CL133",
-        f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {best.error:.2g} mm "
-        f"(allowed {LOOSEST * tolerance:.2g} mm); reduce its curvature or conic constant",
-    )
+    allowed = LOOSEST * tolerance
+    if best.error > allowed:
+        raise CannotBuild(
+            "CL133",
+            f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {best.error:.2g} mm "
+            f"(allowed {allowed:.2g} mm); reduce its curvature or conic constant",
+        )
+    return best
 
 
 def _heights(face: Face, low: Floats, high: Floats, t: Floats) -> Floats:

@@ -121,6 +121,7 @@ class _FaceOutline:
         self.spans = [self._span(tiling, n) for n in range(len(self.stops))]
 
     def _span(self, tiling: Columns, n: int) -> _Span:
+        """The stretch from stop n to the next: a cell's own border that touches there, or a new edge of the land."""
         stop, after = self.stops[n], self.stops[(n + 1) % len(self.stops)]
         side, u0 = stop.place
         u1 = after.place[1] if after.place[0] == side and after.place[1] > u0 else 1.0

@@ -161,26 +161,7 @@ class Shells:
                 pieces.setdefault(self.root(owner), []).extend(self.faces[owner])
         if self._edges is None:
             return list(pieces.values())
-        return [part for faces in pieces.values() for part in self._by_edges(faces)]
-
-    def _by_edges(self, faces: list[int]) -> list[list[int]]:
-        """Split faces into those that hang together by edges (land in several strips has one owner)."""
-        assert self._edges is not None
-        label = {face: face for face in faces}
-
-        def root(face: int) -> int:
-            while label[face] != face:
-                face = label[face]
-            return face
-
-        first: dict[int, int] = {}
-        for face in faces:
-            for edge in self._edges[face]:
-                label[root(first.setdefault(edge, face))] = root(face)
-        parts: dict[int, list[int]] = {}
-        for face in faces:
-            parts.setdefault(root(face), []).append(face)
-        return list(parts.values())
+        return [part for faces in pieces.values() for part in _parts_by_edges(faces, self._edges)]
 
     # -- small things -----------------------------------------------------------------------------
 
@@ -262,6 +243,7 @@ class Shells:
         return made
 
     def _wall(self, made: Segment, i: int, number: int, offset: Floats) -> None:
+        """Make the face of one wall of piece i of a segment: low edge, far side up, high edge back, near side down."""
         piece = made.kind.pieces[i]
         wall = piece.walls[number]
         ruled = isinstance(wall.surface, RationalPatch)
@@ -293,6 +275,25 @@ class Shells:
             for n in range(end.high - end.low)
         ]
         return side if upwards else side[::-1]
+
+
+def _parts_by_edges(faces: list[int], edges: dict[int, list[int]]) -> list[list[int]]:
+    """Split faces into those that hang together by edges (land in several strips has one owner); `edges` of each."""
+    label = {face: face for face in faces}
+
+    def root(face: int) -> int:
+        while label[face] != face:
+            face = label[face]
+        return face
+
+    first: dict[int, int] = {}
+    for face in faces:
+        for edge in edges[face]:
+            label[root(first.setdefault(edge, face))] = root(face)
+    parts: dict[int, list[int]] = {}
+    for face in faces:
+        parts.setdefault(root(face), []).append(face)
+    return list(parts.values())
 
 
 V_LOW = line(np.array([0.0, 0.0]), np.array([1.0, 0.0]))

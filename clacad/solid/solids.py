@@ -35,10 +35,6 @@ def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = 
     ValueError
         A body cannot be built as a solid.
     """
-    from build123d import Color, Compound, Solid
-    from OCP.BRep import BRep_Builder
-    from OCP.TopoDS import TopoDS_Compound
-
     from clacad.solid.occ_writer import OccWriter, without_garbage_collection
 
     if cells is not None:
@@ -49,15 +45,24 @@ def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = 
             writer = OccWriter()
             shells = describe_body(window, body, writer, merge)
             pieces = [writer.solid(faces) for faces in shells.pieces()]
-        if len(pieces) == 1:
-            part: Any = Solid(pieces[0])
-        else:
-            builder, compound = BRep_Builder(), TopoDS_Compound()
-            builder.MakeCompound(compound)
-            for piece in pieces:
-                builder.Add(compound, piece)
-            part = Compound(compound)
-        part.label = body.name
-        part.color = Color(*COLOURS.get(body.name, COLOURS["array1"]))
-        made.append(part)
+        made.append(_part(pieces, body.name))
     return made
+
+
+def _part(pieces: list[Any], name: str) -> Any:
+    """One build123d object of the solids of a body, labelled and coloured."""
+    from build123d import Color, Compound, Solid
+    from OCP.BRep import BRep_Builder
+    from OCP.TopoDS import TopoDS_Compound
+
+    if len(pieces) == 1:
+        part: Any = Solid(pieces[0])
+    else:
+        builder, compound = BRep_Builder(), TopoDS_Compound()
+        builder.MakeCompound(compound)
+        for piece in pieces:
+            builder.Add(compound, piece)
+        part = Compound(compound)
+    part.label = name
+    part.color = Color(*COLOURS.get(name, COLOURS["array1"]))
+    return part

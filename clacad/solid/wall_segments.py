@@ -18,7 +18,7 @@ from clacad.base.types import Floats
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.rational_conics import Arc
 from clacad.solid.repeated_cell import Cell, CellFace
-from clacad.topology.walls import Curve, solid_strips
+from clacad.topology.walls import BorderCurve, solid_strips
 
 TOLERANCE = 1e-7
 """Length below which CAD programs call two points one (mm)."""
@@ -195,8 +195,7 @@ def segment_shape(
     points = a + t[:, None] * (b - a)
     points[-1] = b
     heights = tuple(_heights_at(columns, points[i], stops, i) for i in range(len(stops)))
-    middles = 0.5 * (t[:-1] + t[1:])
-    runs = tuple(_runs(column, middles) for column in columns)
+    runs = tuple(_runs(column, 0.5 * (t[:-1] + t[1:])) for column in columns)
     return SegmentShape(t, points, heights, pieces, runs, len(stops) - before)
 
 
@@ -244,6 +243,7 @@ def _crossings(a: Floats, b: Floats, columns: Sequence[Column | None], low: floa
 
 def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
            ) -> PieceShape:  # fmt: skip
+    """What stands between the stations at parameters low and high."""
     start, end = a + low * (b - a), (b if high == 1.0 else a + high * (b - a))
     xy = start + _T[:, None] * (end - start)
     middle = 0.5 * (low + high)
@@ -289,7 +289,7 @@ def _solid_strips(
     """
     there = [c is not None and "none" not in (c.kind(0, t), c.kind(1, t)) for c in columns]
     fronts = {s.column for group in groups for s in group if s.face == 0}
-    curves = [[Curve(s.column, s.face == 0) for s in group if there[s.column]] for group in groups]
+    curves = [[BorderCurve(s.column, s.face == 0) for s in group if there[s.column]] for group in groups]
     return solid_strips(curves, (there[0] and 0 not in fronts, there[1] and 1 not in fronts))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 
 
-class Curve(NamedTuple):
+class BorderCurve(NamedTuple):
     """The face of a column over a border: `column` 0 is left, 1 right; `opens`: material begins above it (a front)."""
 
     column: int
@@ -21,7 +21,7 @@ class Curve(NamedTuple):
 
 
 def solid_strips(
-    curves: Iterable[Sequence[Curve]], below: tuple[bool, bool] = (False, False)
+    curves: Iterable[Sequence[BorderCurve]], below: tuple[bool, bool] = (False, False)
 ) -> list[tuple[bool, bool]]:
     """Whether the left and the right column are solid in each strip between consecutive curves over a border.
 

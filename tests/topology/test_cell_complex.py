@@ -21,7 +21,7 @@ from clacad.solid.wall_segments import column_of_side
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.nodes import cluster
 from clacad.topology.rims import trace_zero
-from clacad.topology.walls import Curve, runs_round, solid_strips
+from clacad.topology.walls import BorderCurve, runs_round, solid_strips
 
 # -- roots -----------------------------------------------------------------------------------------
 
@@ -212,7 +212,7 @@ LEVELS = st.tuples(st.integers(0, 6), st.integers(0, 6)).map(sorted)
 def test_a_strip_between_two_curves_is_solid_where_its_middle_lies_in_the_column(left, right):
     heights = sorted({*left, *right})
     curves = [
-        [Curve(c, z == column[0]) for c, column in enumerate((left, right)) if z in column and column[0] < column[1]]
+        [BorderCurve(c, z == column[0]) for c, column in enumerate((left, right)) if z in column and column[0] < column[1]]
         for z in heights
     ]  # fmt: skip
     middles = [0.5 * (a + b) for a, b in zip(heights[:-1], heights[1:])]
