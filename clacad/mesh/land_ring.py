@@ -117,18 +117,15 @@ def make_land(
 
     Parameters
     ----------
-    window : Window
-    maker : TemplateMaker
-        Of the tiling: gives the points of the cells' sides.
-    shift : (2,) lengths
-        Displacement of the tiling's cells.
-    centre : (2,) lengths
-        Centre of the outline.
+    window, maker
+        The maker of the tiling's templates gives the points of the cells' sides.
+    shift, centre : (2,) lengths
+        Displacement of the tiling's cells; centre of the outline.
 
     Raises
     ------
-    ValueError
-        A cell reaches beyond the outline.
+    CannotBuild
+        CL136: a cell reaches beyond the outline.
     """
     polygon = outline_polygon(window) + np.array(centre)
     scale = float(np.abs(polygon).max())
@@ -138,9 +135,7 @@ def make_land(
     for i, j, k in boundary(window.lattice):
         keys = _side_keys(maker, i, j, k)
         for key in (key for key in keys if key not in position):
-            c = window.lattice.centres(np.array([key[:2]]))[0]
-            x, y = maker.tile.plan.xy[key[2]]
-            position[key] = (float(c[0] + shift[0] + x), float(c[1] + shift[1] + y))
+            position[key] = _place(window, maker, shift, key)
         ends = np.array([position[keys[0]], position[keys[-1]]])
         if len(_on_side(polygon, ends, scale)):
             for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
@@ -154,6 +149,13 @@ def make_land(
     keys = list(dict.fromkeys(key for loop in loops for key in loop))
     number = {key: n for n, key in enumerate(keys)}
     return LandRing(keys, position, triangulate_loops(loops, number, position), rim)
+
+
+def _place(window: Window, maker: TemplateMaker, shift: tuple[float, float], key: Key) -> tuple[float, float]:
+    """Where a point lies, in the frame of its owner: x, y on the sheet (lengths)."""
+    c = window.lattice.centres(np.array([key[:2]]))[0]
+    x, y = maker.tile.plan.xy[key[2]]
+    return float(c[0] + shift[0] + x), float(c[1] + shift[1] + y)
 
 
 def _side_keys(maker: TemplateMaker, i: int, j: int, k: int) -> list[Key]:

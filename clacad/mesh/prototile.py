@@ -17,8 +17,7 @@ from clacad.mesh.border_samples import settle_inside, settle_sides, with_borders
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
-from clacad.sheet.window import Body, Window, optical_tile
-from clacad.topology.complex_parts import CellComplex, Tiling
+from clacad.sheet.window import optical_tile
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,38 +88,24 @@ class Prototile:
         )
 
 
-def make_prototile(
-    window: Window, body: Body, cells: CellComplex, tiling: Tiling, quads: int, step: float, gap: int,
-    bevel: float = 0.0,
-) -> Prototile:  # fmt: skip
-    """Mesh one cell of a body's tiling.
-
-    Parameters
-    ----------
-    window, body, cells, tiling
-    quads : int
-        Grid steps along each side of the cell's optical zone.
-    step : length
-        Height of one level.
-    gap : int
-        Merge height in steps.
-    bevel : length
-        Width of the bevels at saddles; 0: none.
+def make_prototile(make: CellLevels, quads: int) -> Prototile:
+    """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone.
 
     Raises
     ------
     ValueError
-        A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge.
+        A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge; or no point of the
+        grid meets the lenslet.
     """
-    make = CellLevels(window, body, cells, tiling, step, gap, bevel)
+    window = make.window
     zone = optical_tile(window)
-    plan = pl.grid(window.lattice, tiling.tile, zone, quads, _diagonal(make, zone, quads))
+    plan = pl.grid(window.lattice, make.tiling.tile, zone, quads, _diagonal(make, zone, quads))
     plan, side_t, levels = with_borders(make, plan, quads)
     lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), levels)
     plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
         raise ValueError(
-            f"quads = {quads}: no point of the grid meets the lenslet of body {body.name!r}, whose rim lies well "
+            f"quads = {quads}: no point of the grid meets the lenslet of body {make.body.name!r}, whose rim lies well "
             "inside its cell; more quads would find it"
         )
     whole = not (part == VOID).any()
@@ -129,7 +114,7 @@ def make_prototile(
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
-    return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t), lifted)
+    return Prototile(plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted)
 
 
 def _with_rims(make: CellLevels, plan: pl.Planar, lens: Ints) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:

@@ -70,15 +70,7 @@ def strip(
     -------
     list of triangles of vertices (point, level), outward.
     """
-    lines = []  # level at p, level at q, which column's front or back
-    for which, (at_p, at_q) in enumerate((left, right)):
-        # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
-        if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
-            lines += [
-                (at_p[0], at_q[0], BorderCurve(which, True)),
-                (at_p[1], at_q[1], BorderCurve(which, False)),
-            ]
-    lines.sort(key=lambda line: (line[0] + line[1], not line[2].opens))
+    lines = _lines(left, right)
     triangles: list[tuple[Vertex, Vertex, Vertex]] = []
     for below, above, solid in zip(lines[:-1], lines[1:], solid_strips([line[2]] for line in lines)):
         if solid[0] == solid[1] or below[:2] == above[:2]:
@@ -97,6 +89,16 @@ def strip(
         )  # seen from the right hand of p → q, p on the left: outward of the left column
         triangles += faces if solid[0] else [(a, c, b) for a, b, c in faces]
     return triangles
+
+
+def _lines(left: tuple[Column, Column], right: tuple[Column, Column]) -> list[tuple[int, int, BorderCurve]]:
+    """Fronts and backs of both columns upwards: level at p, level at q, whose front or back."""
+    lines = []
+    for which, (at_p, at_q) in enumerate((left, right)):
+        # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
+        if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
+            lines += [(at_p[face], at_q[face], BorderCurve(which, face == 0)) for face in (0, 1)]
+    return sorted(lines, key=lambda line: (line[0] + line[1], not line[2].opens))
 
 
 def zipper(first: list[Vertex], second: list[Vertex]) -> list[tuple[Vertex, Vertex, Vertex]]:

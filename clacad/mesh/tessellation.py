@@ -8,7 +8,7 @@ from math import ceil
 from clacad.mesh.body_mesh import BodyMesh, Mesh, Tiled, no_plain
 from clacad.mesh.cell_template import TemplateMaker
 from clacad.mesh.facet_error import facet_errors
-from clacad.mesh.integer_heights import NONE, merge_steps, z_step
+from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
 from clacad.mesh.prototile import Prototile, make_prototile
 from clacad.sheet.window import Body, Window
@@ -108,9 +108,10 @@ class _Parts:
 
     def tile(self, tiling: int, quads: int) -> Prototile:
         """The prototile of one tiling."""
-        return make_prototile(
-            self.window, self.body, self.cells, self.cells.tilings[tiling], quads, self.step, self.gap, self.bevel
-        )  # fmt: skip
+        make = CellLevels(
+            self.window, self.body, self.cells, self.cells.tilings[tiling], self.step, self.gap, self.bevel
+        )
+        return make_prototile(make, quads)
 
 
 def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:

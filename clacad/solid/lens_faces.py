@@ -213,8 +213,7 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     zone : (m, 2), mm
         Corners of the optical zone.
     tolerance : float, mm
-        The degree rises until the error measured on a 41 × 41 grid is below it; the best within `LOOSEST` times of it
-        serves where none is.
+        The degree rises until the error on a 41 × 41 grid is below it; else the best within `LOOSEST` times serves.
 
     Raises
     ------

@@ -27,7 +27,6 @@ class ColumnLine:
     front: HeightProfile
     back: HeightProfile
     zone: bool
-    window: Window
 
     def heights(self, t: Floats) -> tuple[Floats, Floats]:
         """Front and back height (n,) at t; NaN where void."""
@@ -71,12 +70,10 @@ class ColumnLine:
         return found
 
 
-def column_line(
-    window: Window, body: Body, start: Sequence[float], end: Sequence[float], zone: bool
-) -> ColumnLine:
+def column_line(body: Body, start: Sequence[float], end: Sequence[float], zone: bool) -> ColumnLine:
     """Give a body's column over the straight line start → end of the cell frame (lengths)."""
     a, b = (float(start[0]), float(start[1])), (float(end[0]), float(end[1]))
-    return ColumnLine(HeightProfile(body.front, a, b), HeightProfile(body.back, a, b), zone, window)
+    return ColumnLine(HeightProfile(body.front, a, b), HeightProfile(body.back, a, b), zone)
 
 
 def make_border(
@@ -102,8 +99,8 @@ def make_border(
     # the same border in the right cell's frame, met in the same direction
     c, d = tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m]
     zone = window.land.seam == 0.0
-    left = column_line(window, body, a, b, zone)
-    right = column_line(window, body, c, d, zone)
+    left = column_line(body, a, b, zone)
+    right = column_line(body, c, d, zone)
     length = float(np.hypot(*(b - a)))
     if columnar:
         sides: tuple[Side, ...] = SIDES

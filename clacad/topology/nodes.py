@@ -21,7 +21,7 @@ def make_nodes(window: Window, body: Body, faces: tuple[Side, ...], merge: float
         heights = np.full((2, len(cells)), np.nan)
         for n, (_, corner) in enumerate(cells):
             x, y = tile[corner]
-            line = column_line(window, body, (x, y), (x, y), zone)
+            line = column_line(body, (x, y), (x, y), zone)
             front, back = line.heights(np.zeros(1))
             heights[:, n] = front[0], back[0]
         joined = bool(np.isfinite(heights).all() and heights[1].min() > heights[0].max())
