@@ -78,7 +78,7 @@ def _pointing(angle: float | None) -> Floats:
 
 
 def analysed(setting: Setting, direction: Floats) -> list[Floats]:
-    """Field vectors across the rays that the camera takes: one with an analyser, else two."""
+    """Field vectors (n, 3) across the rays that the camera takes: one with an analyser, else two."""
     if setting.analyser is not None:
         return [across(direction, setting.analyser)]
     first = across(direction, 0.0)
@@ -93,7 +93,7 @@ def across(direction: Floats, angle: float) -> Floats:
 
 
 def passed(setting: Setting, fields: list[Floats], direction: Floats) -> Floats:
-    """Share of the scene's unpolarised light that reaches the camera with these field vectors."""
+    """Share (n,) of the scene's unpolarised light that reaches the camera with these field vectors."""
     total = np.zeros(len(direction))
     for field in fields:
         if setting.polariser is None:

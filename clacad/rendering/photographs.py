@@ -15,7 +15,7 @@ LARGEST_PICTURE = 1 << 28
 
 
 def decode(pixels: NDArray[Any]) -> Floats:
-    """Linear light of sRGB-encoded bytes."""
+    """Linear light, 0 … 1, of sRGB-encoded bytes of any shape (…)."""
     table = np.arange(256) / 255.0
     table = np.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4)
     return np.asarray(table[pixels])

@@ -221,7 +221,7 @@ def common_line(rays: Rays) -> float | Literal[False] | None:
 
 
 def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
-    """Rays of one wavelength at a time, with the refractive index of each body there."""
+    """Rows (k,) of rays of one wavelength at a time, with the refractive index of each body there."""
     bodies = layout.window.bodies
     if rays.wavelength is None:
         yield rows, tuple(body.index for body in bodies)

@@ -66,7 +66,7 @@ class RayBlock:
         return body.index_at(self.wavelength)
 
     def emerging(self) -> Bools:
-        """Rays that go on behind the sheet."""
+        """Which rays (n,) go on behind the sheet."""
         return np.asarray(self.result.fate <= Fate.LAND)
 
     @property
@@ -113,7 +113,7 @@ def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
 
 
 def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
-    """Which rays went through a face: they met it, at another place than the one before, and did not end there."""
+    """Which rays (n,) went through a face at `point` (n, 3): they met it, elsewhere than the last, and did not end there."""
     assert result.hits is not None
     ended = (result.fate >= Fate.TIR) & (result.surface == face)
     met = (result.surface >= face) & (result.fate < Fate.MISSED)
@@ -167,7 +167,7 @@ def lens_slopes(block: RayBlock) -> tuple[Floats, Floats]:
 
 
 def bend(block: RayBlock, slopes: Floats, rows: Bools) -> None:
-    """Set the exit direction of some rays from their lens-frame slopes; those turned back keep theirs."""
+    """Set the exit direction of some rays (n,) from lens-frame slopes (n, 2); those turned back keep theirs."""
     out = np.column_stack([slopes[rows], np.ones(int(rows.sum()))]) @ block.window.thin.rotation.T
     out /= np.sqrt((out * out).sum(axis=1))[:, None]
     chosen = np.flatnonzero(rows)

@@ -96,7 +96,7 @@ class OrderedResult:
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Room for one block's hits, used again by the thread's next block: fresh pages cost as much as a pass."""
+        """Room (faces, count, 3) for one block's hits, used again by the thread's next: fresh pages cost as much as a pass."""
         size = faces * count * 3
         room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:

@@ -38,6 +38,7 @@ def _order(
     window: Window, cells: ThinCells, result: TraceResult, rows: NDArray[np.intp], slopes: Floats,
     order: tuple[int, int],
 ) -> LightRays:  # fmt: skip
+    """Light of the rays `rows` (k,), of lens-frame slopes (k, 2), that goes into one order."""
     flux = result.flux[rows] * shares(cells, slopes, order)
     kept = np.flatnonzero(flux > FAINT)  # most rays reach but a few of the orders that some ray reaches
     rows, flux = rows[kept], flux[kept]
@@ -56,7 +57,7 @@ def _order(
 
 
 def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
-    """Ghost orders that light of these slopes can reach."""
+    """Ghost orders that light of these lens-frame slopes (m, 2) can reach."""
     if not len(slopes):
         return []
     reach = cells.separation * slopes

@@ -107,6 +107,7 @@ def _facets(situation: Situation) -> tuple[float, float]:
 
 
 def _depth(situation: Situation) -> tuple[float, float]:
+    """Largest angle (radians) by which a camera's opening blurs what is nearest and farthest; no change of radiance."""
     from clacad.effects.depth_of_field import effect
 
     setting, rays = situation.setting, situation.rays
@@ -134,6 +135,6 @@ def _turned(situation: Situation, name: str) -> Floats:
 
 
 def angles(a: TraceResult, b: TraceResult, last: Fate) -> Floats:
-    """Angles between the exit directions of rays that both traces let pass with the same fate and order."""
+    """Angles (k,), radians, between exit directions of rays that both traces let pass with the same fate and order."""
     same = (a.fate <= last) & (a.fate == b.fate) & (a.order == b.order).all(axis=1)
     return angle_between(a.direction[same], b.direction[same])

@@ -107,7 +107,7 @@ class Packet:
     astray: Ints
 
     def take(self, chosen: Rows | Bools) -> Packet:
-        """The chosen rays."""
+        """The chosen rays: row numbers, or which (m,)."""
         return Packet(self.beam.take(chosen), *(getattr(self, f.name)[chosen] for f in fields(self)[1:]))
 
     def __len__(self) -> int:
@@ -180,6 +180,7 @@ class _Packets:
     # -- start and end
 
     def launch(self, rows: Rows) -> None:
+        """Put the launched rays `rows` (k,) before the first body; those beside it have ended."""
         body = self.layouts[True].bodies[0]
         beam, carried = launch(self.layouts[True], body, self.rays.position, self.rays.direction, rows)
         beam = to_array(self.layouts[True], beam, body.arrays[0])
@@ -194,6 +195,7 @@ class _Packets:
         self.put((True, 0, False), packet)
 
     def put(self, state: State, packet: Packet) -> None:
+        """Let a packet wait for its step, in the cells of its body's first array."""
         if not len(packet):
             return
         layout = self.layouts[state[0]]
@@ -203,9 +205,11 @@ class _Packets:
         self.waiting.setdefault(state, []).append(packet)
 
     def end(self, cause: Cause, packet: Packet, flux: Floats | None = None) -> None:
+        """Count the light of a packet, or `flux` (m,) of it, as ended."""
         np.add.at(self.share[cause], packet.beam.rows, packet.flux if flux is None else flux)
 
     def run(self) -> None:
+        """Step packets until none waits."""
         while self.waiting:
             state = min(self.waiting)
             packet = _joined(self.waiting.pop(state))
@@ -217,6 +221,7 @@ class _Packets:
                 self.step(state, packet)
 
     def result(self) -> NonsequentialLight:
+        """The light that has left, and what became of the rest."""
         packets = [packet for packet, _ in self.out]
         empty = np.zeros((0, 3))
 
@@ -237,6 +242,7 @@ class _Packets:
     # -- one step
 
     def step(self, state: State, packet: Packet) -> None:
+        """Carry a packet to what it meets first in its body, or out of it."""
         up, number, inside = state
         layout = self.layouts[up]
         body = layout.bodies[number]
@@ -256,6 +262,7 @@ class _Packets:
             self.meet(state, packet.take(met), event.take(met))
 
     def absorbed(self, up: bool, number: int, packet: Packet, length: Floats) -> Packet:
+        """The packet after lengths (m,) inside a body."""
         if not self.rules.attenuation:
             return packet
         rate = self.rules.attenuation[number if up else len(self.layouts[True].bodies) - 1 - number]
@@ -332,7 +339,7 @@ class _Packets:
         return self.rules.indices[number if up else len(self.layouts[True].bodies) - 1 - number]
 
     def divide(self, state: State, packet: Packet, normal: Floats, astray: Bools, nudge: Floats) -> None:
-        """Send on what passes the interface and what is reflected."""
+        """Send on what passes the interface of unit normals (m, 3) and what is reflected; `nudge` (m, 2) over a wall."""
         up, number, inside = state
         n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))
         ray = packet.beam.direction
@@ -361,7 +368,7 @@ class _Packets:
             self.send(state, child.take(kept), back[passing][kept], -nudge[passing][kept])
 
     def send(self, state: State, packet: Packet, direction: Floats, nudge: Floats) -> None:
-        """Put rays under way with new directions, in the window that they see upright."""
+        """Put rays under way with new directions (m, 3), in the window that they see upright."""
         if not len(packet):
             return
         up, number, inside = state

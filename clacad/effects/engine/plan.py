@@ -270,6 +270,7 @@ def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
 
 
 def _state(name: str, bound: Bound, situation: Situation, wishes: Wishes, rung: Rung) -> State:
+    """Whether an effect is simulated and who decided it."""
     if name == "facets":  # the rung decides
         return "on" if rung == "mesh" else "off"
     if name == "depth_of_field" and situation.setting.aperture > 0.0 and name not in wishes.without:

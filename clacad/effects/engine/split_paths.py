@@ -100,7 +100,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
 
 
 def packed_faces(layout: Layout) -> Floats:
-    """Faces as the kernel reads them, sheet frame."""
+    """Faces (2 × bodies, COLUMNS) as the kernel reads them, sheet frame."""
     from clacad.effects.engine import compiled_split_paths as slot
 
     rows = []
@@ -111,6 +111,7 @@ def packed_faces(layout: Layout) -> Floats:
 
 
 def _face(slot: Any, layout: Layout, face: FacePlan, body: BodyPlan) -> Floats:
+    """One row (COLUMNS,) of `packed_faces`."""
     row = np.zeros(slot.COLUMNS)
     surface = face.surface
     assert isinstance(surface, Quadric)
@@ -129,7 +130,7 @@ def _face(slot: Any, layout: Layout, face: FacePlan, body: BodyPlan) -> Floats:
 
 
 def packed_lattice(layout: Layout) -> Floats:
-    """The lattice as the kernel reads it."""
+    """The lattice (9,) as the kernel reads it: lengths, first centre, margin, cells, whether land is opaque."""
     lattice = layout.lattice
     pitch = lattice.pitch
     row = lattice.a2[1] if lattice.hexagonal else pitch[1]

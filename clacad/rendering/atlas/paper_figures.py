@@ -95,6 +95,7 @@ def _sheared(label: str, matrix: Floats) -> Finding:
 
 
 def _distance(load: Loader) -> Iterator[Finding]:
+    """Fig. 3: stretch over the distance of a screen, and its poles."""
     scene = load("fig3-movie").at(0)
     for z in (2.0, 4.0, 5.0, 8.0, 10.0, 15.0, 30.0, 38.0):
         found = _map(scene, z).matrix
@@ -150,11 +151,14 @@ FAR = 1.0e4
 
 
 def horizon_tilt(matrix: Floats) -> float:
-    """Degrees from x by which the horizon is seen, -90 to 90: the line on the sheet along which Y does not change."""
+    """Degrees from x by which a map (2, 2) shows the horizon, -90 to 90: the line on the sheet along which Y does not
+    change.
+    """
     return (math.degrees(math.atan2(-matrix[1, 0], matrix[1, 1])) + 90.0) % 180.0 - 90.0
 
 
 def _roll(load: Loader) -> Iterator[Finding]:
+    """Fig. 5: phi turns the pieces of the view; the horizon tilts."""
     scene = load("fig5-movie").at(0)
     turned = [_turned(scene, 0, phi) for phi in np.linspace(0.0, 180.0, 13)]
     for z, expected in ((3.0, 0.0), (10.0, 360.0), (15.0, 360.0), (30.0, 0.0)):
@@ -178,6 +182,7 @@ def _roll(load: Loader) -> Iterator[Finding]:
 
 
 def _tilt(load: Loader) -> Iterator[Finding]:
+    """Fig. 6: theta moves the point where the axis appears."""
     for theta in (0.25, 0.5, 1.0):
         found = _map(load(f"fig6-theta-{theta:g}"), 10.0)
         x, y = found.appears_at(0.0, 0.0)
@@ -213,6 +218,7 @@ def _shift(scene: Scene) -> float:
 
 
 def _swing(load: Loader) -> Iterator[Finding]:
+    """Fig. 7: psi swings the view round."""
     start = math.atan2(-5.0, -45.0)
     radius = math.radians(0.5) * math.hypot(45.0, 5.0)
     movie = load("fig7-movie")
@@ -256,6 +262,7 @@ HALF_SIDE = 0.5
 
 
 def _vanish(load: Loader) -> Iterator[Finding]:
+    """Fig. 8: where points of the axis appear, and where they are not seen."""
     scene = load("fig8-z-60")
     for z, (x, y) in CENTRES.items():
         at = _map(scene, z).appears_at(0.0, 0.0)

@@ -67,6 +67,7 @@ def nearest(
 def _nearest(
     stage: Stage, origin: Floats, direction: Floats, limit: Floats | float
 ) -> tuple[Floats, Ints, Ints]:
+    """As `nearest`, with the warnings of divisions."""
     distance = np.full(len(origin), limit) if np.isscalar(limit) else np.array(limit, dtype=np.float64)
     which = np.full(len(origin), -1, dtype=np.int64)
     triangle = np.full(len(origin), -1, dtype=np.int64)

@@ -45,7 +45,7 @@ class Event:
     starts: dict[int, Floats]
 
     def take(self, rows: NDArray[np.intp] | Bools) -> Event:
-        """The events of chosen rays."""
+        """The events of chosen rays: row numbers, or which (m,)."""
         return Event(
             self.kind[rows],
             self.distance[rows],
@@ -152,6 +152,7 @@ def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
 
 
 def along_normal(layout: Layout, n: int, rows: Floats) -> Floats:
+    """Component (k,) of vectors (k, ≥ 2) along the normal of border n of a cell."""
     return np.asarray(layout.normals[n, 0] * rows[:, 0] + layout.normals[n, 1] * rows[:, 1])
 
 

@@ -31,7 +31,7 @@ BEHIND = 8 * ULP
 
 
 def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence[float]) -> None:
-    """Trace the launched rays `rows` and write their rows of the ledger.
+    """Trace the launched rays `rows` (k,) and write their rows of the ledger.
 
     Parameters
     ----------
@@ -97,7 +97,10 @@ class StraightTrace:
 
 
 def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Floats) -> StraightTrace:
-    """Trace rays straight through the faces of the cells they are over, and tell for which this is right."""
+    """Trace m rays straight through the faces of the cells they are over, and tell for which this is right.
+
+    `carried` (m,): how far the beam is from the start.
+    """
     good = np.ones(len(beam), dtype=bool)
     path = np.zeros(len(beam))
     cells: list[Ints] = []

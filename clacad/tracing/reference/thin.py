@@ -94,7 +94,7 @@ class Met:
 
 
 def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
-    """Trace rays through the window's thin pair and write their rows."""
+    """Trace rays through the window's thin pair and write their rows (k,)."""
     layout = thin_layout(layout)
     patches = _patches(layout)
     for first in range(0, len(rows), BLOCK):
@@ -129,6 +129,7 @@ def _patch(
     vertex: tuple[float, float, float],
     shift: tuple[float, float],
 ) -> ThinPatch:
+    """Thin lens of an array whose `vertex` and `shift` are lengths, with the room that all its patches take."""
     pair = layout.window.thin
     x0, x1, y0, y1 = layout.lattice.extent()
     box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
@@ -161,6 +162,7 @@ def _patch(
 
 
 def _trace_block(layout: Layout, patches: tuple[ThinPatch, ThinPatch], ledger: Ledger, rows: Rows) -> None:
+    """Trace the rays `rows` (k,) through both arrays and write their rows of the ledger."""
     first, second = patches
     beam, carried = launch(layout, first, ledger.position, ledger.direction, rows)
     one = _meet(layout, first, beam)

@@ -71,7 +71,7 @@ class Walkers:
     surface: Ints
 
     def take(self, chosen: Rows | Bools) -> Walkers:
-        """The chosen rays."""
+        """The chosen rays: row numbers, or which (m,)."""
         rest = (getattr(self, f.name)[chosen] for f in fields(self)[1:])
         return Walkers(self.beam.take(chosen), *rest)
 
@@ -105,7 +105,7 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
     ----------
     indices : one refractive index a body
     beam, carried
-        From `launch`: on the first body's reference plane, and how far that is from the start.
+        From `launch`: m rays on the first body's reference plane, and how far (m,) that is from the start.
     """
     m = len(beam)
     none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)

@@ -179,7 +179,7 @@ class _Straight:
         self.decided[live[~(self.direction[live, 2] > 0.0)]] = False  # reflected totally, or backward
 
     def note_cells(self, window: Window, array: int, rows: Rows) -> None:
-        """Note the cell of an array that rays met; one that met two of one array's is left to the own tree."""
+        """Note the cell of an array that rays (k,) met; one that met two of one array's is left to the own tree."""
         shift, point = np.asarray(window.shifts[array]), self.position[rows]
         cell, _, _ = window.lattice.locate(point[:, 0] - shift[0], point[:, 1] - shift[1])
         known = self.cells[array, rows, 0] != NO_CELL
@@ -243,6 +243,8 @@ def first_triangle(
         Several meshes behind one another.
     first, end : int
         Triangles of this mesh in `tree.corners`; `root` is its first node.
+    origin, direction : (n, 3) arrays; limit : (n,)
+        As there, and so is what is returned.
     """
     if len(origin) < MANY or not installed() or first == end:
         return nearest_triangle(tree, root, origin, direction, limit)

@@ -202,7 +202,7 @@ class _Passing:
     def cross(
         self, face: AnyFace, live: Rows, number: int, indices: tuple[float, float], entering: bool
     ) -> Rows:
-        """Move live rays to face `number` and refract them, between two refractive indices; those that go on."""
+        """Move live rays (k,) to face `number` and refract them, between two refractive indices; those that go on."""
         distance, normal, on_land = _meet(face, self.position[live], self.direction[live], entering)
         met = np.isfinite(distance)
         self.aside[live[met & on_land]] = True

@@ -265,6 +265,7 @@ def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
 
 
 def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
+    """Tilings one after the other in the arrays of `Tiles`; `of` (bodies, 2): tile of each front and back."""
     table: list[list[float]] = []
     starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
     beside, halves = [], list[Ints]()
