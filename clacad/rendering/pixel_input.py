@@ -9,7 +9,7 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.rendering.camera import View, digits
 from clacad.rendering.sheet_passage import Passage
-from clacad.rendering.spectrum import Line
+from clacad.rendering.spectrum import SpectralLine
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ ROOM = 1e-9
 
 
 def pane_of(
-    window: Window, passage: Passage, lines: tuple[Line, ...], scale: float, front: float, opaque: bool, present: bool,
+    window: Window, passage: Passage, lines: tuple[SpectralLine, ...], scale: float, front: float, opaque: bool, present: bool,
     before: bool,
 ) -> Pane | None:  # fmt: skip
     """The sheet for `compiled.pixels.sample_all`; None where a picture needs more than that kernel does.

@@ -16,7 +16,7 @@ from PIL import Image
 from viewscenes import ROOT
 
 from clacad.rendering.atlas import paper_figures
-from clacad.rendering.atlas.figure1 import Lenses, quadrics, section_findings, solid_findings
+from clacad.rendering.atlas.figure1 import MeasuredLenses, quadrics, section_findings, solid_findings
 from clacad.rendering.atlas.figure1_section import section_svg
 from clacad.rendering.atlas.finding import Finding
 from clacad.rendering.atlas.index_page import page_of
@@ -75,7 +75,7 @@ def test_ellipsoids_are_found_again_from_points_on_them():
     vertex, frame, found = quadrics(points[None], flatter_x=True)
     np.testing.assert_allclose(found[0], radii, rtol=1e-6)
     np.testing.assert_allclose(vertex[0], place, atol=1e-9)
-    angles = Lenses(vertex, frame, found).euler()
+    angles = MeasuredLenses(vertex, frame, found).euler()
     np.testing.assert_allclose(np.degrees([a[0] for a in angles]), [40.0, 1.5, 75.0], atol=1e-4)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from clacad.base.types import Bytes
 from clacad.design.law_in_words import law_words
 from clacad.rendering.atlas.figure1 import section_findings, solid_findings
-from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
 from clacad.rendering.atlas.paper_figures import FIGURES, MOVIES, Figure
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
@@ -32,7 +32,7 @@ class Atlas:
     """
 
     folder: Path
-    findings: dict[str, tuple[Finding, ...]]
+    findings: dict[str, tuple[AtlasFinding, ...]]
     files: tuple[str, ...]
 
     @property
@@ -162,7 +162,7 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
     CannotWrite, ExportRefused
     """
     tell = progress or (lambda stage, share: None)
-    findings: dict[str, tuple[Finding, ...]] = {}
+    findings: dict[str, tuple[AtlasFinding, ...]] = {}
     with Stage(job.request.out, overwrite=job.request.overwrite) as stage:
         if job.first is not None:
             tell("F1", None)
@@ -223,7 +223,7 @@ def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]
 
 def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
-) -> dict[str, tuple[Finding, ...]]:
+) -> dict[str, tuple[AtlasFinding, ...]]:
     """Figure 1: the section with rays as SVG, and the sheet itself as a picture; what both measure."""
     from clacad.rendering.atlas.figure1_section import section_svg
     from clacad.rendering.atlas.figure1_solids import solid_picture
@@ -256,7 +256,7 @@ def manifest_of(stage: Stage, kind: str) -> dict[str, Any]:
     return {"format": 1, "kind": kind, "files": files}
 
 
-def _record(findings: dict[str, tuple[Finding, ...]]) -> dict[str, Any]:
+def _record(findings: dict[str, tuple[AtlasFinding, ...]]) -> dict[str, Any]:
     passed = all(one.passed for found in findings.values() for one in found)
     return {
         "passed": passed,
