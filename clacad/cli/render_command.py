@@ -35,7 +35,7 @@ class RenderRequest:
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
     """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
     from clacad.rendering.picture import view_through
-    from clacad.rendering.picture_cost import seconds, task
+    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
 
@@ -45,7 +45,7 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
         return _movie(scene, request, progress, json=json, quiet=quiet)
     if scene.animation is not None:
         scene = scene.at(request.frame or 0)
-    with forecast(task(scene), seconds(scene), quiet=quiet):
+    with forecast(task(scene), picture_seconds(scene), quiet=quiet):
         picture = view_through(scene, progress=progress)
     progress.done()
     write_picture(picture, request.out, overwrite=request.overwrite)
@@ -84,11 +84,11 @@ def _within_target(scene: Scene, text: str) -> Scene:
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
     """Write all frames as a movie, print how many; return the exit status."""
     from clacad.rendering.picture import render_movie
-    from clacad.rendering.picture_cost import seconds, task
+    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
-    with forecast(task(scene), seconds(scene, scene.animation.frames), quiet=quiet):
+    with forecast(task(scene), picture_seconds(scene, scene.animation.frames), quiet=quiet):
         frames = write_movie(
             render_movie(scene, progress=progress),
             request.out,
@@ -106,14 +106,14 @@ def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bo
 
 def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool) -> None:
     """Say what was written and how it was made."""
-    from clacad.rendering.picture_files import facts
+    from clacad.rendering.picture_files import metadata_of
 
     if json:
         shown = []
         for picture, file in zip(pictures, files, strict=True):
             plan = picture.passage.plan
             shown.append({
-                "file": str(file), "metadata": facts(picture), "samples": int(picture.samples.sum()),
+                "file": str(file), "metadata": metadata_of(picture), "samples": int(picture.samples.sum()),
                 "error": float(picture.error.mean()), "plan": None if plan is None else plan.to_dict(),
             })  # fmt: skip
         show_json({"pictures": shown})
@@ -123,7 +123,7 @@ def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool
         show_text(
             f"wrote {file}: {width} x {height}, {int(picture.samples.sum()):,} camera rays", quiet=quiet
         )
-    notes = facts(pictures[-1])
+    notes = metadata_of(pictures[-1])
     rows = [(key.removeprefix("clacad:"), notes[key]) for key in notes if key.startswith("clacad:")]
     say(table(rows), quiet=quiet)
 

@@ -36,7 +36,7 @@ def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Byte
     return np.rint(255.0 * value).astype(np.uint8)
 
 
-def facts(picture: Picture) -> dict[str, str]:
+def metadata_of(picture: Picture) -> dict[str, str]:
     """What a picture's metadata say, by key."""
     scene, passage = picture.scene, picture.passage
     found = {
@@ -80,7 +80,9 @@ def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: 
     target = Path(path)
     if target.suffix.lower() not in STILLS:
         raise UnknownPicture(f"{target.name}: a picture is one of {' '.join(STILLS)}")
-    write_file(target, lambda private: save(pixels_of(picture), private, facts(picture)), overwrite=overwrite)
+    write_file(
+        target, lambda private: save(pixels_of(picture), private, metadata_of(picture)), overwrite=overwrite
+    )
 
 
 def save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:
@@ -185,7 +187,7 @@ def write_movie(
     def pixels() -> Iterator[Bytes]:
         for picture in frames:
             told.append({"rung": picture.passage.rung, "rays": int(picture.samples.sum())})
-            notes.update(facts(picture))
+            notes.update(metadata_of(picture))
             yield pixels_of(picture)
 
     def write(private: Path) -> None:

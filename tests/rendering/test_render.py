@@ -25,8 +25,8 @@ from clacad.rendering.picture import render, render_movie
 from clacad.rendering.picture_files import (
     UnknownPicture,
     encode,
-    facts,
     labelled,
+    metadata_of,
     write_movie,
     write_picture,
 )
@@ -427,7 +427,7 @@ def test_a_written_picture_reads_back_and_says_what_it_is(name, tmp_path):
     first = (tmp_path / name).read_bytes()
     write_picture(picture, tmp_path / name, overwrite=True)
     assert (tmp_path / name).read_bytes() == first
-    assert "flipped left-right" in facts(picture)["clacad:handedness"]
+    assert "flipped left-right" in metadata_of(picture)["clacad:handedness"]
     if name.endswith("png"):
         assert "flipped left-right" in Image.open(tmp_path / name).text["clacad:handedness"]
 

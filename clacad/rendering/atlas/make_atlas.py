@@ -15,7 +15,7 @@ from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
 from clacad.rendering.atlas.paper_figures import FIGURES, MOVIES, Figure
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
-from clacad.rendering.picture_files import animate, facts, label_lines, labelled, pixels_of, save
+from clacad.rendering.picture_files import animate, label_lines, labelled, metadata_of, pixels_of, save
 from clacad.scene import Scene, load_scene
 from clacad.storage.atomic import Stage, canonical_json, file_hash
 
@@ -172,7 +172,7 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
                 tell(f"{figure.row}: {label}", None)
                 picture = view_through(job.stills[stem], compiled=True)
                 text = f"{figure.row}: {parameters(job.stills[stem])}"
-                save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), facts(picture))
+                save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), metadata_of(picture))
             if job.request.measured:
                 tell(f"{figure.row}: measuring", None)
                 findings[figure.row] = tuple(figure.check(job.load))
@@ -217,7 +217,7 @@ def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]
         tell(f"movie {movie.title}", k / len(movie.frames))
         picture: Picture = view_through(still, compiled=True)
         pixels.append(labelled(pixels_of(picture), labels[k], lines))
-        notes = facts(picture)
+        notes = metadata_of(picture)
     animate(stage.path(f"{movie.stem}.webp"), iter(pixels), movie.fps, notes)
 
 
