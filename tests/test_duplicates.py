@@ -56,9 +56,9 @@ KNOWN = {
     ("clacad/tracing/compiled/column.py", "clacad/tracing/triangles/compiled_tiles.py"),
     ("clacad/tracing/compiled/face.py", "clacad/tracing/compiled/face.py"),
     ("clacad/tracing/compiled/face.py", "clacad/tracing/compiled/launch.py"),
-    ("clacad/tracing/compiled/face.py", "clacad/tracing/triangles/compiled_hierarchy.py"),
+    ("clacad/tracing/compiled/face.py", "clacad/tracing/triangles/compiled_search.py"),
     ("clacad/tracing/compiled/solid_body_short_cut.py", "clacad/tracing/triangles/compiled_tiles.py"),
-    ("clacad/tracing/triangles/compiled_hierarchy.py", "clacad/tracing/triangles/compiled_hierarchy.py"),
+    ("clacad/tracing/triangles/compiled_search.py", "clacad/tracing/triangles/compiled_search.py"),
 }
 """Pairs of files that still share a run. One that is gone fails."""
 
