@@ -49,7 +49,6 @@ EXCEPTIONS = {
 """Importing file, imported file: reason. One that nothing uses fails."""
 
 RINGS = {
-    ("verification/files/map_file.py", "verification/files/map_light.py"): "point files are read in blocks by map_file",
 }  # fmt: skip
 """Modules that import one another in a ring, function-local imports counted: why. One that is gone fails."""
 

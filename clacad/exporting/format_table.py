@@ -279,7 +279,7 @@ def _sag(job: Job) -> list[FileRecord]:
     for body, face, label in structured_faces(job.window):
         path = job.stage.path(f"{job.stem}.{label}.cell.dat")
         write_grid_sag(job.window, face, 64, path, job.scale)
-        check_grid_sag(job.window, face, path, job.scale)
+        check_grid_sag(face, path, job.scale)
         records.append(job.record(path, "grid-sag", bodies=[body.name], facts={"mode": "cell"}))
     return records
 

@@ -102,7 +102,7 @@ def _close_up(panel: Any, focus: MeridianFocus, mm: float) -> None:
     panel.locator_params(axis="y", nbins=4)
 
 
-def ghosts(report: Report, evidence: Evidence) -> str:
+def ghosts(evidence: Evidence) -> str:
     """Maps over both incident slopes: through the partner as traced and in closed form, and as ghosts."""
     found = evidence.ghosts
 

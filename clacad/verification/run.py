@@ -421,7 +421,7 @@ def _judge_one(
     whole = prescribe(design) if window is None else window
     if subject.entry and (reason := no_optics(whole, subject)) is not None:
         progress(f"reading {subject.name}", 0.0)
-        return judge_other(whole, subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
+        return judge_other(subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
     if subject.is_solid:
         return _judge_faces(design, window, whole, subject, rays, progress)
     if subject.is_mesh:

@@ -115,7 +115,7 @@ def _extent(mesh: FileMesh) -> NDArray[np.float64]:
     return np.asarray(high - low)
 
 
-def judge_other(window: Window, subject: Subject, reason: Reason) -> list[Check]:
+def judge_other(subject: Subject, reason: Reason) -> list[Check]:
     """Judge a file beside the optics by its shape; one that is withheld from judgement says so."""
     common: dict[str, Any] = {"where": "file", "subject": subject.name}
     if reason.withheld:

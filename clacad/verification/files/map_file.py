@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import islice
 from math import inf
 from pathlib import Path
@@ -26,15 +26,14 @@ from clacad.formats.maps.sag import (
     NO_DATA,
     HeightMap,
     check_grid_sag,
-    height_map,
-    samples_per_cell,
+    read_points,
     structured_faces,
 )
-from clacad.sheet.window import Body, Face, Window, face_height, lens_height_and_normal
+from clacad.sheet.window import Face, Window, face_height, lens_height_and_normal
 from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.find_files import Subject
-from clacad.verification.files.map_light import map_light
+from clacad.verification.files.map_light import FaceFile, map_light
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -110,7 +109,7 @@ def _compared(window: Window, subject: Subject, format: str) -> tuple[float, flo
     for body, face, label in structured_faces(window):
         if f".{label}." in subject.name or not _labelled(window, subject.name):
             try:
-                one = _FACES[format](window, body, face, label, subject.path)
+                one = _FACES[format](FaceFile(window, body, face, label, subject.path))
             except ExportError as error:
                 refusal = error
                 continue
@@ -129,52 +128,57 @@ def _labelled(window: Window, name: str) -> bool:
 # -- of one face -------------------------------------------------------------------------------------
 
 
-def _map(kind: str) -> Callable[[Window, Body, Face, str, Path], Misfit]:
-    def compare(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-        scale = millimetres(window.unit)
-        map_ = height_map(window, body, face, label, samples_per_cell(window, None))
-        worst, count = map_misfit(map_, path, kind, scale)
+def _map(kind: str) -> Callable[[FaceFile], Misfit]:
+    """Comparison of a map whose pixels are "tiff32", "tiff16" or "png16"."""
+
+    def compare(of: FaceFile) -> Misfit:
+        map_ = of.map()
+        worst, count = map_misfit(map_, of.path, kind, of.scale)
         if kind == "tiff32":
-            room = scale * (2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15)
+            room = of.scale * (2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15)
         else:
-            room = 0.51 * scale * map_.step
-        return worst, room, f"{count:,} heights of {label}"
+            room = 0.51 * of.scale * map_.step
+        return worst, room, f"{count:,} heights of {of.label}"
 
     return compare
 
 
-def _points(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    scale = millimetres(window.unit)
-    worst, count = points_misfit(window, face, path, scale)
-    return worst, 2e-9 + 1e-8 * min(window.lattice.pitch) * scale, f"{count:,} points of {label}"
+def _points(of: FaceFile) -> Misfit:
+    worst, count = points_misfit(of.window, of.face, of.path, of.scale)
+    room = 2e-9 + 1e-8 * min(of.window.lattice.pitch) * of.scale
+    return worst, room, f"{count:,} points of {of.label}"
 
 
-def _grid(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    check_grid_sag(window, face, path, millimetres(window.unit))
-    return 0.0, 0.0, f"the sag of {label} at every node"
+def _grid(of: FaceFile) -> Misfit:
+    check_grid_sag(of.face, of.path, of.scale)
+    return 0.0, 0.0, f"the sag of {of.label} at every node"
 
 
-def _mask(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    scale = millimetres(window.unit)
-    worst, count = mask_misfit(window, body, face, path, scale)
-    return worst, SAME * min(window.lattice.pitch) * scale, f"outline and {count:,} places of {label}"
+def _mask(of: FaceFile) -> Misfit:
+    worst, count = mask_misfit(of.window, of.body, of.face, of.path, of.scale)
+    return (
+        worst,
+        SAME * min(of.window.lattice.pitch) * of.scale,
+        f"outline and {count:,} places of {of.label}",
+    )
 
 
-def _layers(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+def _layers(of: FaceFile) -> Misfit:
     """Layers say how many levels there are, but for some at the top that no pixel may reach."""
-    scale, refusal = millimetres(window.unit), None
-    most = max(layer_counts(path), default=0)
+    refusal = None
+    most = max(layer_counts(of.path), default=0)
     for levels in range(max(2, most + 1), most + 4):
         try:
-            worst, count = gds_misfit(grey_cell(window, body, face, label, levels, scale), path, scale)
+            laid = grey_cell(of.window, of.body, of.face, of.label, levels, of.scale)
+            worst, count = gds_misfit(laid, of.path, of.scale)
         except ExportError as error:
             refusal = refusal or error
             continue
-        return worst, 2.0 * GRID * 1e-3, f"{levels} levels and {count:,} places of {label}"
-    raise refusal or UnreadableFile(f"{path.name}: no layers")
+        return worst, 2.0 * GRID * 1e-3, f"{levels} levels and {count:,} places of {of.label}"
+    raise refusal or UnreadableFile(f"{of.path.name}: no layers")
 
 
-_FACES: Mapping[str, Callable[[Window, Body, Face, str, Path], Misfit]] = {
+_FACES: Mapping[str, Callable[[FaceFile], Misfit]] = {
     "tiff32": _map("tiff32"), "tiff16": _map("tiff16"), "png16": _map("png16"), "xyz-normals": _points,
     "grid-sag": _grid, "gds": _layers, "mask-svg": _mask, "mask-dxf": _mask,
 }  # fmt: skip
@@ -216,7 +220,7 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     assert face.array is not None
     dx, dy = window.shifts[face.array]
     worst, count = 0.0, 0
-    for table in point_blocks(path):
+    for table in read_points(path):
         index, u, v = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
         z = face_height(window, face, u, v)
         lens, normal = lens_height_and_normal(face, u, v)
@@ -230,20 +234,6 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     if not count:
         raise UnreadableFile(f"{path.name}: no points")
     return worst, count
-
-
-def point_blocks(path: Path) -> Iterator[Floats]:
-    """Lines of six numbers, so many at a time."""
-    with path.open(encoding="ascii", errors="replace") as stream:
-        lines = (line for line in stream if not line.startswith("#"))
-        while block := list(islice(lines, 1 << 16)):
-            try:
-                table = np.array([[float(w) for w in line.split()] for line in block])
-            except ValueError as error:
-                raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
-            if table.ndim != 2 or table.shape[1] != 6:
-                raise UnreadableFile(f"{path.name}: a line that is not six numbers")
-            yield table
 
 
 # -- of the whole window -----------------------------------------------------------------------------
@@ -260,11 +250,8 @@ def _calibration(window: Window, path: Path) -> Misfit:
     faces = {}
     for body, face, label in structured_faces(window):
         levels = found["faces"][label].get("levels")  # layers of a GDSII file, or pixels of a map
-        laid = (
-            height_map(window, body, face, label, samples_per_cell(window, None))
-            if levels is None
-            else grey_cell(window, body, face, label, int(levels), scale)
-        )
+        of = FaceFile(window, body, face, label, path)
+        laid = of.map() if levels is None else grey_cell(window, body, face, label, int(levels), scale)
         faces[label] = laid.calibration(scale)
     worst = _apart({"format": 1, "unit": "mm", "faces": faces}, found)
     return worst, SAME, "every number of the calibration, relative"

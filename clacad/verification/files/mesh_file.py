@@ -85,7 +85,7 @@ def judge_mesh(
         for k in range(len(gathered.cells))
     ]
     checks.append(shape_check(design, window, gathered, off, name, stated, present))
-    stored = normals_check(design, window, gathered, off, name)
+    stored = normals_check(window, gathered, off, name)
     checks += [] if stored is None else [stored]
     light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
     return checks + light, replace(evidence, facts={**evidence.facts, "holds": holds})

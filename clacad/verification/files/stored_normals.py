@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gathered
 from clacad.verification.files.facet_deviation import Deviation
 
-if TYPE_CHECKING:
-    from clacad.design import Design
-
 STEEPER = 2.0
 """Rms error of the stored normals over the slope error of the facets they shade, beyond which they are wrong."""
 
@@ -26,14 +23,11 @@ ROOM = 1e-6
 """Radians that numbers of float32, or of six digits, may turn a normal."""
 
 
-def normals_check(
-    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], name: str
-) -> Check | None:
+def normals_check(window: Window, gathered: Gathered, off: Sequence[Deviation], name: str) -> Check | None:
     """Judge the normals stored in a file over the chosen cells; None where the file has none.
 
     Parameters
     ----------
-    design : Design
     window : Window
     gathered : Gathered
         With the facets' stored normals.
