@@ -12,6 +12,7 @@ from clacad.base.text import plain
 from clacad.base.units import millimetres
 from clacad.report.fabrication import Line, fabrication, orientation
 from clacad.sheet.feasibility import describe
+from clacad.verification.limit_sources import Origin
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
@@ -30,8 +31,6 @@ _CSS = {
 }
 """Class of a file's verdict on the page."""
 
-PROFILE = "process profile "
-
 STATES = {"on": "simulated", "forced": "simulated, as asked", "off": "left out", "without": "left out, as asked",
           "unknown": "left out, not bounded"}  # fmt: skip
 
@@ -49,13 +48,8 @@ def row(check: Check) -> dict[str, Any]:
         "code": check.code, "subject": check.subject, "value": value,
         "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {limit}{note}",
         "unit": unit, "sentence": check.sentence, "where": check.where,
-        "bundle": check.bundle, "source": _source(check),
+        "bundle": check.bundle, "source": check.limit_source.heading,
     }  # fmt: skip
-
-
-def _source(check: Check) -> str:
-    """Source of a limit; what a process profile is founded on is said once, below the table."""
-    return check.source.split(":")[0] if check.source.startswith(PROFILE) else check.source
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +120,7 @@ class Content:
     @property
     def process(self) -> str:
         """What the limits of the process profile are founded on; "" where none was asked."""
-        found = {c.source for c in self.report.checks if c.source.startswith(PROFILE)}
+        found = {c.source for c in self.report.checks if c.limit_source.origin is Origin.PROFILE}
         return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
 
     @cached_property

@@ -32,6 +32,7 @@ from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.light.law_checks import SHARE_DIRECTIONS, Tracer
+from clacad.verification.limit_sources import DESIGN_FILE, from_key, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -193,7 +194,7 @@ def _rms(
 ) -> Check:  # fmt: skip
     spec = design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
-    source = "law_rms" if spec.mesh_law_rms is None else "design file"
+    source = from_key("law_rms") if spec.mesh_law_rms is None else DESIGN_FILE
     if found.rms != found.rms:
         return not_run(
             "file_law_rms",
@@ -215,10 +216,10 @@ def _rms(
             f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same noise "
             f"are worse), {1e3 * rest:.4g} is left"
         )
-        check = judge("file_law_rms", rest, limit, sentence, unit="rad", bundle=str(found.rays), source=source,
+        check = judge("file_law_rms", rest, limit, sentence, unit="rad", bundle=str(found.rays), limit_source=source,
                       detail={"with_noise": value, "noise": noise, "by_cell": every, "cells": cells}, **common)  # fmt: skip
         return replace(check, state="warn") if check.state == "pass" else check
-    return judge("file_law_rms", value, limit, sentence, unit="rad", bundle=str(found.rays), source=source,
+    return judge("file_law_rms", value, limit, sentence, unit="rad", bundle=str(found.rays), limit_source=source,
                  detail={"worst": found.worst, "by_cell": every, "cells": cells}, **common)  # fmt: skip
 
 
@@ -233,7 +234,7 @@ def _bias(design: Design, found: FileLight, what: str, common: Mapping[str, Any]
     return judge(
         "file_law_bias", value, limit,
         f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from the law",
-        unit="rad", source="law_bias", bundle="9 directions over the whole cell",
+        unit="rad", limit_source=from_key("law_bias"), bundle="9 directions over the whole cell",
         detail={"by_field_point": found.bias}, **common,
     )  # fmt: skip
 
@@ -248,10 +249,10 @@ def _fitted(design: Design, found: FileLight, what: str, common: Mapping[str, An
     text += " and {3:.6g}, {4:.6g} through the exact surfaces"
     return [
         judge("file_law_eta", eta, spec.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
-              unit="relative", source="eta", bundle=str(found.rays),
+              unit="relative", limit_source=from_key("eta"), bundle=str(found.rays),
               detail={"measured": (law.eta_x, law.eta_y), "exact": (exact.eta_x, exact.eta_y)}, **common),
         judge("file_law_delta", delta, spec.delta,
-              text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope", source="delta",
+              text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope", limit_source=from_key("delta"),
               bundle=str(found.rays),
               detail={"measured": (law.delta_x, law.delta_y), "exact": (exact.delta_x, exact.delta_y)}, **common),
     ]  # fmt: skip
@@ -268,7 +269,7 @@ def _confocality(design: Design, found: FileLight, common: Mapping[str, Any]) ->
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "
         f"keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y {found.shift[1]:+.4g})"
     )
-    return judge("file_confocality", value, limit, sentence, unit="of separation", source="confocality",
+    return judge("file_confocality", value, limit, sentence, unit="of separation", limit_source=from_key("confocality"),
                  bundle=str(found.rays), detail={"shift": found.shift}, **common)  # fmt: skip
 
 
@@ -280,4 +281,4 @@ def _throughput(design: Design, found: FileLight, what: str, common: Mapping[str
         f"{found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
     )
     return judge("file_throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form",
-                 source="throughput", bundle=str(found.rays), **common)  # fmt: skip
+                 limit_source=other("throughput"), bundle=str(found.rays), **common)  # fmt: skip

@@ -34,6 +34,7 @@ from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.map_light import FaceFile, map_light
+from clacad.verification.limit_sources import other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -95,7 +96,9 @@ def judge_map(design: Design, window: Window, subject: Subject, format: str, ray
     unit = "" if format in ("surface-table", "height-calibration") else "mm"
     return [
         found,
-        judge("shape", worst, room, sentence, unit=unit, source="rounding of the format", **common),
+        judge(
+            "shape", worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common
+        ),
         *(map_light(design, window, subject, format, label, rays) if label else ()),
     ]
 

@@ -23,6 +23,7 @@ from clacad.verification.files.cell_triangles import Gathered, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.law_through_file import POINT_RAYS, measure_light
 from clacad.verification.files.law_through_file import light_checks as judge_light
+from clacad.verification.limit_sources import derived, from_key, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -194,13 +195,13 @@ def _faithful_rms(
     )
     check = judge(
         "faithful_rms", float(rms[worst]), limit, sentence, unit="rad", bundle=bundle_text,
-        source=f"{design.check.file_rms:g} × forecast of its slope errors",
+        limit_source=derived(f"{design.check.file_rms:g} × forecast of its slope errors"),
         detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms}, **common,
     )  # fmt: skip
     if max(lost) > LOST:
         text = f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the triangles"
         return replace(check, state="fail", sentence=text, value=max(lost), limit=LOST, unit="of the rays, lost",
-                       source=f"fixed: {LOST:g} lost at most")  # fmt: skip
+                       limit_source=other(f"fixed: {LOST:g} lost at most"))  # fmt: skip
     return check
 
 
@@ -229,8 +230,8 @@ def _faithful_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, A
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
     return [
         judge("faithful_eta", eta, design.check.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
-              unit="relative", source="eta", detail={"measured": (law.eta_x, law.eta_y)}, **common),
+              unit="relative", limit_source=from_key("eta"), detail={"measured": (law.eta_x, law.eta_y)}, **common),
         judge("faithful_delta", delta, design.check.delta,
               text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope",
-              source="delta", detail={"measured": (law.delta_x, law.delta_y)}, **common),
+              limit_source=from_key("delta"), detail={"measured": (law.delta_x, law.delta_y)}, **common),
     ]  # fmt: skip

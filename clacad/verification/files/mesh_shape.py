@@ -23,6 +23,7 @@ from clacad.verification.files.facet_deviation import (
     deviation,
     forecast_rms,
 )
+from clacad.verification.limit_sources import derived, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -106,7 +107,7 @@ def volume_check(
         detail["engraved"] = gathered.engraved
     return judge(
         "volume", abs(difference + gathered.engraved - chord), room, sentence,
-        source="forecast ± 2 % of the chord error", detail=detail, **common,
+        limit_source=derived("forecast ± 2 % of the chord error"), detail=detail, **common,
     )  # fmt: skip
 
 
@@ -138,11 +139,11 @@ def shape_check(
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
     sag = float(max(d.distance.max() for d in clean))
-    limit, source = design.check.shape * sag + rounding, "the design cut into the same facets"
+    limit, source = design.check.shape * sag + rounding, other("the design cut into the same facets")
     if "sag_error_max" in stated:
         told = float(stated["sag_error_max"]) * _millimetres(stated) / window.unit
         if told <= design.check.file_rms * sag:  # more than such facets can be off is no promise
-            limit, source = design.check.shape * told + rounding, "stated sag error of the file"
+            limit, source = design.check.shape * told + rounding, derived("stated sag error of the file")
     sentence = (
         f"facets lie up to {worst:.4g} {design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
         f"slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
@@ -155,7 +156,7 @@ def shape_check(
         sentence += f" ({1e3 * told:.4g} stated)"
         if rms > design.check.file_rms * told:
             return Check("shape", "fail", f"{sentence}: steeper facets than stated", rms, told, detail=detail,
-                         source="stated slope error of the file", **{**common, "unit": "rad"})  # fmt: skip
+                         limit_source=derived("stated slope error of the file"), **{**common, "unit": "rad"})  # fmt: skip
     rough, room = _roughness(design, window, gathered, own, off, clean)
     if rough > room:
         sentence += (
@@ -163,13 +164,13 @@ def shape_check(
             f"{1e3 * float(np.max([d.slope_rms.max() for d in clean])):.4g} off"
         )
         return Check("shape", "fail", sentence, rough, room, detail=detail,
-                     source="slope error of the design cut into the same facets", **{**common, "unit": "rad"})  # fmt: skip
+                     limit_source=other("slope error of the design cut into the same facets"), **{**common, "unit": "rad"})  # fmt: skip
     return judge(
         "shape",
         max(worst, at_corners, gathered.farthest),
         limit,
         sentence,
-        source=source,
+        limit_source=source,
         detail=detail,
         **common,
     )

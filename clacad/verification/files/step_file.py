@@ -21,6 +21,7 @@ from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
 from clacad.verification.files.mesh_shape import volume_of
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays
+from clacad.verification.limit_sources import LimitSource, default, other
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,7 +54,7 @@ class Room:
     direction : radians
         Direction error that slope errors of lens faces may make.
     shape : mm
-    source : str
+    source : LimitSource
         Where the limits come from.
     fitted : bool
         Nobody says that the faces are exact: they may have been fitted again by another program.
@@ -61,7 +62,7 @@ class Room:
 
     direction: float
     shape: float
-    source: str
+    source: LimitSource
     fitted: bool
 
 
@@ -75,10 +76,11 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
     # a biconic has no exact rational patch: its fit is stated to 1e-6 of the pitch
     exact = SHAPE_LIMIT * pitch * (10.0 if design.pair.surface == "biconic" else 1.0)
     if stated:
-        return Room(DIRECTION_LIMIT, exact, "1e-7 of the pitch", False)
+        return Room(DIRECTION_LIMIT, exact, default("1e-7 of the pitch"), False)
     direction = max(DIRECTION_LIMIT, PART * design.check.law_rms)
     shape = max(exact, direction / gain(window) * pitch / (2.0 * pi))
-    return Room(direction, shape, "a tenth of law_rms: no manifest says its faces are exact", True)
+    source = other("a tenth of law_rms: no manifest says its faces are exact")
+    return Room(direction, shape, source, True)
 
 
 def gain(window: Window) -> float:
@@ -273,7 +275,7 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
         if repeated
         else f"no part is repeated; each of {at['lenses']} lenses stands over its own cell"
     )
-    check = judge("placement", worst, room.shape, "; ".join(wrong) or sentence, unit="mm", source=room.source,
+    check = judge("placement", worst, room.shape, "; ".join(wrong) or sentence, unit="mm", limit_source=room.source,
                   detail=dict(at), **common)  # fmt: skip
     return replace(check, state="fail") if wrong else check
 
@@ -291,7 +293,7 @@ def _shape(
     )
     if room.fitted:
         sentence += "; what light allows is the limit, for no manifest says that they are exact"
-    return judge("shape", worst, room.shape, sentence, unit="mm", source=room.source,
+    return judge("shape", worst, room.shape, sentence, unit="mm", limit_source=room.source,
                  detail={"stated_merge": stated.get("merged_steps")}, **common)  # fmt: skip
 
 
@@ -308,8 +310,8 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
             if max(slopes) <= DIRECTION_LIMIT
             else "; its faces were fitted again"
         )
-    source = "a tenth of law_rms" if room.fitted else "1e-6 rad"
-    return judge("faithful_rms", value, room.direction, sentence, unit="rad", source=source, **common)
+    source = other("a tenth of law_rms") if room.fitted else default("1e-6 rad")
+    return judge("faithful_rms", value, room.direction, sentence, unit="rad", limit_source=source, **common)
 
 
 def _volume(
@@ -327,7 +329,7 @@ def _volume(
     error = sum(p.error for p in parts if p is not None) * cube
     got = float(found["volume"])
     allowed = VOLUME_LIMIT * want + error
-    source = "1e-9 relative"
+    source = default("1e-9 relative")
     if room.fitted:  # every lens face off as far as it may be, and borders that another kernel fitted
         x0, x1, y0, y1 = whole_extent(window)
         area = (x1 - x0) * (y1 - y0) * millimetres(window.unit) ** 2 * 2.0 * len(bodies)
@@ -346,7 +348,7 @@ def _volume(
     if drilled := hole_words(window, found.get("holes", ())):
         sentence += f"; {drilled}"
     return judge(
-        "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", source=source, detail=detail, **common,
+        "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", limit_source=source, detail=detail, **common,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gathered
 from clacad.verification.files.facet_deviation import Deviation
+from clacad.verification.limit_sources import other
 
 STEEPER = 2.0
 """Rms error of the stored normals over the slope error of the facets they shade, beyond which they are wrong."""
@@ -39,7 +40,7 @@ def normals_check(window: Window, gathered: Gathered, off: Sequence[Deviation], 
     if not gathered.stored:
         return None
     common: dict[str, Any] = {"where": "file", "subject": name, "unit": "rad",
-                              "source": f"{STEEPER:g} × slope error of its facets"}  # fmt: skip
+                              "limit_source": other(f"{STEEPER:g} × slope error of its facets")}  # fmt: skip
     if gathered.odd:
         text = f"{gathered.odd} of {gathered.stored} facets have a stored normal that is no unit vector"
         return Check("file_normals", "fail", text, None, **common)

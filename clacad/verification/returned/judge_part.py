@@ -23,6 +23,7 @@ from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.mesh_light import MeshEvidence, light_checks
 from clacad.verification.files.mesh_shape import clean_forecast, own_sag_error
 from clacad.verification.files.open_surface import is_open_surface, rims
+from clacad.verification.limit_sources import other
 from clacad.verification.returned.damage import SHOWN, find_dents, find_features
 from clacad.verification.returned.deviation_map import DeviationMap, Mapper
 from clacad.verification.returned.registration import Placed
@@ -305,12 +306,12 @@ def _shape(
     rounding = 1e-6 * max(placed.window.lattice.pitch)
     step = rounding_step(placed) * placed.pose.factor
     limit = design.check.shape * own_sag_error(gathered) + rounding + 0.6 * step
-    source = "what facets of this size and bend give"
+    source = other("what facets of this size and bend give")
     if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
         reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
         limit, source = (
             ON_FACES * max(placed.window.lattice.pitch) + 2.0**-22 * reach,
-            "corners on exact faces",
+            other("corners on exact faces"),
         )
     noise = max(face.noise for face in mapped.faces)
     mapped, damage, more = _damage(placed, mapped, limit)
@@ -328,9 +329,9 @@ def _shape(
     lost = any(feature["cells"] for feature in more["features"])
     if more["dents"] or lost:
         return Check("shape", "fail", sentence, worst.systematic, limit, detail=detail,
-                     source=source, **common), mapped  # fmt: skip
+                     limit_source=source, **common), mapped  # fmt: skip
     return judge(
-        "shape", worst.systematic, limit, sentence, detail=detail, source=source, **common
+        "shape", worst.systematic, limit, sentence, detail=detail, limit_source=source, **common
     ), mapped  # fmt: skip
 
 

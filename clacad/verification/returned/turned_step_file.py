@@ -25,6 +25,7 @@ from clacad.verification.files.find_files import Subject
 from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.mesh_light import MeshEvidence
 from clacad.verification.files.step_file import hole_words, judge_solid, lies_elsewhere
+from clacad.verification.limit_sources import other
 from clacad.verification.returned.judge_part import judge_returned
 from clacad.verification.returned.registration import Placed, place
 
@@ -129,7 +130,7 @@ def _exact_scale(check: Check) -> Check:
     if check.id != "scale" or not isinstance(check.value, float):
         return check
     state: State = "pass" if check.value <= SCALE else "fail"
-    return replace(check, state=state, limit=SCALE, source="a file of solids states its size")
+    return replace(check, state=state, limit=SCALE, limit_source=other("a file of solids states its size"))
 
 
 def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check:
