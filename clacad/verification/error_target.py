@@ -11,7 +11,7 @@ from clacad.verification.checks import Check, judge
 from clacad.verification.limit_sources import other
 
 if TYPE_CHECKING:
-    from clacad.verification.run import Report
+    from clacad.verification.verification_report import Report
 
 FEWEST, MOST = 1 << 14, 1 << 20
 """With fewer than the first the fits through a file's triangles have too few rays that get through."""

@@ -19,7 +19,7 @@ from clacad.verification.light.ghost_map import GhostMap, ghost_map
 
 if TYPE_CHECKING:
     from clacad.effects import Plan
-    from clacad.verification.run import Report
+    from clacad.verification.verification_report import Report
 
 
 @dataclass(frozen=True, eq=False)

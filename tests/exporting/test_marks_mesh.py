@@ -27,6 +27,7 @@ from clacad.solid.marks import line_sketch, pockets
 from clacad.storage.errors import NotPossible
 from clacad.verification import verify
 from clacad.verification.files.find_files import find_files
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.returned.judge_part import judge_placed
 from clacad.verification.returned.registration import place
 
@@ -335,7 +336,7 @@ def judged_alone(design, path: Path):
     """A file without a manifest: the bodies it is taken to hold, and its checks by name."""
     subject = find_files(path).subjects[0]
     placed = place(design, subject, read_mesh(path), None)
-    found, _ = judge_placed(design, placed, path.name, 1024, lambda *_: None, Role.PREVIEW)
+    found, _ = judge_placed(Inspection(design, path.name, 1024, role=Role.PREVIEW), placed)
     return placed, {check.id: check for check in found}
 
 

@@ -19,6 +19,7 @@ from clacad.sheet.bundle import bundle, central_cell
 from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.verification import verify
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import light_checks, measure_light
 from clacad.verification.light.confocality import interfaces
 
@@ -93,7 +94,7 @@ def test_a_wrong_offset_is_found_as_delta():
     aside = 0.01 * f1[0]
     found = measure_light(DESIGN, window, through(window, [aside, 0.0, 0.0]), RAYS, 512)
     assert found.law.delta_x - found.exact.delta_x == pytest.approx(0.01, rel=0.05)
-    checks = {c.id: c for c in light_checks(DESIGN, found, Role.MASTER, "x")}
+    checks = {c.id: c for c in light_checks(Inspection(DESIGN, "x", RAYS), found)}
     assert checks["file_law_delta"].state == "fail"
     assert checks["file_law_eta"].state == "pass"
 
@@ -106,7 +107,7 @@ def test_light_that_reaches_nothing_leaves_every_check_not_run():
         return replace(result, fate=np.full(len(lit.rays), Fate.WALL, dtype=np.uint8))
 
     found = measure_light(DESIGN, window, dark, 1024, 64)
-    checks = light_checks(DESIGN, found, Role.MASTER, "x")
+    checks = light_checks(Inspection(DESIGN, "x", RAYS), found)
     assert {c.id: c.state for c in checks if c.id != "file_throughput"} == {
         c.id: "not run" for c in checks if c.id != "file_throughput"
     }
@@ -125,13 +126,15 @@ def test_what_fails_a_master_warns_of_a_preview_and_noise_excuses_a_scan():
 
     found = measure_light(DESIGN, window, noisy, RAYS, 512)
     state = {
-        role: next(c for c in light_checks(DESIGN, found, role, "x", noise=0.0288) if c.id == "file_law_rms")
+        role: next(c for c in light_checks(Inspection(DESIGN, "x", RAYS, role=role), found, noise=0.0288) if c.id == "file_law_rms")
         for role in (Role.MASTER, Role.PREVIEW, Role.SCAN)
     }  # fmt: skip
     assert [one.state for one in state.values()] == ["fail", "warn", "warn"]
     assert "finer facets of the same noise are worse" in state[Role.SCAN].sentence
     silent = next(
-        c for c in light_checks(DESIGN, found, Role.SCAN, "x", noise=0.005) if c.id == "file_law_rms"
+        c
+        for c in light_checks(Inspection(DESIGN, "x", RAYS, role=Role.SCAN), found, noise=0.005)
+        if c.id == "file_law_rms"
     )
     assert silent.state == "fail"
 

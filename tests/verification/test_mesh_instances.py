@@ -26,6 +26,7 @@ from clacad.sheet.volume_and_extent import Integral, body_volume
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 from clacad.verification.files import mesh_wholeness
 from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.mesh_shape import clean_forecast
 from clacad.verification.files.mesh_wholeness import connected
@@ -57,9 +58,8 @@ def written(folder, suffix, design=DESIGN, quads=QUADS):
 def judged(path, design=DESIGN, stated=None, mesh=None):
     mesh = read_mesh(path) if mesh is None else mesh
     factor = (mesh.unit or 1e-3) / design.unit_m
-    checks, evidence = judge_mesh(
-        design, prescribe(design), mesh, factor, "part", stated or {}, RAYS, lambda *_: None
-    )
+    asked = Inspection(design, "part", RAYS, stated=stated or {})
+    checks, evidence = judge_mesh(asked, prescribe(design), mesh, factor)
     return {check.id: check for check in checks}, evidence
 
 

@@ -20,6 +20,7 @@ from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import verify
 from clacad.verification.files.find_files import find_files
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.open_surface import is_open_surface, rims
 from clacad.verification.returned.damage import find_features
 from clacad.verification.returned.deviation_map import plot_deviation, write_deviation
@@ -71,7 +72,7 @@ def judged(tmp_path, made, triangles, role=Role.PREVIEW):
     path = tmp_path / "part.stl"
     write_stl(path, triangles)
     placed = place(made, find_files(path).subjects[0], read_mesh(path), None)
-    found, evidence = judge_placed(made, placed, path.name, RAYS, lambda *_: None, role)
+    found, evidence = judge_placed(Inspection(made, path.name, RAYS, role=role), placed)
     return placed, {check.id: check for check in found}, evidence
 
 
@@ -92,7 +93,7 @@ def test_a_copy_of_an_exported_mesh_lies_as_it_was_written(tmp_path, which):
         copy = tmp_path / f"copy.{suffix}"
         copy.write_bytes(source.read_bytes())
         placed = place(made, find_files(copy).subjects[0], read_mesh(copy), None)
-        found, _ = judge_placed(made, placed, copy.name, RAYS, lambda *_: None, Role.PREVIEW)
+        found, _ = judge_placed(Inspection(made, copy.name, RAYS, role=Role.PREVIEW), placed)
         assert placed.pose.untouched, suffix
         assert placed.exact
         coarse = [check.id for check in found if check.state == "warn" and check.id.startswith("file_")]

@@ -12,8 +12,10 @@ import pytest
 import clacad
 from clacad.formats.step.step_files import read_step, write_step
 from clacad.formats.step.text_health import patch_points, scan_step
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.step_file import judge_solid
+from clacad.verification.files.step_light import FACE_RAYS
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 UNITS = {"MM": 1.0, "INCH": 25.4, "M": 1000.0}
@@ -43,8 +45,9 @@ def written(tmp_path_factory):
     return made
 
 
-def judged(design, window, path, stated=None, **options):
-    checks, facts = judge_solid(design, window, Path(path), stated or {}, lambda *_: None, **options)
+def judged(design, window, path, stated=None, rays=FACE_RAYS):
+    asked = Inspection(design, Path(path).name, rays, stated=stated or {})
+    checks, facts = judge_solid(asked, window, Path(path))
     return {check.id: check for check in checks}, facts
 
 

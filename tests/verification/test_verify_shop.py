@@ -11,6 +11,7 @@ import clacad
 from clacad.cli import main
 from clacad.formats.mesh.readers import read_mesh
 from clacad.mesh import tessellate
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
 
 trimesh = pytest.importorskip("trimesh")
@@ -34,9 +35,7 @@ def judged(path):
     design = clacad.load(DESIGN)
     window = clacad.prescribe(design.with_cells((3, 3)))
     factor = 1e-3 / window.unit
-    found, _ = judge_mesh(
-        design, window, read_mesh(path), factor, path.name, {}, 16384, lambda stage, done: None
-    )
+    found, _ = judge_mesh(Inspection(design, path.name, 16384), window, read_mesh(path), factor)
     return {check.id: check for check in found}
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from itertools import islice
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,11 +33,9 @@ from clacad.sheet.window import Face, Window, face_height, lens_height_and_norma
 from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.find_files import Subject
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.map_light import FaceFile, map_light
 from clacad.verification.limit_sources import other
-
-if TYPE_CHECKING:
-    from clacad.design import Design
 
 SUFFIXES: Mapping[str, str] = {
     ".f32.tiff": "tiff32", ".u16.tiff": "tiff16", ".u16.png": "png16", ".xyz": "xyz-normals", ".cell.dat": "grid-sag",
@@ -63,26 +61,24 @@ def format_of(subject: Subject) -> str | None:
     return next((word for end, word in SUFFIXES.items() if name.endswith(end)), None)
 
 
-def judge_map(design: Design, window: Window, subject: Subject, format: str, rays: int) -> list[Check]:
+def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) -> list[Check]:
     """Compare a file with the design's faces, number by number, and send light through the heights it holds.
 
     Parameters
     ----------
-    design : Design
+    asked : Inspection
     window : Window
         With the cells that were written.
     subject : Subject
     format : str
         As `format_of` says.
-    rays : int
-        Of the bundle of the checks, at most.
 
     Returns
     -------
     list of Check
         readable, shape, and those of light where the file holds heights.
     """
-    common: dict[str, Any] = {"where": "file", "subject": subject.name}
+    common = asked.common
     try:
         worst, room, what, label = _compared(window, subject, format)
     except (ExportError, OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
@@ -99,7 +95,7 @@ def judge_map(design: Design, window: Window, subject: Subject, format: str, ray
         judge(
             "shape", worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common
         ),
-        *(map_light(design, window, subject, format, label, rays) if label else ()),
+        *(map_light(asked, window, subject.path, format, label) if label else ()),
     ]
 
 

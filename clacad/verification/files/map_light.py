@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +27,8 @@ from clacad.storage.errors import ExportError
 from clacad.tracing.sampled_face import sampled_face
 from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, FacetBody, trace_facets
 from clacad.verification.checks import Check, not_run
-from clacad.verification.files.find_files import Subject
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
-
-if TYPE_CHECKING:
-    from clacad.design import Design
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle at most, and of each field point."""
@@ -72,37 +68,39 @@ class Samples:
     step: Floats
 
 
-def map_light(
-    design: Design, window: Window, subject: Subject, format: str, label: str, rays: int
-) -> list[Check]:
+def map_light(asked: Inspection, window: Window, path: Path, format: str, label: str) -> list[Check]:
     """Send the rays of the checks through what a map, grid or point file holds.
 
     Parameters
     ----------
-    design, window
-    subject : Subject
+    asked : Inspection
+    window : Window
+    path : Path
     format : str
         As `clacad.verification.files.map_file.format_of` says; none that holds heights gives no check.
     label : str
         Which face it is of.
-    rays : int
-        Of the main bundle at most.
     """
     if format not in _READ:
         return []
     body, face = next((b, f) for b, f, name in structured_faces(window) if name == label)
     cell = central_cell(window)
     try:
-        held = _READ[format](FaceFile(window, body, face, label, subject.path), cell)
+        held = _READ[format](FaceFile(window, body, face, label, path), cell)
         through = _bodies(window, face, cell, held)
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
-        return [not_run(name, why, where="file", subject=subject.name) for name in IDS]
+        return [not_run(name, why, **asked.common) for name in IDS]
     seen = measure_light(
-        design, window, lambda lit: trace_facets(through, lit.rays), min(rays, RAYS), POINT_RAYS, cell
+        asked.design,
+        window,
+        lambda lit: trace_facets(through, lit.rays),
+        min(asked.rays, RAYS),
+        POINT_RAYS,
+        cell,
     )
     what = f"bicubic surface ({format}, {label}; the other faces as designed)"
-    return light_checks(design, seen, subject.role, subject.name, what)
+    return light_checks(asked, seen, what)
 
 
 def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples) -> tuple[FacetBody, ...]:

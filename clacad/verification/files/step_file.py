@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Progress
+from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.exporting.roles import Role
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
 from clacad.verification.files.mesh_shape import volume_of
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays
@@ -94,22 +94,15 @@ def gain(window: Window) -> float:
     return float(total**0.5)
 
 
-def judge_solid(
-    design: Design, window: Window, path: Path, stated: Mapping[str, Any], progress: Progress, rays: int = FACE_RAYS,
-    role: Role = Role.MASTER,
-) -> tuple[list[Check], Mapping[str, Any]]:  # fmt: skip
+def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Check], Mapping[str, Any]]:
     """Read a STEP or BREP file in a worker and judge what is found, and the light through its faces.
 
     Parameters
     ----------
-    design, window, path
-    stated : mapping
-        The file's entry in a manifest; empty without one.
-    progress : callable
-        (stage, done 0 … 1).
-    rays : int
-        Of the main bundle through its faces; no more than `FACE_RAYS` are sent.
-    role : Role
+    asked : Inspection
+        No more than `FACE_RAYS` of its rays are sent.
+    window : Window
+    path : Path
 
     Returns
     -------
@@ -120,25 +113,31 @@ def judge_solid(
     """
     from clacad.storage.worker import Worker
 
-    common: dict[str, Any] = {"where": "file", "subject": path.name}
-    progress(f"reading {path.name}", 0.0)
+    common = asked.common
+    asked.progress(f"reading {path.name}", 0.0)
     with Worker() as worker:
         try:
             found = worker.run(
-                "clacad.exporting.step_record:read", str(path), window, timeout=SECONDS, progress=progress
+                "clacad.exporting.step_record:read",
+                str(path),
+                window,
+                timeout=SECONDS,
+                progress=asked.progress,
             )
         except (ExportError, OSError) as error:
             checks = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
             later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
             return checks + [not_run(name, "the file cannot be read", **common) for name in later], {}
         found["holds_words"] = holds_words(found["holds"])
-        room = room_for(design, window, stated)
-        checks = [Check("readable", "pass", found["holds_words"] + _unit_words(found), **common)]
-        checks += [_closed(found, common), _solids(found, stated, common), _placement(found, room, common)]
-        checks += [_shape(found, stated, room, common), _file_rms(window, found, room, common)]
-        checks.append(_volume(window, found, stated, room, common))
-        progress("tracing through the faces", 0.0)
-        checks += _light(design, window, worker, path, found, rays, role)
+        room = room_for(asked.design, window, asked.stated)
+        checks = [
+            Check("readable", "pass", found["holds_words"] + _unit_words(found), **common),
+            _closed(found, common), _solids(found, asked.stated, common), _placement(found, room, common),
+            _shape(found, asked.stated, room, common), _file_rms(window, found, room, common),
+            _volume(window, found, asked.stated, room, common),
+        ]  # fmt: skip
+        asked.progress("tracing through the faces", 0.0)
+        checks += _light(asked, window, worker, path, found)
     return checks, found
 
 
@@ -206,20 +205,20 @@ def _unit_words(found: Mapping[str, Any]) -> str:
 
 
 def _light(
-    design: Design, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], rays: int, role: Role
-) -> list[Check]:  # fmt: skip
+    asked: Inspection, window: Window, worker: Worker, path: Path, found: Mapping[str, Any]
+) -> list[Check]:
     """Light through the faces, against the law."""
-    common: dict[str, Any] = {"where": "file", "subject": path.name}
     if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
         why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
-        return [not_run(name, why, required=False, **common) for name in IDS]
+        return [not_run(name, why, required=False, **asked.common) for name in IDS]
     held = [body.name for body in _held(window, found)]
     send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]))
     try:
-        light = measure_light(design, window, send, min(rays, FACE_RAYS), point_rays(window))
+        light = measure_light(asked.design, window, send, min(asked.rays, FACE_RAYS), point_rays(window))
     except (ExportError, OSError) as error:
-        return [not_run(name, f"no light could be sent through its faces: {error}", **common) for name in IDS]
-    return light_checks(design, light, role, path.name, "faces" if found["kernel"] else "lens patches")
+        why = f"no light could be sent through its faces: {error}"
+        return [not_run(name, why, **asked.common) for name in IDS]
+    return light_checks(asked, light, "faces" if found["kernel"] else "lens patches")
 
 
 def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
