@@ -12,7 +12,7 @@ from clacad.cli.design_commands import load_counted
 from clacad.cli.option_values import parse_angle
 
 if TYPE_CHECKING:
-    from clacad.verification.accuracy.accuracy_table import Row, Table
+    from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable
     from clacad.verification.accuracy.file_floors import Floor
 
 
@@ -51,7 +51,7 @@ def measure_accuracy(
     return 0
 
 
-def _write(out: Path, measured: Table, target: float | None, overwrite: bool) -> None:
+def _write(out: Path, measured: AccuracyTable, target: float | None, overwrite: bool) -> None:
     from clacad.storage.atomic import write_file
     from clacad.verification.accuracy.accuracy_plot import plot_png, plot_svg
 
@@ -65,7 +65,7 @@ def _bytes(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def accuracy_text(measured: Table) -> str:
+def accuracy_text(measured: AccuracyTable) -> str:
     """The table for a person, errors in mrad."""
     front = set(map(id, measured.pareto()))
     lines = [
@@ -113,7 +113,7 @@ def floors_text(floors: Sequence[Floor]) -> str:
     return f"where accuracy stops paying: the least error of each file format, in mrad\n{table(lines)}"
 
 
-def _line(row: Row, on_front: bool) -> list[str]:
+def _line(row: AccuracyRow, on_front: bool) -> list[str]:
     errors = [f"{1e3 * e:.3g}" for e in (row.model_rms, row.model_p95, row.model_max, row.law_rms)]
     return [
         "*" if on_front else "", row.rung, row.setting, *errors, f"{row.disagree:.2%}", f"{row.seconds:.3g}",

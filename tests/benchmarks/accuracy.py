@@ -12,7 +12,7 @@ from pathlib import Path
 import clacad
 from clacad.cli.accuracy_command import accuracy_text
 from clacad.verification.accuracy.accuracy_plot import plot_png
-from clacad.verification.accuracy.accuracy_table import Table
+from clacad.verification.accuracy.accuracy_table import AccuracyTable
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -40,7 +40,7 @@ another machine differ, errors do not. `clacad accuracy DESIGN -o plot.png` make
 """
 
 
-def section(table: Table) -> str:
+def section(table: AccuracyTable) -> str:
     """Table of one design, and what targets choose."""
     chosen = []
     for target in TARGETS:

@@ -15,11 +15,11 @@ from clacad.mesh import tessellate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.window import lens_height_and_normal
 from clacad.verification.accuracy.accuracy_plot import plot_svg
-from clacad.verification.accuracy.accuracy_table import Row, Table, TargetOutOfReach, accuracy
+from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable, TargetOutOfReach, accuracy
 from clacad.verification.accuracy.extended_precision import direction_errors
 from clacad.verification.accuracy.file_floors import FAMILIES, Floor, family_floor, probe
 from clacad.verification.accuracy.file_rounding import EXACT, Holding, rounded
-from clacad.verification.accuracy.measure_rungs import Ladder
+from clacad.verification.accuracy.measure_rungs import TracedRays
 from clacad.verification.accuracy.step_rung import _compared, step_row
 
 
@@ -144,9 +144,9 @@ def test_the_table_is_json_and_the_plot_is_the_same_for_the_same_table(table):
 
 
 def test_what_was_not_measured_is_null_and_never_nan():
-    dark = Row("mesh", "no ray alive", *[float("nan")] * 5, 1.0, 0.0, float("inf"), 100, 0)
+    dark = AccuracyRow("mesh", "no ray alive", *[float("nan")] * 5, 1.0, 0.0, float("inf"), 100, 0)
     nowhere = Floor("stl", "facet", "f32", "", float("nan"), float("nan"), float("inf"), None, float("nan"))
-    table = Table("dark", (dark,), {"rms": float("nan"), "rays": 0.0}, (nowhere,))
+    table = AccuracyTable("dark", (dark,), {"rms": float("nan"), "rays": 0.0}, (nowhere,))
     text = json.dumps(table.to_dict(), allow_nan=False)
     assert json.loads(text)["rows"][0]["model_rms"] is None
     assert "NaN" not in text
@@ -200,7 +200,7 @@ def test_fifty_digits_see_an_error_of_an_ulp_that_doubles_cannot(design):
 def test_every_form_is_held_to_fifty_digits_and_to_its_step_file(name):
     design = clacad.load(f"designs/{name}.toml")
     window = clacad.prescribe(design)
-    ladder = Ladder.raised(window, bundle(window, 400, design.check.field).rays)
+    ladder = TracedRays.raised(window, bundle(window, 400, design.check.field).rays)
     alive = np.flatnonzero(ladder.truth.fate == clacad.Fate.ALIVE)
     errors = direction_errors(
         window, ladder.rays.position[alive], ladder.rays.direction[alive], ladder.truth.direction[alive],
@@ -209,7 +209,7 @@ def test_every_form_is_held_to_fifty_digits_and_to_its_step_file(name):
     assert errors.max() < 4e-15
     if name == "tilted":  # a displaced slab: the hard one for a file
         step, note = step_row(
-            ladder, lambda count: Ladder.raised(window, bundle(window, count, design.check.field).rays)
+            ladder, lambda count: TracedRays.raised(window, bundle(window, count, design.check.field).rays)
         )
         assert note == ""
         assert step.checked >= 1000  # though the ladder has 400 rays
@@ -221,7 +221,7 @@ def test_rays_go_to_the_step_file_until_a_thousand_came_through_and_none_goes_tw
     window = clacad.prescribe(design)
 
     def ladder(count):
-        return Ladder.raised(window, bundle(window, count, design.check.field).rays)
+        return TracedRays.raised(window, bundle(window, count, design.check.field).rays)
 
     seen = []
 

@@ -15,10 +15,10 @@ from clacad.optics.surface import Quadric
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle
 from clacad.tracing.trace import trace
-from clacad.verification.files.cell_triangles import Gathered, Gatherer, onto_face, owner
+from clacad.verification.files.cell_triangles import CellFacets, Gatherer, onto_face, owner
 from clacad.verification.light.error_attribution import (
     NAMES,
-    Facets,
+    FacetTraces,
     as_it_would_be_written,
     as_written,
     attribute,
@@ -42,7 +42,7 @@ def made(**pair):
 
 def exact(window):
     """No triangles at all: the surfaces themselves on both last rungs."""
-    return Facets("surfaces", (4, 4), lambda rays: trace(window, rays), lambda rays: trace(window, rays))
+    return FacetTraces("surfaces", (4, 4), lambda rays: trace(window, rays), lambda rays: trace(window, rays))
 
 
 def sizes(found):
@@ -144,7 +144,7 @@ def test_triangles_on_perfect_surfaces_show_tessellation_alone_and_it_halves_wit
 def coarser(window, bits):
     """Triangles of one cell whose corners keep so many bits of their coordinates."""
     one = window.with_cells((1, 1))
-    held = Gathered(((0, 0),))
+    held = CellFacets(((0, 0),))
     gatherer = Gatherer(one, [(0, 0)])
     for body in tessellate(one, quads=8).bodies:
         for rows in body.rows():

@@ -6,7 +6,7 @@ import io
 from math import isfinite
 from typing import Any
 
-from clacad.verification.accuracy.rows import Row, Table, pareto
+from clacad.verification.accuracy.rows import AccuracyRow, AccuracyTable, pareto
 
 SIZE = (9.6, 4.6)
 
@@ -20,12 +20,12 @@ STYLE = {
 """Colour and marker of each rung; vertex normals are drawn hollow."""
 
 
-def plot_svg(table: Table, target: float | None = None) -> str:
+def plot_svg(table: AccuracyTable, target: float | None = None) -> str:
     """Picture of a table as SVG text, the same for the same table.
 
     Parameters
     ----------
-    table : Table
+    table : AccuracyTable
     target : float or None, radians
         Drawn as a line.
     """
@@ -42,7 +42,7 @@ def plot_svg(table: Table, target: float | None = None) -> str:
     return out.getvalue()
 
 
-def plot_png(table: Table, target: float | None = None) -> bytes:
+def plot_png(table: AccuracyTable, target: float | None = None) -> bytes:
     """The same picture as PNG."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -57,7 +57,7 @@ def plot_png(table: Table, target: float | None = None) -> bytes:
     return out.getvalue()
 
 
-def _draw(figure: Any, table: Table, target: float | None) -> None:
+def _draw(figure: Any, table: AccuracyTable, target: float | None) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     _draw_seconds(left, table)
     _draw_floors(right, table)
@@ -73,7 +73,7 @@ def _draw(figure: Any, table: Table, target: float | None) -> None:
     figure.suptitle(f"{table.design}: what accuracy costs", fontsize=10)
 
 
-def _draw_seconds(axes: Any, table: Table) -> None:
+def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
     """Error against seconds: every row, the front of all rows, and that of the meshes alone."""
     shown = [r for r in table.rows if isfinite(r.model_rms) and r.model_rms > 0.0 and r.seconds > 0.0]
     count = table.rays or 1
@@ -110,7 +110,7 @@ def _draw_seconds(axes: Any, table: Table) -> None:
     )
 
 
-def _draw_floors(axes: Any, table: Table) -> None:
+def _draw_floors(axes: Any, table: AccuracyTable) -> None:
     """Error against quads a cell side, as forecast for each way of holding a vertex, and as traced."""
     found = [f for f in table.floors if f.floor is not None]
     colours = ("#1f4e79", "#b07aa1", "#3a7d44", "#e07b39", "#7a7a7a", "#b00020", "#8c6d31", "#17becf")
@@ -129,7 +129,7 @@ def _draw_floors(axes: Any, table: Table) -> None:
         axes.legend(fontsize=6, loc=(0.03, 0.33))
 
 
-def _label(row: Row) -> str:
+def _label(row: AccuracyRow) -> str:
     if row.rung == "mesh":
         return f"{row.quads}"
     return f"{row.rung} float32" if row.float == "f32" else row.rung

@@ -10,18 +10,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
-from clacad.verification.accuracy.rows import Row, Table, TargetOutOfReach
+from clacad.verification.accuracy.rows import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.optics.rays import Rays
 
-__all__ = ["Row", "Table", "TargetOutOfReach", "accuracy"]
+__all__ = ["AccuracyRow", "AccuracyTable", "TargetOutOfReach", "accuracy"]
 
 
 def accuracy(
     design: Design, rays: int = 100_000, quads: Sequence[int] | None = None, progress: Progress | None = None
-) -> Table:
+) -> AccuracyTable:
     """Measure error against seconds over the rungs and their settings.
 
     Parameters
@@ -36,7 +36,7 @@ def accuracy(
 
     Returns
     -------
-    Table
+    AccuracyTable
 
     Raises
     ------
@@ -49,7 +49,7 @@ def accuracy(
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
     from clacad.verification.accuracy.file_floors import floors, probe
-    from clacad.verification.accuracy.measure_rungs import QUADS, Ladder, exact_rows, mesh_rows, reference
+    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, exact_rows, mesh_rows, reference
     from clacad.verification.accuracy.step_rung import step_row
 
     report = progress or silent
@@ -60,7 +60,7 @@ def accuracy(
     def lit(count: int) -> Rays:
         return bundle(window, count, design.check.field, design.check.field_centre).rays
 
-    ladder = Ladder.raised(window, lit(rays))
+    ladder = TracedRays.raised(window, lit(rays))
     checked = reference(ladder)
     report("law, thin, surfaces", 0.05)
     rows = exact_rows(ladder, checked)
@@ -69,15 +69,15 @@ def accuracy(
         report(f"mesh of {grid} quads a cell side", 0.1 + 0.7 * number / len(grids))
         rows += mesh_rows(ladder, grid)
     report("STEP", 0.8)
-    step, note = step_row(ladder, lambda count: Ladder.raised(window, lit(count)))
+    step, note = step_row(ladder, lambda count: TracedRays.raised(window, lit(count)))
     rows += [] if step is None else [step]
     report("floors of the file formats", 0.9)
     found = floors(probe(window, ladder.rays, ladder.truth))
     report("done", 1.0)
-    return Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
+    return AccuracyTable(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
-def _notes(rows: Sequence[Row], step_note: str) -> tuple[str, ...]:
+def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
     surfaces = next(row for row in rows if row.rung == "surfaces")
     notes = [
         "rung law's model error equals rung surfaces' error to the law by definition: "

@@ -42,7 +42,7 @@ Normals = Literal["facet", "vertex"]
 
 
 @dataclass(frozen=True, slots=True)
-class Tessellation:
+class ChosenFacets:
     """The coarsest facets within a target.
 
     Parameters
@@ -71,7 +71,7 @@ class Tessellation:
 
 def facets_for(
     design: Design, window: Window, target: float, formats: Sequence[str], normals: Normals = "facet"
-) -> Tessellation | None:
+) -> ChosenFacets | None:
     """Choose the coarsest facets with which every format is within a target; None where no format has facets.
 
     Parameters
@@ -98,7 +98,7 @@ def facets_for(
     floors = [(name, _floor(seen, name, normals, smooth)) for name in asked]
     chosen = [_traced(seen, name, floor, target, smooth) for name, floor in floors]
     quads = max(quads for quads, _ in chosen)
-    return Tessellation(quads, max(floor.error(quads) for _, floor in chosen), normals, asked)
+    return ChosenFacets(quads, max(floor.error(quads) for _, floor in chosen), normals, asked)
 
 
 def floor_of(design: Design, window: Window, format: str, normals: Normals = "facet") -> Floor:

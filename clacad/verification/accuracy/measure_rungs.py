@@ -16,7 +16,7 @@ from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.extended_precision import direction_errors
-from clacad.verification.accuracy.rows import Row
+from clacad.verification.accuracy.rows import AccuracyRow
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
@@ -31,7 +31,7 @@ SLOW = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Ladder:
+class TracedRays:
     """The rays and what is known of them.
 
     window : Window
@@ -48,7 +48,7 @@ class Ladder:
     asked: Floats
 
     @classmethod
-    def raised(cls, window: Window, rays: Rays) -> Ladder:
+    def raised(cls, window: Window, rays: Rays) -> TracedRays:
         """Trace the truth, by the compiled kernel: the one whose speed and error the table tells."""
         from clacad.tracing.trace import trace
 
@@ -78,7 +78,9 @@ def peak_memory(run: Callable[[], Any]) -> int:
         tracemalloc.stop()
 
 
-def row(ladder: Ladder, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0) -> Row:
+def row(
+    ladder: TracedRays, rung: str, setting: str, run: Callable[[], TraceResult], prepare: float = 0.0
+) -> AccuracyRow:
     """Measure one rung: time, memory, errors against truth and law."""
     result, seconds, compiling = timed(run)
     memory = peak_memory(run)
@@ -89,7 +91,7 @@ def row(ladder: Ladder, rung: str, setting: str, run: Callable[[], TraceResult],
     both = (result.fate == Fate.ALIVE) & (ladder.truth.fate == Fate.ALIVE)
     both &= ~disagree | (rung == "law")
     numbers = statistics(result.direction[both], ladder.truth.direction[both], ladder.asked[both])
-    return Row(
+    return AccuracyRow(
         rung, setting, *numbers, float(disagree.mean()), seconds, prepare + compiling, len(ladder.rays), int(both.sum()), memory=memory,
     )  # fmt: skip
 
@@ -109,7 +111,7 @@ def _part(values: Floats, percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
-def reference(ladder: Ladder, count: int = ORACLE_RAYS) -> dict[str, float]:
+def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
     """Hold the truth to a 50-digit trace on its first `count` living rays."""
     alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)[:count]
     truth = ladder.truth
@@ -128,7 +130,7 @@ def reference(ladder: Ladder, count: int = ORACLE_RAYS) -> dict[str, float]:
     }
 
 
-def exact_rows(ladder: Ladder, checked: dict[str, float]) -> list[Row]:
+def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRow]:
     """Rungs law, thin, surfaces in float64 and float32, the last two compiled."""
     from clacad.tracing.trace import trace
 
@@ -151,7 +153,7 @@ def _surface_bytes(window: Window) -> int:
     return len(window.faces) * (4 + 3 + 9) * 8
 
 
-def mesh_rows(ladder: Ladder, quads: int) -> list[Row]:
+def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of one tessellation: facet and exact vertex normals, vertices in float64 and float32."""
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.types import Progress
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.rows import Row
+from clacad.verification.accuracy.rows import AccuracyRow
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -29,13 +29,13 @@ server; other machines differ by a factor, which moves all points of the plot al
 class Ladder:
     """Rows of the ladder, their forecast microseconds a ray, and how well the truth itself is known.
 
-    rows : tuple of clacad.verification.accuracy.accuracy_table.Row
+    rows : tuple of clacad.verification.accuracy.rows.AccuracyRow
     forecast : tuple of float, microseconds
     reference : float, radians
         Rms of the truth against a trace in 50 digits.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[AccuracyRow, ...]
     forecast: tuple[float, ...]
     reference: float
 
@@ -68,7 +68,7 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
     from clacad.verification.accuracy import measure_rungs
 
     lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
-    ladder = measure_rungs.Ladder(
+    ladder = measure_rungs.TracedRays(
         window, lit.rays, trace(window, lit.rays), window.law.refract(lit.rays.direction)
     )
     known = measure_rungs.reference(ladder, ORACLE_RAYS)["rms"]

@@ -23,7 +23,7 @@ class TargetOutOfReach(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class AccuracyRow:
     """One rung at one setting.
 
     Parameters
@@ -100,13 +100,13 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class AccuracyTable:
     """What `clacad.accuracy` returns.
 
     Parameters
     ----------
     design : str
-    rows : tuple of Row
+    rows : tuple of AccuracyRow
     reference : mapping
         The 50-digit check of the truth: rays, rms, max.
     floors : tuple of Floor
@@ -115,14 +115,16 @@ class Table:
     """
 
     design: str
-    rows: tuple[Row, ...]
+    rows: tuple[AccuracyRow, ...]
     reference: Mapping[str, float]
     floors: tuple[Floor, ...] = ()
     notes: tuple[str, ...] = ()
     target: float | None = None
     rays: int = field(default=0)
 
-    def cheapest(self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None) -> Row:
+    def cheapest(
+        self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
+    ) -> AccuracyRow:
         """Row with the least predicted seconds whose model_rms is within `target` (radians).
 
         Parameters
@@ -149,7 +151,7 @@ class Table:
             f"{1e3 * closest.model_rms:.4g} mrad and {closest.disagree:.2%} of the rays in another fate"
         )
 
-    def pareto(self) -> tuple[Row, ...]:
+    def pareto(self) -> tuple[AccuracyRow, ...]:
         """Rows that no other row beats in both error and seconds, cheapest first."""
         return pareto(self.rows)
 
@@ -166,9 +168,9 @@ class Table:
         }
 
 
-def pareto(rows: Sequence[Row]) -> tuple[Row, ...]:
+def pareto(rows: Sequence[AccuracyRow]) -> tuple[AccuracyRow, ...]:
     """Rows that no other beats in both error and seconds a ray, cheapest first."""
-    front: list[Row] = []
+    front: list[AccuracyRow] = []
     for row in sorted(rows, key=lambda r: (r.seconds_per_ray, r.model_rms)):
         if isfinite(row.model_rms) and (not front or row.model_rms < front[-1].model_rms):
             front.append(row)

@@ -18,8 +18,8 @@ from clacad.base.types import Bools, Floats, Rows
 from clacad.base.units import millimetres
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.measure_rungs import Ladder, statistics
-from clacad.verification.accuracy.rows import Row
+from clacad.verification.accuracy.measure_rungs import TracedRays, statistics
+from clacad.verification.accuracy.rows import AccuracyRow
 
 if TYPE_CHECKING:
     from clacad.storage.worker import Worker
@@ -36,22 +36,22 @@ MOST_SENT = 20_000
 REACH = 2
 """Cells either side of the lit one that are written; a ray that leaves them is not compared."""
 
-More = Callable[[int], Ladder]
+More = Callable[[int], TracedRays]
 """Gives a ladder of so many rays, the first of them those of a smaller one."""
 
 
-def step_row(ladder: Ladder, more: More | None = None) -> tuple[Row | None, str]:
+def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow | None, str]:
     """Write a few cells as STEP, read them back with the kernel, trace through its faces.
 
     Parameters
     ----------
-    ladder : Ladder
+    ladder : TracedRays
     more : callable or None
         Where a ladder has fewer rays than the check needs, gives a larger one.
 
     Returns
     -------
-    (Row, "") or (None, why it could not be measured)
+    (AccuracyRow, "") or (None, why it could not be measured)
     """
     from clacad.formats.step.step_files import write_step
     from clacad.storage.errors import ExportError
@@ -75,7 +75,7 @@ def step_row(ladder: Ladder, more: More | None = None) -> tuple[Row | None, str]
     number, sent = int(met.sum()), len(met)
     rays = f"{number} rays" if number == sent else f"{number} of {sent} rays"
     numbers = statistics(spot.found[met], spot.truth[met], spot.asked[met])
-    row = Row(
+    row = AccuracyRow(
         "step", f"{rays} through the re-read faces of {size} x {size} cells", *numbers,
         float(1.0 - met.mean()), spot.seconds, prepare + spot.reading, sent, number, bytes=nbytes, file_bytes=nbytes,
     )  # fmt: skip
@@ -97,7 +97,7 @@ class Spot:
     seconds: float
 
 
-def _compared(ladder: Ladder, more: More | None, cast: Callable[..., Any], small: Window) -> Spot:
+def _compared(ladder: TracedRays, more: More | None, cast: Callable[..., Any], small: Window) -> Spot:
     """Send living rays through the file until LEAST came through, or there are no more to send."""
     found, truth, asked = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty((0, 3))]
     sent, want, reading, seconds = 0, SPOT_RAYS, 0.0, 0.0
@@ -126,7 +126,7 @@ def _compared(ladder: Ladder, more: More | None, cast: Callable[..., Any], small
     return Spot(np.concatenate(found), np.concatenate(truth), np.concatenate(asked), reading, seconds)
 
 
-def _living(ladder: Ladder, count: int, more: More | None) -> tuple[Ladder, Rows]:
+def _living(ladder: TracedRays, count: int, more: More | None) -> tuple[TracedRays, Rows]:
     """Numbers of the living rays of a ladder, of a larger one if these are fewer than `count`."""
     alive = np.flatnonzero(ladder.truth.fate == Fate.ALIVE)
     if more is None or len(alive) >= count or len(alive) == 0:
@@ -158,7 +158,7 @@ def _cast(
     return found, taken[0], max(1e-3, taken[2] - taken[1])
 
 
-def _moved(ladder: Ladder, small: Window, lit: int) -> Floats:
+def _moved(ladder: TracedRays, small: Window, lit: int) -> Floats:
     """Displacement that brings the lit cell of the whole sheet onto the middle cell of the small one."""
     cell = ladder.truth.cell[lit].astype(np.int64)
     here = ladder.window.lattice.centres(cell[None])[0]

@@ -61,7 +61,7 @@ def chosen_cells(window: Window) -> tuple[Cell, ...]:
 
 
 @dataclass
-class Gathered:
+class CellFacets:
     """Facets of the chosen cells, by body, side and cell, and what was counted on the way.
 
     Attributes
@@ -133,7 +133,7 @@ class Gatherer:
 
     def __init__(self, window: Window, cells: Iterable[Cell], bevel: float = 0.0) -> None:
         self.window, self._bevel = window, bevel
-        self.result = Gathered(tuple(cells))
+        self.result = CellFacets(tuple(cells))
         self._levels = levels(window)
         self._pockets, self._room = pockets(window), rounding(window, single=True)
         index = np.array(self.result.cells, dtype=np.int64)
@@ -227,7 +227,7 @@ class Gatherer:
         return number
 
 
-def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[str] | None = None,
+def telescopelet(window: Window, found: CellFacets, cell: int, present: Sequence[str] | None = None,
                  onto_design: bool = False) -> tuple[FacetBody, ...]:  # fmt: skip
     """Facets over one chosen telescopelet: cell i, j of each array, ready to be traced.
 
@@ -254,7 +254,7 @@ def telescopelet(window: Window, found: Gathered, cell: int, present: Sequence[s
     return tuple(bodies)
 
 
-def _faceted(window: Window, found: Gathered, key: Key, place: Floats, onto_design: bool) -> FacetFace:
+def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_design: bool) -> FacetFace:
     """The facets of one side of a body over the chosen cell at `place` (2,); of copies of a cell, its moved."""
     number, side, cell = key
     source = found.source(cell)

@@ -53,7 +53,7 @@ def believed(corners: Floats, noise: float) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True, eq=False)
-class Off:
+class FaceDistance:
     """Points against the faces of a design.
 
     distance : (n,) lengths
@@ -78,10 +78,10 @@ class Off:
         return np.isfinite(self.distance)
 
 
-def off_faces(
+def distance_to_faces(
     window: Window, points: Floats, facing: Floats, present: Sequence[str] | None = None, between: Floats | None = None,
     aside: Floats | None = None,
-) -> Off:  # fmt: skip
+) -> FaceDistance:  # fmt: skip
     """Compare points (n, 3), sheet frame, with the faces they belong to.
 
     Parameters
@@ -98,7 +98,7 @@ def off_faces(
         points themselves from that lens, carried on beyond its border.
     """
     n = len(points)
-    found = Off(
+    found = FaceDistance(
         np.full(n, np.nan), np.full((n, 3), np.nan), np.full(n, -1), np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2))
     )  # fmt: skip
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
@@ -120,7 +120,7 @@ def off_faces(
 
 
 def _compare(
-    window: Window, face: Face, array: int, points: Floats, aside: Floats | None, rows: Ints, number: int, found: Off
+    window: Window, face: Face, array: int, points: Floats, aside: Floats | None, rows: Ints, number: int, found: FaceDistance
 ) -> None:  # fmt: skip
     shift = window.shifts[array]
     told = points if aside is None else points + aside

@@ -18,7 +18,7 @@ from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered, telescopelet
+from clacad.verification.files.cell_triangles import CellFacets, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import (
@@ -57,7 +57,7 @@ class MeshEvidence:
         Rms, over the middle cell.
     law, law_design : Law or None
         Fitted through the file's triangles, and through the design cut into the same triangles; same rays.
-    gathered : Gathered or None
+    gathered : CellFacets or None
         Facets of the cells that were looked at, kept for what a report measures beyond the checks.
     """
 
@@ -70,11 +70,11 @@ class MeshEvidence:
     law: Law | None
     law_design: Law | None
     facts: Mapping[str, Any] = field(default_factory=dict)
-    gathered: Gathered | None = None
+    gathered: CellFacets | None = None
 
 
 def checks_of_light(
-    asked: Inspection, window: Window, gathered: Gathered, off: Sequence[Deviation], found: Measure,
+    asked: Inspection, window: Window, gathered: CellFacets, off: Sequence[Deviation], found: Measure,
     present: Sequence[str] | None, clean: float = np.inf,
 ) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
     """Trace the same rays through the file's triangles and through the exact surfaces.
@@ -83,7 +83,7 @@ def checks_of_light(
     ----------
     asked : Inspection
     window : Window
-    gathered : Gathered
+    gathered : CellFacets
         Facets of the cells that are lit, the middle one first.
     off : sequence of Deviation
         Of the same cells.
@@ -119,7 +119,7 @@ def checks_of_light(
 
 
 def _by_cell(
-    asked: Inspection, window: Window, gathered: Gathered, light: FileLight, present: Sequence[str] | None
+    asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
     """Of each cell: direction error to the exact surfaces and to the law (rms, radians), and the share of light lost."""
     main, truth = light.rays, light.truth
@@ -144,7 +144,7 @@ def _by_cell(
         )
 
 
-def _enough(gathered: Gathered) -> int:
+def _enough(gathered: CellFacets) -> int:
     """Rays that see every facet of a lens many times: only then do the errors of the facets' own slopes cancel in fits."""
     finest = max(
         (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
@@ -210,7 +210,7 @@ def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, c
 
 
 def _fits(
-    asked: Inspection, window: Window, gathered: Gathered, held: tuple[FacetBody, ...], present: Sequence[str] | None
+    asked: Inspection, window: Window, gathered: CellFacets, held: tuple[FacetBody, ...], present: Sequence[str] | None
 ) -> tuple[Law | None, Law | None]:  # fmt: skip
     """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays.
 

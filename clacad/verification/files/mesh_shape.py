@@ -14,7 +14,7 @@ from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered, exact_height, owner, telescopelet
+from clacad.verification.files.cell_triangles import CellFacets, exact_height, owner, telescopelet
 from clacad.verification.files.facet_deviation import (
     FEWER,
     POINTS,
@@ -40,7 +40,7 @@ _WEIGHTS = np.array([0.225] + [0.125939180544827] * 3 + [0.132394152788506] * 3)
 """Seven-point rule of degree 5 on a triangle (Radon 1948)."""
 
 
-def chord_volume(window: Window, gathered: Gathered, cell: int) -> float:
+def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
     """Volume (length³) that the facets over one chosen cell add to the exact body; negative for convex lenses."""
     total = 0.0
     for number, body in enumerate(window.bodies):
@@ -68,7 +68,7 @@ def volume_of(window: Window, body: Body) -> Integral | None:
 
 
 def volume_check(
-    asked: Inspection, window: Window, reach: float, cell_chord: float, found: Measure, gathered: Gathered
+    asked: Inspection, window: Window, reach: float, cell_chord: float, found: Measure, gathered: CellFacets
 ) -> Check:
     """Enclosed volume against quadrature of the design plus what facets cut off.
 
@@ -117,7 +117,7 @@ def _volume_room(window: Window, reach: float, chord: float, exact: float) -> fl
 def shape_check(
     asked: Inspection,
     window: Window,
-    gathered: Gathered,
+    gathered: CellFacets,
     off: Sequence[Deviation],
     present: Sequence[str] | None,
 ) -> Check:
@@ -149,7 +149,7 @@ def shape_check(
 
 
 def _shape_words(
-    asked: Inspection, gathered: Gathered, off: Sequence[Deviation], clean: Deviation, at_corners: float
+    asked: Inspection, gathered: CellFacets, off: Sequence[Deviation], clean: Deviation, at_corners: float
 ) -> tuple[dict[str, Any], str]:
     """Numbers of the shape, and a sentence that names them."""
     worst = float(max(d.distance.max() for d in off))
@@ -183,7 +183,7 @@ def _shape_limit(asked: Inspection, window: Window, sag: float) -> tuple[float, 
 def _slope_faults(
     asked: Inspection,
     window: Window,
-    gathered: Gathered,
+    gathered: CellFacets,
     off: Sequence[Deviation],
     clean: Mapping[int, Deviation],
 ) -> tuple[str, float, float, LimitSource] | None:
@@ -208,7 +208,7 @@ def _slope_faults(
 
 
 def clean_cut(
-    window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None = None
+    window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None = None
 ) -> Deviation:
     """The design cut into the very facets of a file, against the design: what these facets cannot but be off.
 
@@ -219,7 +219,7 @@ def clean_cut(
 
 
 def clean_forecast(
-    window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None = None
+    window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None = None
 ) -> float:
     """Direction error (radians) that the facets of a file would make over a chosen cell if their corners lay on the
     design's faces: `forecast_rms` of the clean cut, which noise in the file's heights cannot widen.
@@ -228,7 +228,7 @@ def clean_forecast(
 
 
 def _roughness(
-    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], clean: Mapping[int, Deviation]
+    design: Design, window: Window, gathered: CellFacets, off: Sequence[Deviation], clean: Mapping[int, Deviation]
 ) -> tuple[float, float]:  # fmt: skip
     """Rms (radians) by which the slopes of a file's facets differ from those of the clean cut, and its limit: of the
     face and cell that come nearest to theirs.
@@ -268,7 +268,7 @@ def _rounding_slope(window: Window, corners: Floats) -> float:
     return float(np.sqrt((slope**2 * twice[good]).sum() / twice[good].sum()))
 
 
-def _corners(window: Window, gathered: Gathered, cell: int, present: Sequence[str] | None) -> float:
+def _corners(window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None) -> float:
     """Largest distance of any corner of a chosen cell's facets from the design's faces."""
     centre = window.lattice.centres(np.array([gathered.cells[cell]], dtype=np.int64))[0]
     found = [0.0]
@@ -283,7 +283,7 @@ def _corners(window: Window, gathered: Gathered, cell: int, present: Sequence[st
     return float(np.nanmax(found))
 
 
-def own_sag_error(gathered: Gathered) -> float:
+def own_sag_error(gathered: CellFacets) -> float:
     """Sag error (length) that facets of this size and bend make, from the facets alone: the height over the chord at
     the middle of an edge, L² × bend/8, or over a facet's middle, which is higher where the facet has no blunt corner;
     with the bend from neighbouring facets' slopes.

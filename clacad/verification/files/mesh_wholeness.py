@@ -15,7 +15,7 @@ from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, State, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered
+from clacad.verification.files.cell_triangles import CellFacets
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -56,7 +56,7 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
 
 
 def closed_check(
-    found: Measure, gathered: Gathered, mesh: FileMesh, name: str, holds: Mapping[str, Any]
+    found: Measure, gathered: CellFacets, mesh: FileMesh, name: str, holds: Mapping[str, Any]
 ) -> Check:
     """Judge whether the surface is closed and consistently wound; where it is not, say where.
 

@@ -13,7 +13,7 @@ from clacad.optics.law.angle import angle_between
 from clacad.sheet.window import Face, Window, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check
-from clacad.verification.files.cell_triangles import Gathered
+from clacad.verification.files.cell_triangles import CellFacets
 from clacad.verification.files.facet_deviation import Deviation
 from clacad.verification.limit_sources import other
 
@@ -24,13 +24,13 @@ ROOM = 1e-6
 """Radians that numbers of float32, or of six digits, may turn a normal."""
 
 
-def normals_check(window: Window, gathered: Gathered, off: Sequence[Deviation], name: str) -> Check | None:
+def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation], name: str) -> Check | None:
     """Judge the normals stored in a file over the chosen cells; None where the file has none.
 
     Parameters
     ----------
     window : Window
-    gathered : Gathered
+    gathered : CellFacets
         With the facets' stored normals.
     off : sequence of Deviation
         Of the same cells.
@@ -63,7 +63,7 @@ def normals_check(window: Window, gathered: Gathered, off: Sequence[Deviation], 
     return Check("file_normals", "pass" if worst <= limit else "fail", text, worst, limit, **common)
 
 
-def _rms(window: Window, gathered: Gathered, body: int, side: int, cell: int) -> float | None:
+def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) -> float | None:
     """Rms angle (radians) between stored and exact normals of one side of a body over a chosen cell."""
     normals = gathered.corner_normals(body, side, cell)
     if normals is None or not len(normals):

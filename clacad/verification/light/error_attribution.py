@@ -33,7 +33,7 @@ from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.tracing.triangles.telescopelet_facets import trace_facets
-from clacad.verification.files.cell_triangles import Cell, Gathered, Gatherer, telescopelet
+from clacad.verification.files.cell_triangles import Cell, CellFacets, Gatherer, telescopelet
 from clacad.verification.light.confocality import interfaces
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ MEANING: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ErrorPart:
     """One part of the error.
 
     name : str, one of `NAMES`
@@ -91,7 +91,7 @@ class Attribution:
 
     about : str
         The file, or what stands for it.
-    parts : tuple of five Part
+    parts : tuple of five ErrorPart
     whole : (n, 3)
         Direction through the triangles less the law's.
     rms : float, radians
@@ -102,7 +102,7 @@ class Attribution:
     """
 
     about: str
-    parts: tuple[Part, ...]
+    parts: tuple[ErrorPart, ...]
     whole: Floats
     rms: float
     cell: Cell
@@ -110,7 +110,7 @@ class Attribution:
     used: int
     bundle: str
 
-    def part(self, name: str) -> Part:
+    def part(self, name: str) -> ErrorPart:
         """The part of that name.
 
         Raises
@@ -132,7 +132,7 @@ class Attribution:
 
 
 @dataclass(frozen=True, eq=False)
-class Facets:
+class FacetTraces:
     """Two ways to send a bundle through triangles: with exact corners, and as a file holds them."""
 
     about: str
@@ -142,7 +142,7 @@ class Facets:
 
 
 def attribute(
-    design: Design, window: Window, facets: Facets, rays: int = RAYS, aperture: float = 1.0, angle: float | None = None
+    design: Design, window: Window, facets: FacetTraces, rays: int = RAYS, aperture: float = 1.0, angle: float | None = None
 ) -> Attribution | None:  # fmt: skip
     """Split the error of every ray of a bundle.
 
@@ -151,7 +151,7 @@ def attribute(
     design : Design
         For the field and its middle.
     window : Window
-    facets : Facets
+    facets : FacetTraces
         From `as_written` or `as_it_would_be_written`.
     rays : int
     aperture : float
@@ -208,10 +208,10 @@ def _off_the_edges(window: Window, lit: Bundle) -> Bundle:
     return launched(window, local, lit.rays.direction, lit.cell, lit.middle, lit.field, lit.aperture)
 
 
-def _part(name: str, vector: Floats, whole: Floats, rms: float) -> Part:
+def _part(name: str, vector: Floats, whole: Floats, rms: float) -> ErrorPart:
     share = float(np.mean((vector * whole).sum(axis=1))) / rms if rms > 0.0 else 0.0
     length = np.linalg.norm(vector, axis=1)
-    return Part(name, vector, _rms(vector), float(np.median(length)), float(length.max()), share)
+    return ErrorPart(name, vector, _rms(vector), float(np.median(length)), float(length.max()), share)
 
 
 def _rms(vector: Floats) -> float:
@@ -249,7 +249,7 @@ def farthest_cell(window: Window) -> Cell:
     return int(best[0]), int(best[1])
 
 
-def as_it_would_be_written(window: Window, quads: int = QUADS) -> Facets:
+def as_it_would_be_written(window: Window, quads: int = QUADS) -> FacetTraces:
     """Triangles that an STL in millimetres would hold, over the cell where rounding to 32 bits is coarsest."""
     from clacad.mesh import tessellate
 
@@ -259,7 +259,7 @@ def as_it_would_be_written(window: Window, quads: int = QUADS) -> Facets:
         for rows in body.rows():
             gatherer.look(np.asarray(rows, dtype=np.float64))
     place = np.array([*window.lattice.centres(np.array([cell], dtype=np.int64))[0], 0.0])
-    held = Gathered((cell,))
+    held = CellFacets((cell,))
     for key, found in gatherer.result.facets.items():
         held.facets[key] = [single(corners + place, millimetres(window.unit)) for corners in found]
     return as_written(
@@ -272,7 +272,9 @@ def single(corners: Floats, scale: float) -> Floats:
     return np.asarray((corners * scale).astype(np.float32).astype(np.float64) / scale)
 
 
-def as_written(window: Window, gathered: Gathered, name: str, present: Sequence[str] | None = None) -> Facets:
+def as_written(
+    window: Window, gathered: CellFacets, name: str, present: Sequence[str] | None = None
+) -> FacetTraces:
     """Triangles of a file over the farthest of its cells that were looked at.
 
     "Exact corners" are those of the file moved along z onto the design's own faces.
@@ -281,7 +283,7 @@ def as_written(window: Window, gathered: Gathered, name: str, present: Sequence[
     number = int(np.argmax((centres**2).sum(axis=1)))
     ideal = telescopelet(window, gathered, number, present, onto_design=True)
     held = telescopelet(window, gathered, number, present)
-    return Facets(
+    return FacetTraces(
         name,
         gathered.cells[number],
         lambda rays: trace_facets(ideal, rays),

@@ -20,7 +20,7 @@ from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import Body, Window
 from clacad.verification.files.cell_triangles import levels, owner
-from clacad.verification.files.face_distance import STEEP, WIDE, believed, drawn_in, off_faces
+from clacad.verification.files.face_distance import STEEP, WIDE, believed, distance_to_faces, drawn_in
 
 MICRON = 1e-6
 
@@ -249,7 +249,7 @@ def _thickness(window: Window, body: Body, points: Floats) -> float:
     heights = []
     for way in (-1.0, 1.0):
         facing = np.broadcast_to([0.0, 0.0, way], points.shape)
-        off = off_faces(replace(window, bodies=(body,)), points, facing, [body.name])
+        off = distance_to_faces(replace(window, bodies=(body,)), points, facing, [body.name])
         with np.errstate(invalid="ignore"):
             heights.append(points[:, 2] - off.distance / off.normal[:, 2])
     thick = heights[1] - heights[0]
@@ -365,7 +365,7 @@ def find_dents(
         corners, normal = corners[good], normal[good] / length[good, None]
         inward = (corners.mean(axis=1, keepdims=True) - corners).reshape(-1, 3)
         facing, points = np.repeat(normal, 3, axis=0), corners.reshape(-1, 3)
-        off = off_faces(window, points, facing, present, between, drawn_in(window, inward, noise))
+        off = distance_to_faces(window, points, facing, present, between, drawn_in(window, inward, noise))
         value = off.distance * np.where(facing[:, 2] > 0.0, -1.0, 1.0)
         for face, cell in asked:
             rows = np.flatnonzero((off.face == face) & (off.cell == cell).all(axis=1) & off.known)

@@ -23,7 +23,7 @@ from clacad.sheet.feasibility import body_range
 from clacad.sheet.window import Window
 from clacad.storage.atomic import Stage, canonical_json, safe_name
 from clacad.verification.files.cell_triangles import levels
-from clacad.verification.files.face_distance import STEEP, believed, drawn_in, off_faces
+from clacad.verification.files.face_distance import STEEP, believed, distance_to_faces, drawn_in
 from clacad.verification.returned.damage import MICRON, Dent
 
 BINS = 16
@@ -182,7 +182,7 @@ class Mapper:
         points = corners[good].reshape(-1, 3)
         inward = (corners[good].mean(axis=1, keepdims=True) - corners[good]).reshape(-1, 3)
         aside = drawn_in(self.window, inward, self._noise)
-        off = off_faces(self.window, points, facing, self.present, self._between, aside)
+        off = distance_to_faces(self.window, points, facing, self.present, self._between, aside)
         # a scan's facets on a step may look either way: what is nearer the other side is no deviation of this one
         with np.errstate(invalid="ignore"):
             sound = np.abs(off.distance) < self._gross

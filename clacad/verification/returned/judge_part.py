@@ -17,7 +17,7 @@ from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered, Gatherer, chosen_cells
+from clacad.verification.files.cell_triangles import CellFacets, Gatherer, chosen_cells
 from clacad.verification.files.facet_deviation import deviations
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
@@ -230,7 +230,7 @@ def _looked_at(placed: Placed, watchers: tuple[Gatherer, Mapper], progress: Prog
         yield corners
 
 
-def _only(gathered: Gathered, kept: list[int]) -> Gathered:
+def _only(gathered: CellFacets, kept: list[int]) -> CellFacets:
     """The same with some of the chosen cells only."""
     facets = {
         (body, side, kept.index(cell)): parts
@@ -282,7 +282,7 @@ def _scale(asked: Inspection, placed: Placed) -> Check:
 
 
 def _shape(
-    asked: Inspection, gathered: Gathered, mapped: DeviationMap, placed: Placed
+    asked: Inspection, gathered: CellFacets, mapped: DeviationMap, placed: Placed
 ) -> tuple[Check, DeviationMap]:
     """Systematic deviation of the faces, noise apart; holes, steps, and cells that are off by themselves."""
     design = asked.design
@@ -318,7 +318,7 @@ def _shape(
 
 
 def _shape_limit(
-    design: Design, gathered: Gathered, placed: Placed, step: float
+    design: Design, gathered: CellFacets, placed: Placed, step: float
 ) -> tuple[float, LimitSource]:
     """How far faces may lie off (length): what their facets cannot but be off, and the rounding to `step` (length)."""
     pitch = max(placed.window.lattice.pitch)

@@ -60,7 +60,7 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class PartFrame:
     """Axes that a part may have been made along.
 
     turn : (3, 3)
@@ -77,7 +77,7 @@ class Frame:
     straight: bool = False
 
 
-def sampled(mesh: FileMesh) -> tuple[Sample, Frame]:
+def sampled(mesh: FileMesh) -> tuple[Sample, PartFrame]:
     """Some facets of a file, and its own axes, or those of its sides where these lean by a little."""
     stride = max(1, mesh.facet_count // SAMPLE)
     kept, areas, whole, at = [], np.zeros((3, 3)), np.zeros(3), 0
@@ -95,7 +95,7 @@ def sampled(mesh: FileMesh) -> tuple[Sample, Frame]:
     corners = np.concatenate(kept)
     lean = _lean(areas, whole)
     straight = np.array_equal(lean, np.eye(3))
-    frame = Frame(lean, high - low, 0.5 * (low + high), True) if straight else _boxed(mesh, lean)
+    frame = PartFrame(lean, high - low, 0.5 * (low + high), True) if straight else _boxed(mesh, lean)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1)
     good = length > 0.0
@@ -104,12 +104,12 @@ def sampled(mesh: FileMesh) -> tuple[Sample, Frame]:
     return Sample(corners[good].reshape(-1, 3), facing, inward), frame
 
 
-def _boxed(mesh: FileMesh, turn: Floats) -> Frame:
+def _boxed(mesh: FileMesh, turn: Floats) -> PartFrame:
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for chunk in mesh.chunks():
         turned = chunk.reshape(-1, 3) @ turn.T
         low, high = np.minimum(low, turned.min(axis=0)), np.maximum(high, turned.max(axis=0))
-    return Frame(turn, high - low, 0.5 * (low + high))
+    return PartFrame(turn, high - low, 0.5 * (low + high))
 
 
 def _lean(areas: Floats, whole: Floats) -> Floats:
@@ -139,7 +139,7 @@ def _lean(areas: Floats, whole: Floats) -> Floats:
 # -- however it lies ------------------------------------------------------------------------------------
 
 
-def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> Iterator[Frame]:
+def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> Iterator[PartFrame]:
     """Frames to try for a part that does not lie along the axes of its file.
 
     Parameters
@@ -163,7 +163,7 @@ def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> I
         yield _frame_of(points, turn)
 
 
-def sixths(mesh: FileMesh, turn: Floats) -> list[Frame]:
+def sixths(mesh: FileMesh, turn: Floats) -> list[PartFrame]:
     """Frames a sixth and two of a turn about the normal from a sheet's own (3, 3): a hexagonal lattice has no less."""
     hull = _hull(mesh)
     if hull is None:
@@ -172,10 +172,10 @@ def sixths(mesh: FileMesh, turn: Floats) -> list[Frame]:
     return [_frame_of(hull[0], _about_z(angle) @ proper) for angle in (np.pi / 3.0, -np.pi / 3.0)]
 
 
-def _frame_of(points: Floats, turn: Floats) -> Frame:
+def _frame_of(points: Floats, turn: Floats) -> PartFrame:
     turned = points @ turn.T
     low, high = turned.min(axis=0), turned.max(axis=0)
-    return Frame(turn, high - low, 0.5 * (low + high))
+    return PartFrame(turn, high - low, 0.5 * (low + high))
 
 
 def _turns(

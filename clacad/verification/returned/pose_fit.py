@@ -17,7 +17,7 @@ from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.files.cell_triangles import levels
-from clacad.verification.files.face_distance import Off, drawn_in, off_faces
+from clacad.verification.files.face_distance import FaceDistance, distance_to_faces, drawn_in
 from clacad.verification.files.find_files import (
     FACTORS,
     SAME_EXTENT,
@@ -27,7 +27,7 @@ from clacad.verification.files.find_files import (
     fitting_window,
     held_bodies,
 )
-from clacad.verification.returned.part_frames import Frame, Sample
+from clacad.verification.returned.part_frames import PartFrame, Sample
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -53,7 +53,7 @@ AS_WRITTEN = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class PartPose:
     """Similarity from a file to the design: x ↦ scale · turn · x · factor + move.
 
     unit : str
@@ -102,7 +102,7 @@ class Trial:
     unit: str
     factor: float
     axes: Floats
-    frame: Frame
+    frame: PartFrame
     window: Window
     present: tuple[str, ...]
     whole: bool
@@ -114,9 +114,9 @@ class Trial:
     between: Floats
     residual: float
 
-    def off(self, turn: Floats, scale: float, move: Floats) -> Off:
+    def off(self, turn: Floats, scale: float, move: Floats) -> FaceDistance:
         """The part against the faces, moved by a similarity."""
-        return off_faces(
+        return distance_to_faces(
             self.window, self.points @ turn.T / scale + move, self.facing @ turn.T, self.present, self.between,
             self.inward @ turn.T,
         )  # fmt: skip
@@ -150,7 +150,13 @@ def order_of(turn: Floats) -> int:
 
 
 def all_trials(
-    design: Design, whole: Window, fixed: bool, subject: Subject, mesh: FileMesh, sample: Sample, frame: Frame
+    design: Design,
+    whole: Window,
+    fixed: bool,
+    subject: Subject,
+    mesh: FileMesh,
+    sample: Sample,
+    frame: PartFrame,
 ) -> Iterator[Trial]:
     """Every unit and turn of a frame's axes that makes the box of the part the design's, with its distance before
     any fit.
@@ -179,7 +185,7 @@ def all_trials(
         ]
         some = slice(None, None, PIECE_STRIDE if cut else 1)
         for present, onto, move in places:
-            off = off_faces(window, here[some] + move, way[some], present, between, told[some])
+            off = distance_to_faces(window, here[some] + move, way[some], present, between, told[some])
             yield Trial(
                 name, factor, axes, frame, window, present, not cut, here, way, told, onto, move, between,
                 robust(off.distance),
@@ -248,7 +254,7 @@ def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, ex
 
 # -- fit ------------------------------------------------------------------------------------------------
 
-Fit = tuple[Trial, Pose]
+Fit = tuple[Trial, PartPose]
 
 
 def fitted(trial: Trial) -> Fit:
@@ -287,7 +293,7 @@ def fitted(trial: Trial) -> Fit:
     middle = _median(trial.off(turn, scale, move).distance)
     total = turn @ trial.axes @ trial.frame.turn
     axes = trial.axes if trial.frame.straight else nearest_axes(total)
-    return trial, Pose(trial.unit, trial.factor, axes, total, scale, move, residual, middle)
+    return trial, PartPose(trial.unit, trial.factor, axes, total, scale, move, residual, middle)
 
 
 def nearest_axes(turn: Floats) -> Floats:

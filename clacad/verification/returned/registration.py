@@ -23,11 +23,11 @@ from clacad.verification.files.find_files import (
     Subject,
 )
 from clacad.verification.limit_sources import other
-from clacad.verification.returned.part_frames import Frame, frames, sampled, sixths
+from clacad.verification.returned.part_frames import PartFrame, frames, sampled, sixths
 from clacad.verification.returned.pose_fit import (
     AS_WRITTEN,
     Fit,
-    Pose,
+    PartPose,
     Trial,
     all_trials,
     as_written,
@@ -63,7 +63,7 @@ class Placed:
     factor : float
         Design units per unit of `mesh`.
     present : names of the bodies it holds
-    pose : Pose
+    pose : PartPose
     whole : bool
         It was cut along cell borders: its sides are the design's.
     exact : bool
@@ -80,7 +80,7 @@ class Placed:
     mesh: FileMesh
     factor: float
     present: tuple[str, ...]
-    pose: Pose
+    pose: PartPose
     whole: bool
     exact: bool
     note: str
@@ -108,7 +108,7 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
     pitch = min(whole.lattice.pitch)
     sample, first = sampled(mesh)
 
-    def tried(frame: Frame) -> list[Trial]:
+    def tried(frame: PartFrame) -> list[Trial]:
         return list(all_trials(design, whole, cells is not None, subject, mesh, sample, frame))
 
     trials = tried(first)
@@ -156,7 +156,7 @@ def least_sag(window: Window) -> float:
 # -- what was found -------------------------------------------------------------------------------------
 
 
-def _handedness(subject: Subject, best: Pose, twin: Pose | None, pitch: float) -> Check:
+def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: float) -> Check:
     common: dict[str, Any] = {
         "where": "file",
         "subject": subject.name,
@@ -228,7 +228,7 @@ def _placed(
     )
 
 
-def _pose_words(pose: Pose, unit: str) -> str:
+def _pose_words(pose: PartPose, unit: str) -> str:
     """The pose in a sentence a person can follow."""
     if pose.untouched:
         return "it lies as the design does"
@@ -281,7 +281,7 @@ def _turned_words(turn: Floats) -> str:
     return "it fits only turned about the sheet's normal: tilt or offset have the other sign, or the file was turned"
 
 
-def moved(mesh: FileMesh, pose: Pose) -> FileMesh:
+def moved(mesh: FileMesh, pose: PartPose) -> FileMesh:
     """The mesh in the design's frame and size; facets keep facing outward."""
     linear = pose.factor * pose.turn.T / pose.scale
     parts = []
@@ -293,7 +293,7 @@ def moved(mesh: FileMesh, pose: Pose) -> FileMesh:
     return FileMesh(mesh.format, tuple(parts), None, mesh.name)
 
 
-def _own_cells(whole: Window, window: Window, pose: Pose) -> str:
+def _own_cells(whole: Window, window: Window, pose: PartPose) -> str:
     """Which of the design's cells a piece is whose numbers are in the design's own frame; "" where they are not."""
     if turned_by(pose.turn) > 1e-4 or pose.mirrored or abs(pose.scale - 1.0) > 1e-3:
         return ""
@@ -307,7 +307,7 @@ def _own_cells(whole: Window, window: Window, pose: Pose) -> str:
     return f"cells {i0} … {i1}, {j0} … {j1} of the design, as it lies"
 
 
-def _inside(subject: Subject, trial: Trial, pose: Pose, mesh: FileMesh) -> tuple[Window, Pose]:
+def _inside(subject: Subject, trial: Trial, pose: PartPose, mesh: FileMesh) -> tuple[Window, PartPose]:
     """The window with the whole cells that a piece holds, and the pose that sets the piece onto them."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for chunk in mesh.chunks():
