@@ -28,7 +28,7 @@ Rung = Literal["law", "thin", "surfaces", "mesh"]
 """Step of the ladder of exactness that a trace runs on."""
 
 Progress = Callable[[str, float], None]
-"""What is being done, and the part of it that is done (0 … 1)."""
+"""Called with what is being done, and the part of it that is done (0 … 1; NaN: not known)."""
 
 
 def silent(_stage: str, _done: float) -> None:

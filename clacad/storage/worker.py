@@ -19,13 +19,13 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from clacad.base.types import Progress
 from clacad.storage import errors
 from clacad.storage.errors import WorkerDied
 
-"""Called with a stage's name and the done fraction 0..1 (NaN: not known)."""
+if TYPE_CHECKING:  # the parent loads no numpy
+    from clacad.base.types import Progress
 
 _LONGEST_LINE = 64 << 20
 _BOOT = (
