@@ -1,21 +1,22 @@
 """The pattern of cells: which cell holds a point, and where in it the point lies.
 
-The one home of cell-of-point. Mesh, B-Rep, tracer and renderer all ask here. Positions inside a
-cell are relative to the cell's centre and are formed with an exact product (Dekker's TwoProduct),
-so a cell a billion pitches away loses nothing but what its coordinate had already lost.
+Reference for cell-of-point; the compiled twins of `Lattice.locate` and `relocate` are held to it bit for bit
+by `test_trace_kernels`. Positions inside a cell are relative to the cell's centre and are formed with an exact
+product (Dekker's TwoProduct), so a cell a billion pitches away loses nothing but what its coordinate had
+already lost.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.pairs import two_product, two_sum
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 
 Kind = Literal["square", "rectangular", "hexagonal"]
 
@@ -50,6 +51,15 @@ class Rectangle:
 
 
 Outline = Circle | Rectangle
+
+
+def _inside_outline(outline: Outline, points: Floats) -> Bools:
+    """Which points (..., 2), lengths, lie in an outline, its edge and what rounding leaves beyond it included."""
+    x, y = points[..., 0], points[..., 1]
+    room = 0.5 * (1 + 1e-12)
+    if isinstance(outline, Circle):
+        return np.asarray(np.hypot(x, y) <= room * outline.diameter)
+    return np.asarray((np.abs(x) <= room * outline.width) & (np.abs(y) <= room * outline.height))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +149,7 @@ class Lattice:
 
     # -- cells that exist -------------------------------------------------------------------
 
-    def contains(self, index: Ints) -> NDArray[np.bool_]:
+    def contains(self, index: Ints) -> Bools:
         """Tell which (..., 2) indices name a kept cell, (...) bool."""
         i, j = index[..., 0], index[..., 1]
         first = -(j // 2) if self.hexagonal else np.zeros_like(j)
@@ -147,18 +157,8 @@ class Lattice:
         inside = (j >= 0) & (j < n2) & (i >= first) & (i < first + n1)
         if self.outline is None:
             return np.asarray(inside)
-        return np.asarray(inside & self._footprint_inside(index))
-
-    def _footprint_inside(self, index: Ints) -> NDArray[np.bool_]:
         corners = self.centres(index)[..., None, :] + self.tile()
-        if isinstance(self.outline, Circle):
-            inside = np.hypot(corners[..., 0], corners[..., 1]) <= 0.5 * self.outline.diameter * (1 + 1e-12)
-        else:
-            assert self.outline is not None
-            inside = (np.abs(corners[..., 0]) <= 0.5 * self.outline.width * (1 + 1e-12)) & (
-                np.abs(corners[..., 1]) <= 0.5 * self.outline.height * (1 + 1e-12)
-            )
-        return np.asarray(inside.all(axis=-1))
+        return np.asarray(inside & _inside_outline(self.outline, corners).all(axis=-1))
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
@@ -233,11 +233,17 @@ class Lattice:
         local_x, local_y : (n,) arrays, lengths
             Exact differences from the centre, rounded once; −p/2 ≤ local < p/2.
         """
-        if self.hexagonal:
-            return self._locate_hexagonal(x, y, x_low, y_low)
-        i, local_x = _locate_axis(x, x_low, self.pitch[0], self.count[0])
-        j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])
-        return np.stack([i, j], axis=-1), local_x, local_y
+        if not self.hexagonal:
+            i, local_x = _locate_axis(x, x_low, self.pitch[0], self.count[0])
+            j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])
+            return np.stack([i, j], axis=-1).astype(np.int64), local_x, local_y
+        (x0, y0), pitch, row = self.first_centre, self.pitch[0], self.a2[1]
+
+        def local(i: Floats, j: Floats) -> tuple[Floats, Floats]:
+            along = _minus_multiple(x, x_low, i + 0.5 * j, pitch, x0)
+            return along, _minus_multiple(y, y_low, j, row, y0)
+
+        return _in_hexagon(self, local, x - x0, y - y0)
 
     def over_cell(self, unit_square: Floats) -> Floats:
         """Points (n, 2) spread evenly over a cell, from its centre (lengths).
@@ -250,29 +256,35 @@ class Lattice:
         _, x, y = self.locate(centre[0] + u * ax + v * bx, centre[1] + u * ay + v * by)
         return np.column_stack([x, y])
 
-    def _locate_hexagonal(self, x: Floats, y: Floats, x_low: Floats | float, y_low: Floats | float
-                          ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
-        x0, y0 = self.first_centre
-        p, row = self.pitch[0], self.a2[1]
-        j = np.rint((y - y0) / row).astype(np.int64)
-        i = np.rint((x - x0) / p - 0.5 * j).astype(np.int64)
-        half = 0.5 * p
-        for _ in range(4):  # a nearest-row guess is at most one border off; corners settle in two
-            local_x = _minus_multiple(x, x_low, i + 0.5 * j, p, x0)
-            local_y = _minus_multiple(y, y_low, j.astype(np.float64), row, y0)
-            moved = np.zeros(np.shape(i), dtype=bool)
-            for (di, dj), (ux, uy) in zip(self.steps[:3], _HEX_NORMALS):
-                across = ux * local_x + uy * local_y
-                step = np.where(
-                    moved, 0, (across >= half).astype(np.int64) - (across < -half).astype(np.int64)
-                )
-                i, j = i + step * di, j + step * dj
-                moved |= step != 0
-            if not moved.any():
-                break
-        local_x = _minus_multiple(x, x_low, i + 0.5 * j, p, x0)
-        local_y = _minus_multiple(y, y_low, j.astype(np.float64), row, y0)
-        return np.stack([i, j], axis=-1), local_x, local_y
+
+def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
+    """Whole lattice steps (m, 2) and remaining local coordinates (m, 2) of points relative to a cell's centre, lengths.
+
+    The same rule as `Lattice.locate`: a wall belongs to the cell above it; multiples of the lattice
+    vectors are formed exactly and the difference is rounded once.
+    """
+    x, y = local[:, 0], local[:, 1]
+    if not lattice.hexagonal:
+        column, local_x = _relocate_axis(x, lattice.pitch[0])
+        line, local_y = _relocate_axis(y, lattice.pitch[1])
+        return np.stack([column, line], axis=-1).astype(np.int64), np.stack([local_x, local_y], axis=-1)
+    pitch, row = lattice.pitch[0], lattice.a2[1]
+
+    def left(i: Floats, j: Floats) -> tuple[Floats, Floats]:
+        return less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+
+    index, local_x, local_y = _in_hexagon(lattice, left, x, y)
+    return index, np.stack([local_x, local_y], axis=-1)
+
+
+def less_steps(lattice: Lattice, local: Floats, steps: Ints) -> Floats:
+    """Local coordinates (m, 2), lengths, seen from the cell `steps` (m, 2) away."""
+    if not steps.any():
+        return local
+    i, j = steps[:, 0].astype(np.float64), steps[:, 1].astype(np.float64)
+    along, row = (i + 0.5 * j, lattice.a2[1]) if lattice.hexagonal else (i, lattice.pitch[1])
+    x = less_multiple(local[:, 0], along, lattice.pitch[0])
+    return np.stack([x, less_multiple(local[:, 1], j, row)], axis=-1)
 
 
 def node_cells(lattice: Lattice) -> tuple[NodeCells, ...]:
@@ -290,10 +302,51 @@ def node_cells(lattice: Lattice) -> tuple[NodeCells, ...]:
     return ((((0, 0), 1), ((1, 0), 2), ((1, 1), 3), ((0, 1), 0)),)
 
 
-_HEX_NORMALS = ((1.0, 0.0), (0.5, 0.5 * sqrt(3.0)), (-0.5, 0.5 * sqrt(3.0)))
+def less_multiple(x: Floats, k: Floats, step: float) -> Floats:
+    """Give x − k·step (n,), lengths, with the product unrounded."""
+    high, low = two_product(k, step)
+    return np.asarray((x - high) - low)
 
 
-def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> tuple[Ints, Floats]:
+def _in_hexagon(lattice: Lattice, local: Callable[[Floats, Floats], tuple[Floats, Floats]], x: Floats, y: Floats
+                ) -> tuple[Ints, Floats, Floats]:  # fmt: skip
+    """Cells (n, 2) that hold points, and the points from their centres, by stepping over borders from a guess.
+
+    local : callable
+        Indices i, j (n,) each → the points from those cells' centres.
+    x, y : (n,) lengths
+        From the centre of cell (0, 0), rounded: for the guess.
+    """
+    pitch, row = lattice.pitch[0], lattice.a2[1]
+    j: Floats = np.rint(y / row)
+    i: Floats = np.rint(x / pitch - 0.5 * j)
+    half, slant = 0.5 * pitch, row / pitch
+    local_x, local_y = local(i, j)
+    for _ in range(4):  # a nearest-row guess is at most one border off; corners settle in two
+        moved = np.zeros(np.shape(i), dtype=np.bool_)
+        for (di, dj), (ux, uy) in zip(
+            lattice.steps[:3], ((1.0, 0.0), (0.5, slant), (-0.5, slant)), strict=True
+        ):
+            across = ux * local_x + uy * local_y
+            step = np.where(moved, 0.0, 1.0 * (across >= half) - (across < -half))
+            i, j = i + step * di, j + step * dj
+            moved |= step != 0
+        if not moved.any():
+            break
+        local_x, local_y = local(i, j)
+    return np.stack([i, j], axis=-1).astype(np.int64), local_x, local_y
+
+
+def _relocate_axis(x: Floats, pitch: float) -> tuple[Floats, Floats]:
+    """Whole steps and what remains along one axis of a rectangular lattice."""
+    half = 0.5 * pitch
+    k = np.floor(x / pitch + 0.5)
+    local = less_multiple(x, k, pitch)
+    k = k + (local >= half) - (local < -half)
+    return k, less_multiple(x, k, pitch)
+
+
+def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> tuple[Floats, Floats]:
     """Index and centred coordinate along one axis of a rectangular lattice."""
     guess = np.floor(x / pitch + 0.5 * count)
     half = 0.5 * pitch
@@ -301,7 +354,7 @@ def _locate_axis(x: Floats, x_low: Floats | float, pitch: float, count: int) -> 
     # The quotient is rounded: a point within an ulp of a wall may be one cell off. Ask the exact remainder.
     guess = guess + (local >= half) - (local < -half)
     local = _minus_multiple(x, x_low, 2.0 * guess - (count - 1), half, 0.0)
-    return guess.astype(np.int64), local
+    return guess, local
 
 
 def _minus_multiple(x: Floats, x_low: Floats | float, k: Floats, step: float, origin: float) -> Floats:

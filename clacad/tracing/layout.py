@@ -12,9 +12,8 @@ from math import isfinite, nan
 
 import numpy as np
 
-from clacad.base.pairs import two_product
 from clacad.base.types import Bools, Floats, Ints
-from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
 SAMPLES = 49
@@ -154,69 +153,6 @@ def lay_out(window: Window) -> Layout:
         margin=0.5 * window.land.seam,
         whole_steps=steps[0],
         residual=residual[0],
-    )
-
-
-def relocate(lattice: Lattice, local: Floats) -> tuple[Ints, Floats]:
-    """Whole lattice steps (m, 2) and remaining local coordinates (m, 2) of points relative to a cell's centre.
-
-    The same rule as `Lattice.locate`: a wall belongs to the cell above it; multiples of the lattice
-    vectors are formed exactly and the difference is rounded once.
-    """
-    x, y = local[:, 0], local[:, 1]
-    if not lattice.hexagonal:
-        column, local_x = _relocate_axis(x, lattice.pitch[0])
-        line, local_y = _relocate_axis(y, lattice.pitch[1])
-        return np.stack([column, line], axis=-1), np.stack([local_x, local_y], axis=-1)
-    pitch, row = lattice.pitch[0], lattice.a2[1]
-    j: Floats = np.rint(y / row)
-    i: Floats = np.rint(x / pitch - 0.5 * j)
-    half, normals = 0.5 * pitch, ((1.0, 0.0), (0.5, row / pitch), (-0.5, row / pitch))
-    for _ in range(4):
-        local_x, local_y = less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
-        moved = np.zeros(x.shape, dtype=bool)
-        for (di, dj), (ux, uy) in zip(lattice.steps[:3], normals, strict=True):
-            across = ux * local_x + uy * local_y
-            step = np.where(moved, 0.0, 1.0 * (across >= half) - (across < -half))
-            i, j = i + step * di, j + step * dj
-            moved |= step != 0
-        if not moved.any():
-            break
-    local_x, local_y = less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
-    return np.stack([i, j], axis=-1).astype(np.int64), np.stack([local_x, local_y], axis=-1)
-
-
-def _relocate_axis(x: Floats, pitch: float) -> tuple[Ints, Floats]:
-    half = 0.5 * pitch
-    k = np.floor(x / pitch + 0.5)
-    local = less_multiple(x, k, pitch)
-    k = k + (local >= half) - (local < -half)
-    return k.astype(np.int64), less_multiple(x, k, pitch)
-
-
-def less_multiple(x: Floats, k: Floats, step: float) -> Floats:
-    """Give x − k·step (n,) with the product unrounded."""
-    high, low = two_product(k, step)
-    return np.asarray((x - high) - low)
-
-
-def less_steps(lattice: Lattice, local: Floats, steps: Ints) -> Floats:
-    """Local coordinates (m, 2) seen from the cell `steps` (m, 2) away."""
-    if not steps.any():
-        return local
-    i, j = steps[:, 0].astype(np.float64), steps[:, 1].astype(np.float64)
-    if lattice.hexagonal:
-        along = i + 0.5 * j
-        return np.stack(
-            [
-                less_multiple(local[:, 0], along, lattice.pitch[0]),
-                less_multiple(local[:, 1], j, lattice.a2[1]),
-            ],
-            axis=-1,
-        )
-    return np.stack(
-        [less_multiple(local[:, 0], i, lattice.pitch[0]), less_multiple(local[:, 1], j, lattice.pitch[1])],
-        axis=-1,
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.tracing.layout import Layout, less_steps
+from clacad.sheet.lattice import less_steps
+from clacad.tracing.layout import Layout
 
 
 def reach(layout: Layout, left: Floats, met: Floats, order: Ints) -> Floats:

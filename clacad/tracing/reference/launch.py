@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.sequence import unit
-from clacad.tracing.layout import BodyPlan, Layout, relocate, sheet_position
+from clacad.sheet.lattice import relocate
+from clacad.tracing.layout import BodyPlan, Layout, sheet_position
 
 
 class Extent(Protocol):

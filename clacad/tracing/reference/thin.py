@@ -14,8 +14,8 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
-from clacad.sheet.lattice import Circle, Rectangle
-from clacad.tracing.layout import Layout, less_steps, relocate, sheet_position
+from clacad.sheet.lattice import Circle, Rectangle, less_steps, relocate
+from clacad.tracing.layout import Layout, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import along_normal
