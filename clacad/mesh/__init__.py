@@ -13,7 +13,7 @@ from clacad.mesh.tessellation import (
     tessellate,
 )
 from clacad.mesh.vertex_normals import CellSolid, cell_solid, corner_normals
-from clacad.mesh.volume import exact_volume, mesh_volume
+from clacad.mesh.volume import mesh_volume
 
 __all__ = [
     "BodyMesh",
@@ -24,7 +24,6 @@ __all__ = [
     "check_closed",
     "corner_normals",
     "count_facets",
-    "exact_volume",
     "forecast_bytes",
     "forecast_quads",
     "mesh_body",

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 from meshwindows import window
+from polar_volume import exact_volume
 
 import clacad
 from clacad.exporting.step_record import compare_step
 from clacad.formats.step.step_files import read_step, write_step
-from clacad.mesh.volume import exact_volume
 from clacad.sheet.volume_and_extent import body_volume
 from clacad.solid.solids import solids
 

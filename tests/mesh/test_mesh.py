@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from meshwindows import FORMS, pieces_and_holes, window
 from often import often
+from polar_volume import exact_volume
 
 import clacad
 from clacad.mesh import (
@@ -18,7 +19,6 @@ from clacad.mesh import (
     check_closed,
     corner_normals,
     count_facets,
-    exact_volume,
     forecast_bytes,
     forecast_quads,
     mesh_body,
