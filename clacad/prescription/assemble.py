@@ -14,17 +14,18 @@ from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
 from clacad.prescription import poses
 from clacad.prescription.cell_heights import face_range, window_range
-from clacad.prescription.faces_and_bodies import Pose, Shape, biconvex_body, plano_body, slab_body
-from clacad.prescription.parabasal import residual
+from clacad.prescription.faces_and_bodies import LensPose, Shape, biconvex_body, plano_body, slab_body
 from clacad.prescription.radii import (
-    Lenses,
+    LensPair,
     NoSuchLens,
     Pair2,
     biconvex_exact,
     biconvex_thin,
     single_surface,
     thin_focal_lengths,
+    thin_pair,
 )
+from clacad.prescription.residual import residual
 from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
@@ -50,7 +51,7 @@ class Intent:
     neck: float
 
     def offset(self, focal_length: Pair2) -> Floats:
-        """(d_x, d_y) = (δ_x f1x, δ_y f1y), with f1 as built; 0 in a meridian without power."""
+        """(d_x, d_y) = (δ_x f1x, δ_y f1y), (2,) lengths, with f1 as built; 0 in a meridian without power."""
         return np.array([0.0 if d == 0.0 else d * f for d, f in zip(self.delta, focal_length, strict=True)])
 
 
@@ -185,11 +186,12 @@ def _solved(intent: Intent) -> Pair2:
 
 
 def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
+    """Window of a biconvex pair of these thicknesses, its radii times `scale`."""
     pair = intent.design.pair
     separation = _separation(intent)
     recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
     lenses = recipe(intent.eta, separation, thickness, intent.index)
-    lenses = _scaled(lenses, scale)
+    lenses = lenses if scale == 1.0 else lenses.scaled(scale)
     offset = intent.offset(lenses.focal_length[0])
     place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
@@ -200,29 +202,17 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         biconvex_body(
             lenses,
             k,
-            Pose(point, intent.turn),
+            LensPose(point, intent.turn),
             intent.shape,
             intent.index,
             _web(intent, lenses, k, float(point[2])),
         )
         for k, point in enumerate((np.zeros(3), relative))
     )
-    return _finish(intent, bodies, moved, lenses, offset, separation)
+    return _assemble_window(intent, bodies, moved, lenses, offset, separation)
 
 
-def _scaled(lenses: Lenses, scale: float) -> Lenses:
-    if scale == 1.0:
-        return lenses
-    (a, b), (c, d) = lenses.radius
-    (e, f), (g, h) = lenses.focal_length
-    return Lenses(
-        ((e * scale, f * scale), (g * scale, h * scale)),
-        ((a * scale, b * scale), (c * scale, d * scale)),
-        lenses.thickness,
-    )
-
-
-def _web(intent: Intent, lenses: Lenses, number: int, centre: float) -> Pair2 | None:
+def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
     """Front and back z of the plate joining the lenslets of one array; None without one or for a concave lens."""
     spec = intent.design
     bordered = spec.body.border > 0.0 or spec.lattice.outline is not None
@@ -238,25 +228,30 @@ def _web(intent: Intent, lenses: Lenses, number: int, centre: float) -> Pair2 | 
 
 
 def _slab(intent: Intent) -> Window:
+    """Window of one body with both arrays on its faces."""
     separation = _separation(intent)
     thickness = intent.index * separation
     lenses = single_surface(intent.eta, separation, (thickness, thickness), intent.index)
     offset = intent.offset(lenses.focal_length[0])
     place = poses.slab_placement(intent.turn, offset, thickness)
     body = slab_body(
-        lenses, (Pose(np.zeros(3), intent.turn), Pose(place.lens_2, intent.turn)), intent.shape, intent.index
+        lenses,
+        (LensPose(np.zeros(3), intent.turn), LensPose(place.lens_2, intent.turn)),
+        intent.shape,
+        intent.index,
     )
     height = float(place.lens_2[2])
     moved = poses.displacement((body,), intent.design.lattice.aperture, place.lens_2[:2], height, True)
     body = slab_body(
         lenses,
-        (Pose(np.zeros(3), intent.turn), Pose(place.lens_2 - np.array([*moved, 0.0]), intent.turn)),
+        (LensPose(np.zeros(3), intent.turn), LensPose(place.lens_2 - np.array([*moved, 0.0]), intent.turn)),
         intent.shape, intent.index,
     )  # fmt: skip
-    return _finish(intent, (body,), moved, lenses, offset, separation)
+    return _assemble_window(intent, (body,), moved, lenses, offset, separation)
 
 
 def _plano(intent: Intent) -> Window:
+    """Window of two plano lenses, curved faces inside or outside."""
     pair = intent.design.pair
     separation = _separation(intent)
     thickness = pair.thicknesses or _plano_auto(intent, separation)
@@ -273,14 +268,13 @@ def _plano(intent: Intent) -> Window:
             f"{(thickness[0] + thickness[1]) / intent.index:.6g}, or curved = 'inside'",
         )
 
-    def built(trial: float) -> tuple[tuple[Body, ...], tuple[Pair2, Pair2]]:
+    def built(trial: float) -> Window:
         # without the offset: off its axis lens 2 adds aberration that is no matter of the gap
         lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, trial)
-        window = _plano_placed(intent, lenses, lens_2, intent.turn, offset)
-        return window.bodies, window.shifts
+        return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
 
     if intent.law.theta != 0.0:
-        gap = poses.best_gap(built, intent.turn, gap, 1e-4 * intent.lattice.circumradius)
+        gap = poses.best_gap(built, intent.turn, gap)
     lens_2 = poses.plano_outside_axis(intent.turn, intent.index, thickness, gap)
     lens_2 = lens_2 + intent.turn @ np.array([*offset, 0.0])
     return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
@@ -305,7 +299,8 @@ def _plano_auto(intent: Intent, separation: float) -> Pair2:
     return found[0], found[1]
 
 
-def _plano_placed(intent: Intent, lenses: Lenses, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
+def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
+    """Window of plano lenses, lens 2's apex at `lens_2` (3,) from lens 1's, both turned by `turn` (lens → sheet)."""
     outside = intent.design.pair.curved == "outside"
     t1, t2 = lenses.thickness
     planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)
@@ -314,14 +309,20 @@ def _plano_placed(intent: Intent, lenses: Lenses, lens_2: Floats, turn: Floats, 
         points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
         return tuple(
             plano_body(
-                lenses, k, Pose(points[k], turn), intent.shape, intent.index, outside == (k == 0), planes[k]
+                lenses,
+                k,
+                LensPose(points[k], turn),
+                intent.shape,
+                intent.index,
+                outside == (k == 0),
+                planes[k],
             )
             for k in (0, 1)
         )
 
     aperture = intent.design.lattice.aperture
     moved = poses.displacement(bodies((0.0, 0.0)), aperture, lens_2[:2], float(lens_2[2]), True)
-    return _finish(intent, bodies(moved), moved, lenses, offset, _separation(intent))
+    return _assemble_window(intent, bodies(moved), moved, lenses, offset, _separation(intent))
 
 
 def _entry(window: Window, intent: Intent) -> Floats:
@@ -337,13 +338,16 @@ def _entry(window: Window, intent: Intent) -> Floats:
 # -- what all forms share ---------------------------------------------------------------------------
 
 
-def _finish(
-    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: Lenses, offset: Floats, separation: float
+def _assemble_window(
+    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: LensPair, offset: Floats, separation: float
 ) -> Window:  # fmt: skip
+    """Window of placed bodies: thin pair, land, outline; lengths in design units.
+
+    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis.
+    """
     design = intent.design
     # the ideal pair shares a focal plane exactly, whatever thick lenses need to do the same
-    pairs = [thin_focal_lengths(value, separation) for value in intent.eta]
-    thin_focal = ((pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1]))
+    thin_focal = thin_pair(intent.eta, separation)
     thin_d = intent.offset(thin_focal[0])
     thin_offset = intent.turn @ np.array([thin_d[0], thin_d[1], separation])
     thin_shift = poses.displacement(
@@ -409,7 +413,8 @@ def _with_land(window: Window, intent: Intent) -> Window:
     return replace(window, bodies=tuple(landed(body) for body in window.bodies))
 
 
-def _recipe(intent: Intent, lenses: Lenses, offset: Floats, separation: float) -> Mapping[str, Any]:
+def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float) -> Mapping[str, Any]:
+    """How radii and poses were found, for reports and the manifest."""
     pair = intent.design.pair
     return {
         "confocal": pair.confocal if pair.form == "biconvex" else "exact",

@@ -15,11 +15,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.law import angle_between
-from clacad.prescription.parabasal import trace_pair
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import trace_sequence
+from clacad.prescription.cell_heights import window_range
 from clacad.prescription.radii import Pair2
+from clacad.sheet.bundle import bundle
+from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -43,10 +46,10 @@ def best_pair(intent: Intent, build: Callable[[Pair2, float], Window], thickness
     Window
         Its recipe keeps the scale and the objective before and after.
     """
-    bundle = _bundle(intent)
+    light = _light(intent, build(thickness, 1.0))
 
     def objective(point: Floats) -> float:
-        return _law_rms(intent, build(thickness, 1.0 + float(point[0])), bundle)
+        return _law_rms(build(thickness, 1.0 + float(point[0])), light)
 
     start = np.zeros(1)
     found, value = nelder_mead(objective, start, np.array([0.01]), 1e-4)
@@ -56,48 +59,23 @@ def best_pair(intent: Intent, build: Callable[[Pair2, float], Window], thickness
     return replace(window, recipe={**window.recipe, **left})
 
 
-def _bundle(intent: Intent) -> tuple[Floats, Floats]:
-    """4096 Sobol rays over lens 1's cell and the cone of the field about its centre."""
-    points = sobol(RAYS, 4)
-    start = np.zeros((RAYS, 3))
-    one = intent.lattice.with_count((1, 1))  # the same rays, so the same lens, for any number of cells
-    start[:, :2] = one.over_cell(points[:, :2])
-    slope = np.tan(intent.design.check.field) * np.sqrt(points[:, 2])
-    azimuth = 2.0 * np.pi * points[:, 3]
-    middle = np.array(_field_centre(intent))
-    direction = np.stack(
-        [middle[0] + slope * np.cos(azimuth), middle[1] + slope * np.sin(azimuth), np.ones(RAYS)], axis=1
-    )
-    return start, direction / np.linalg.norm(direction, axis=1, keepdims=True)
+def _light(intent: Intent, window: Window) -> Rays:
+    """The bundle of the checks over one cell: the same rays, so the same lens, for any number of cells."""
+    one = window.with_cells((1, 1))
+    one = replace(one, z_range=window_range(one))  # the rays start below it
+    check = intent.design.check
+    return bundle(one, RAYS, check.field, check.field_centre).rays
 
 
-def _field_centre(intent: Intent) -> tuple[float, float]:
-    """Slope at the middle of the field: the aperture slope, or the sheet's normal."""
-    aperture = intent.design.lattice.aperture
-    if intent.design.check.field_centre == "normal":
-        return 0.0, 0.0
-    if aperture == "aligned":
-        return 0.0, 0.0
-    if isinstance(aperture, tuple):
-        return aperture
-    separation = intent.design.pair.separation
-    assert separation is not None
-    focal = [separation / (1.0 - e) if e != 1.0 else 0.0 for e in intent.eta]
-    offset = intent.turn @ np.array([intent.delta[0] * focal[0], intent.delta[1] * focal[1], separation])
-    return float(offset[0] / offset[2]), float(offset[1] / offset[2])
-
-
-def _law_rms(intent: Intent, window: Window, bundle: tuple[Floats, Floats]) -> float:
+def _law_rms(window: Window, light: Rays) -> float:
     """Rms angle to the law over rays that reach the partner's cell (radians)."""
-    start, direction = bundle
-    back = start - direction * (window.thin.separation / direction[:, 2:])
-    place, out = trace_pair(window.bodies, window.shifts, back, direction)
-    local = place[:, :2] - np.asarray(window.shifts[1])
-    inside = np.ones(len(place), dtype=bool)
+    seen = trace_sequence(interfaces(window), light)
+    local = seen.position[:, :2] - np.asarray(window.shifts[1])
+    good = seen.fate == Fate.ALIVE
     for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
-        inside &= local @ np.asarray(window.lattice.offset(*step)) <= 2.0 * half * half
-    error = angle_between(out, intent.law.refract(direction))
-    error = error[inside & np.isfinite(error)]
+        good &= local @ np.asarray(window.lattice.offset(*step)) <= 2.0 * half * half
+    error = angle_between(seen.direction, window.law.refract(light.direction))[good]
+    error = error[np.isfinite(error)]
     return float(np.sqrt(np.mean(error**2))) if len(error) else 1.0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, Quadric
-from clacad.prescription.radii import Lenses, Pair2
+from clacad.prescription.radii import LensPair, Pair2
 from clacad.sheet.window import IDENTITY, Body, Face, Surface
 
 
@@ -43,7 +43,7 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class LensPose:
     """Where a lens stands: reference point relative to its own cell's centre (x, y) and in the sheet (z)."""
 
     point: Floats
@@ -56,7 +56,12 @@ class Pose:
 
 
 def biconvex_body(
-    lenses: Lenses, number: int, pose: Pose, shape: Shape, index: float, land: tuple[float, float] | None
+    lenses: LensPair,
+    number: int,
+    pose: LensPose,
+    shape: Shape,
+    index: float,
+    land: tuple[float, float] | None,
 ) -> Body:
     """Lens `number` (0, 1) of a biconvex pair, apexes T/2 either side of its centre.
 
@@ -74,7 +79,13 @@ def biconvex_body(
 
 
 def plano_body(
-    lenses: Lenses, number: int, pose: Pose, shape: Shape, index: float, curved_front: bool, plane_z: float
+    lenses: LensPair,
+    number: int,
+    pose: LensPose,
+    shape: Shape,
+    index: float,
+    curved_front: bool,
+    plane_z: float,
 ) -> Body:
     """Lens `number` of a plano pair: one curved face at the reference point, one plane parallel to the sheet."""
     side = +1 if curved_front else -1
@@ -86,8 +97,8 @@ def plano_body(
     return Body(front, back, index, f"array{number + 1}")
 
 
-def slab_body(lenses: Lenses, poses: tuple[Pose, Pose], shape: Shape, index: float) -> Body:
-    """One body with both arrays on its faces."""
+def slab_body(lenses: LensPair, poses: tuple[LensPose, LensPose], shape: Shape, index: float) -> Body:
+    """One body with both arrays on its faces, each lens at its own pose (lengths)."""
     front, back = (
         Face(shape.face(lenses.radius[k], side, k), poses[k].vertex(0.0), _shared(poses[k].rotation), k)
         for k, side in ((0, +1), (1, -1))

@@ -10,10 +10,11 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.law import Law, rotation
+from clacad.optics.parabasal import STEP, parabasal
 from clacad.optics.surface import refract
-from clacad.prescription.parabasal import parabasal
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.window import Body
+from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.window import Body, Window
 
 Aperture = str | tuple[float, float]
 
@@ -31,12 +32,12 @@ class Placement:
 
 
 def biconvex_placement(turn: Floats, offset: Floats, separation: float) -> Placement:
-    """Lens 2's centre at R (d_x, d_y, s)."""
+    """Lens 2's centre at R (d_x, d_y, s); turn R (3, 3) lens → sheet, offset (2,) and separation in lengths."""
     return Placement(turn @ np.array([offset[0], offset[1], separation]), turn)
 
 
 def slab_placement(turn: Floats, offset: Floats, thickness: float) -> Placement:
-    """Lens 2's vertex at R (d_x, d_y, T): the common glass makes it exact for any tilt."""
+    """Lens 2's vertex at R (d_x, d_y, T), lengths: the common glass makes it exact for any tilt."""
     return Placement(turn @ np.array([offset[0], offset[1], thickness]), turn)
 
 
@@ -71,23 +72,23 @@ def plano_outside_axis(turn: Floats, index: float, thickness: tuple[float, float
 
 
 def shallower(law: Law, index: float) -> Floats:
-    """R with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the glass."""
+    """R (3, 3), lens → sheet, with θ replaced by asin(sin θ / n): the tilt of the lens axis inside the glass."""
     return rotation(law.phi, asin(np.sin(law.theta) / index), law.psi, law.axes)
 
 
-Built = tuple[tuple[Body, ...], tuple[tuple[float, float], tuple[float, float]]]
-
-
-def best_gap(build: Callable[[float], Built], turn: Floats, guess: float, size: float) -> float:
-    """Air gap that leaves the least power about the axis ray, by secant on the least-squares condition.
+def best_gap(build: Callable[[float], Window], turn: Floats, guess: float) -> float:
+    """Air gap (length) that leaves the least power about the axis ray, by secant on the least-squares condition.
 
     build : callable
-        Gap (length) → bodies and the displacements of their arrays.
+        Gap (length) → window.
+    turn : (3, 3)
+        Lens → sheet; lens 1's apex is the origin.
     """
 
     def power(gap: float) -> Floats:
-        bodies, shifts = build(gap)
-        return parabasal(bodies, shifts, turn, np.zeros(3), size).power
+        window = build(gap)
+        size = STEP * window.lattice.circumradius
+        return parabasal(interfaces(window), turn, np.zeros(3), size).cosines
 
     # The power is linear in the gap to high order: one Gauss-Newton step from a chord, repeated.
     gap, step = guess, 1e-3 * guess

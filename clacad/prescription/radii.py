@@ -32,7 +32,7 @@ class NoSuchLens(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Lenses:
+class LensPair:
     """Both lenses of a pair in both meridians, tuples indexed [lens][meridian]; lengths.
 
     focal_length : ((f1x, f1y), (f2x, f2y))
@@ -46,6 +46,11 @@ class Lenses:
     radius: tuple[Pair2, Pair2]
     thickness: Pair2
 
+    def scaled(self, factor: float) -> LensPair:
+        """The same pair with all radii and focal lengths times a factor."""
+        focal, radius = _scaled(self.focal_length, factor), _scaled(self.radius, factor)
+        return LensPair(focal, radius, self.thickness)
+
 
 def thin_focal_lengths(eta: float, separation: float) -> Pair2:
     """f1 = s/(1 − η), f2 = −η f1 (lengths); infinite when η = 1."""
@@ -53,6 +58,12 @@ def thin_focal_lengths(eta: float, separation: float) -> Pair2:
         return inf, inf
     f1 = separation / (1.0 - eta)
     return f1, -eta * f1
+
+
+def thin_pair(eta: Pair2, separation: float) -> tuple[Pair2, Pair2]:
+    """Focal lengths ((f1x, f1y), (f2x, f2y)) of the ideal pair that shares a focal plane (lengths)."""
+    (f1x, f2x), (f1y, f2y) = (thin_focal_lengths(value, separation) for value in eta)
+    return (f1x, f1y), (f2x, f2y)
 
 
 def symmetric_radius(focal_length: float, thickness: float, index: float) -> float:
@@ -73,14 +84,13 @@ def back_focal_distance(focal_length: float, thickness: float, index: float) -> 
     return focal_length * sqrt(inside) if inside >= 0.0 else nan
 
 
-def biconvex_thin(eta: Pair2, separation: float, thickness: Pair2, index: float) -> Lenses:
+def biconvex_thin(eta: Pair2, separation: float, thickness: Pair2, index: float) -> LensPair:
     """Paper's recipe: R = 2 (n − 1) f with the thin focal lengths, centres s apart."""
-    pairs = [thin_focal_lengths(value, separation) for value in eta]
-    focal = ((pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1]))
-    return Lenses(focal, _scaled(focal, 2.0 * (index - 1.0)), thickness)
+    focal = thin_pair(eta, separation)
+    return LensPair(focal, _scaled(focal, 2.0 * (index - 1.0)), thickness)
 
 
-def biconvex_exact(eta: Pair2, separation: float, thickness: Pair2, index: float) -> Lenses:
+def biconvex_exact(eta: Pair2, separation: float, thickness: Pair2, index: float) -> LensPair:
     """Pair of symmetric thick lenses, centres s apart, afocal with exactly η in both meridians.
 
     Per meridian the one root f1 of BFD(f1) + BFD(−η f1) = s − (T1 + T2)/2 (physics notes, thick lenses).
@@ -95,20 +105,16 @@ def biconvex_exact(eta: Pair2, separation: float, thickness: Pair2, index: float
         for value, axis in zip(eta, "xy", strict=True)
     ]
     focal = ((found[0][0], found[1][0]), (found[0][1], found[1][1]))
-    radius = (
-        (
-            symmetric_radius(focal[0][0], thickness[0], index),
-            symmetric_radius(focal[0][1], thickness[0], index),
-        ),
-        (
-            symmetric_radius(focal[1][0], thickness[1], index),
-            symmetric_radius(focal[1][1], thickness[1], index),
-        ),
+    (first_x, first_y), (second_x, second_y) = (
+        (symmetric_radius(fx, t, index), symmetric_radius(fy, t, index))
+        for (fx, fy), t in zip(focal, thickness, strict=True)
     )
-    return Lenses(focal, radius, thickness)
+    radius = ((first_x, first_y), (second_x, second_y))
+    return LensPair(focal, radius, thickness)
 
 
 def _exact_meridian(eta: float, separation: float, thickness: Pair2, index: float, axis: str) -> Pair2:
+    """Focal lengths (f1, f2) as built in the meridian `axis`; see `biconvex_exact`."""
     thin1, thin2 = thin_focal_lengths(eta, separation)
     if isinf(thin1):
         return inf, inf
@@ -167,15 +173,14 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
     return low if abs(f_low) <= abs(f_high) else high
 
 
-def single_surface(eta: Pair2, separation: float, thickness: Pair2, index: float) -> Lenses:
+def single_surface(eta: Pair2, separation: float, thickness: Pair2, index: float) -> LensPair:
     """Pair of lenses with one curved face each (plano, slab): R = (n − 1) f, f = s/(1 − η) in air.
 
     No thick-lens correction is needed: the plane faces (plano) or the common glass (slab) keep both
     meridians afocal at once for any thickness.
     """
-    pairs = [thin_focal_lengths(value, separation) for value in eta]
-    focal = ((pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1]))
-    return Lenses(focal, _scaled(focal, index - 1.0), thickness)
+    focal = thin_pair(eta, separation)
+    return LensPair(focal, _scaled(focal, index - 1.0), thickness)
 
 
 def _scaled(values: tuple[Pair2, Pair2], factor: float) -> tuple[Pair2, Pair2]:

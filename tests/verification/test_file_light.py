@@ -16,12 +16,12 @@ from clacad.exporting.roles import Role
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle, central_cell
+from clacad.sheet.telescopelet import interfaces
 from clacad.tracing.sampled_face import height_and_slope, meet_sampled, sampled_face
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.verification import verify
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import light_checks, measure_light
-from clacad.verification.light.confocality import interfaces
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "pair", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.02, -0.01]},

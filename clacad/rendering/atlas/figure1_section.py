@@ -15,8 +15,9 @@ from clacad.design import Design
 from clacad.design.law_in_words import law_words
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Face, Window
-from clacad.tracing.trace import Interface, trace, trace_sequence
+from clacad.tracing.trace import trace, trace_sequence
 
 RAYS = 7
 ASIDE = -0.07
@@ -65,25 +66,6 @@ def section_svg(design: Design) -> str:
     return canvas.svg(parts)
 
 
-def _interfaces(window: Window) -> list[Interface]:
-    """The pair's faces without cell borders: what one telescopelet is."""
-    found = []
-    for body in window.bodies:
-        for face, before, after in ((body.front, 1.0, body.index), (body.back, body.index, 1.0)):
-            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
-            vertex = (face.vertex[0] + shift[0], face.vertex[1] + shift[1], face.vertex[2])
-            found.append(
-                Interface(
-                    face.surface,
-                    vertex=vertex,
-                    index_before=before,
-                    index_after=after,
-                    rotation=face.rotation,
-                )
-            )
-    return found
-
-
 def _slope(window: Window) -> float:
     """Slope of the bundle against the lens axis: so that it finds lens 2."""
     offset = np.array(window.thin.offset)
@@ -102,7 +84,7 @@ def parallel_bundle(window: Window) -> tuple[Floats, Floats]:
 
 def _rays(window: Window) -> tuple[list[Floats], Floats]:
     start, direction = parallel_bundle(window)
-    result = trace_sequence(_interfaces(window), Rays(start, direction), record=True)
+    result = trace_sequence(interfaces(window), Rays(start, direction), record=True)
     assert result.hits is not None
     reach = 0.9 * window.thin.focal_length[0][0]
     end = result.position + reach * result.direction

@@ -13,15 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.optics.parabasal import STEP, parabasal
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import PLANE, Window
 from clacad.tracing.trace import Interface, trace_sequence
 
-__all__ = ["Confocality", "confocality", "interfaces"]
-
-STEP = 2e-3
-"""Entrance height of the outer differential rays over the cell's circumradius; half of it for the inner ones."""
+__all__ = ["Confocality", "confocality"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +68,11 @@ def confocality(window: Window) -> Confocality:
     aside = _onto_axis(window, turn[:, 2], start, along)
 
     def power(slide: float) -> Floats:
-        return _power(interfaces(window, aside + slide * along), turn, start, size)
+        return parabasal(interfaces(window, aside + slide * along), turn, start, size).slopes
 
     as_built = power(0.0)
+    if not np.isfinite(as_built).all():
+        raise ValueError("light beside the axis ray does not get through")
     step = 1e-3 * distance
     shift, powered = np.zeros(2), np.ones(2, dtype=bool)
     for _ in range(8):
@@ -118,21 +118,3 @@ def _hit(seq: Sequence[Interface], start: Floats, direction: Floats, to_plane: b
     if traced.hits is None or traced.fate[0] in (Fate.MISSED, Fate.TIR):
         raise ValueError("the axis ray does not reach lens 2")
     return np.asarray(traced.hits[-1, 0])
-
-
-def _power(seq: Sequence[Interface], turn: Floats, start: Floats, size: float) -> Floats:
-    """Derivative (2, 2) of the exit slope by the entrance height, lens frame, radians/length.
-
-    Central differences over `size` and `size`/2, extrapolated (Richardson): error of order (size/R)^4.
-    """
-    u, v, axis = turn.T
-    heights = np.array([1.0, -1.0, 0.5, -0.5])
-    rows = np.concatenate([heights[:, None] * u, heights[:, None] * v]) * size + start
-    out = trace_sequence(seq, Rays(rows, np.broadcast_to(axis, rows.shape))).direction
-    slopes = (out @ turn[:, :2]) / (out @ axis)[:, None]
-    columns = []
-    for k in (0, 4):
-        wide = (slopes[k] - slopes[k + 1]) / (2.0 * size)
-        narrow = (slopes[k + 2] - slopes[k + 3]) / size
-        columns.append((4.0 * narrow - wide) / 3.0)
-    return np.stack(columns, axis=1)

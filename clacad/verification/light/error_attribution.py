@@ -30,11 +30,11 @@ from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, bundle, launched
+from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace, trace_sequence
 from clacad.tracing.triangles.telescopelet_facets import trace_facets
 from clacad.verification.files.cell_triangles import Cell, CellFacets, Gatherer, telescopelet
-from clacad.verification.light.confocality import interfaces
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,0 +1,41 @@
+"""What a recipe leaves: law error and decollimation of a built window along its axis ray."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.optics.law import angle_between
+from clacad.optics.parabasal import STEP, parabasal
+from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.window import Window
+
+
+def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) -> dict[str, float]:
+    """Parabasal law error (radians) and decollimation over half a cell (radians) of a built window.
+
+    Parameters
+    ----------
+    rotation : (3, 3)
+        Lens → sheet of the asked law: its axis is the axis ray before the window.
+    origin : (3,)
+        A point of the axis ray, sheet frame, lengths.
+    asked : (3,) unit
+        Direction the law gives to the axis ray.
+
+    Returns
+    -------
+    dict
+        Both infinite where the axis ray does not get through.
+    """
+    found = parabasal(interfaces(window), rotation, origin, STEP * window.lattice.circumradius)
+    if not (np.isfinite(found.direction).all() and np.isfinite(found.cosines).all()):
+        # the axis ray misses a lens or is totally reflected: a window to be built and judged, not an error
+        return {"law": inf, "decollimation": inf}
+    half = 0.5 * max(window.lattice.pitch)
+    return {
+        "law": float(angle_between(found.direction, asked)),
+        "decollimation": float(np.linalg.norm(found.cosines, 2)) * half,
+    }
