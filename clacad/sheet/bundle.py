@@ -63,11 +63,6 @@ def middle_direction(window: Window, centre: str = "axis") -> Floats:
     return np.array([ax, ay, 1.0]) / sqrt(ax * ax + ay * ay + 1.0)
 
 
-def over_cell(window: Window, unit_square: Floats) -> Floats:
-    """Points (n, 2) spread evenly over a cell of the window; see `Lattice.over_cell`."""
-    return window.lattice.over_cell(unit_square)
-
-
 def cone(middle: Floats, half_angle: float, unit_square: Floats) -> Floats:
     """Unit directions (n, 3) spread evenly in solid angle over a cone about `middle`, from (n, 2) points."""
     u, v = _frame(middle)
@@ -109,7 +104,7 @@ def bundle(
     chosen = central_cell(window) if cell is None else cell
     axis = middle_direction(window, centre) if middle is None else middle / np.linalg.norm(middle)
     points = sobol(count, 4)
-    local = aperture * over_cell(window, points[:, :2])
+    local = aperture * window.lattice.over_cell(points[:, :2])
     direction = cone(axis, field, points[:, 2:]) if field > 0.0 else np.broadcast_to(axis, (count, 3)).copy()
     return launched(window, local, direction, chosen, axis, field, aperture)
 
@@ -118,7 +113,10 @@ def launched(
     window: Window, local: Floats, direction: Floats, cell: tuple[int, int], middle: Floats, field: float = 0.0,
     aperture: float = 1.0,
 ) -> Bundle:  # fmt: skip
-    """Bundle that crosses z = 0 at `local` (n, 2) from the centre of `cell`, started below the window."""
+    """Bundle that crosses z = 0 at `local` (n, 2), lengths, from the centre of `cell`, started below the window.
+
+    direction : (n, 3) unit; middle : (3,) unit; field : radians; aperture : part of the cell, as in `Bundle`.
+    """
     place = window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(window.shifts[0])
     at = np.column_stack([local + place, np.zeros(len(local))])
     below = window.z_range[0] - 0.5 * max(window.lattice.pitch)

@@ -12,7 +12,7 @@ from clacad.design import Design
 from clacad.optics.rays import Fate
 from clacad.optics.surface import Quadric
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import bundle, central_cell, cone, field_points, middle_direction, over_cell
+from clacad.sheet.bundle import bundle, central_cell, cone, field_points, middle_direction
 from clacad.sheet.feasibility import feasibility
 from clacad.tracing.trace import trace
 from clacad.verification.checks import passed
@@ -339,7 +339,7 @@ def test_points_over_a_cell_are_in_it_and_even(kind):
     window = prescribe(BASE.replace({"lattice.kind": kind}))
     from clacad.base.sobol import sobol
 
-    points = over_cell(window, sobol(4096, 2))
+    points = window.lattice.over_cell(sobol(4096, 2))
     for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
         assert (points @ np.array(window.lattice.offset(*step)) <= 2 * half * half * (1 + 1e-12)).all()
     assert points.mean(axis=0) == pytest.approx([0.0, 0.0], abs=2e-5)

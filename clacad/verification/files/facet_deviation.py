@@ -10,7 +10,6 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
-from clacad.sheet.bundle import over_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, FacetFace, first_crossing, on_land
@@ -60,7 +59,7 @@ class Deviation:
 
 def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINTS) -> Deviation:
     """Compare the facets of a telescopelet with the exact faces at `places` spread evenly over the cell."""
-    points = over_cell(window, (sobol(places, 2) + _ASIDE) % 1.0)
+    points = window.lattice.over_cell((sobol(places, 2) + _ASIDE) % 1.0)
     slope, distance, met = [], [], []
     for piece, body in zip(bodies, window.bodies, strict=True):
         for facets, face in ((piece.front, body.front), (piece.back, body.back)):

@@ -11,7 +11,7 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, TraceResult
-from clacad.sheet.bundle import Bundle, central_cell, launched, middle_direction, over_cell
+from clacad.sheet.bundle import Bundle, central_cell, launched, middle_direction
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 
@@ -65,7 +65,7 @@ def _meridian(window: Window, send: Callable[[Bundle], TraceResult], axis: int) 
     reach = min(half_field(cells)[axis], 1.0)
     offsets = np.linspace(-reach, reach, DIRECTIONS)
     direction = _directions(window, axis, offsets)
-    places = over_cell(window, sobol(PLACES, 2))
+    places = window.lattice.over_cell(sobol(PLACES, 2))
     lit = launched(
         window,
         np.tile(places, (DIRECTIONS, 1)),

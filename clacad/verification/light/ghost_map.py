@@ -10,7 +10,7 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate
-from clacad.sheet.bundle import central_cell, launched, middle_direction, over_cell
+from clacad.sheet.bundle import central_cell, launched, middle_direction
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
@@ -60,7 +60,7 @@ def ghost_map(window: Window) -> GhostMap:
     direction = local / np.linalg.norm(local, axis=1, keepdims=True)
     forward = direction[:, 2] > 0.05
     direction[~forward] = middle_direction(window)
-    places = over_cell(window, sobol(PLACES, 2))
+    places = window.lattice.over_cell(sobol(PLACES, 2))
     lit = launched(
         window, np.tile(places, (len(direction), 1)), np.repeat(direction, PLACES, axis=0), central_cell(window),
         middle_direction(window),
