@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.optics.rays import Fate, Rays
+from clacad.sheet.lattice import relocate
 from clacad.sheet.window import Window, column, face_height
 from clacad.tracing.trace import trace
 
@@ -308,11 +309,7 @@ def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:
     heights = []
     for face in (body.front, body.back):
         shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
-        local = x - shift[0]
-        local = local - pitch * np.round(local / pitch)
-        aside = np.full_like(
-            x, -shift[1] + window.lattice.pitch[1] * np.round(shift[1] / window.lattice.pitch[1])
-        )
+        local, aside = relocate(window.lattice, np.column_stack([x, np.zeros_like(x)]) - shift)[1].T
         if body.columnar:
             front, back = column(window, body, local, aside)
             heights.append(front if face is body.front else back)
