@@ -20,7 +20,7 @@ _SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
 
 
 def two_sum(a: ArrayLike, b: ArrayLike) -> Pair:
-    """Rounded sum of a and b, and exactly what rounding took away."""
+    """Rounded sum of a and b (arrays that broadcast), and exactly what rounding took away."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     total = np.asarray(a + b)
     part_b = total - a
@@ -41,7 +41,7 @@ def two_product(a: ArrayLike, b: ArrayLike) -> Pair:
 
 
 def pair(a: ArrayLike) -> Pair:
-    """An exact float64 array as a pair."""
+    """An exact float64 array as a pair of its shape."""
     high = np.asarray(a, dtype=np.float64)
     return high, np.zeros_like(high)
 

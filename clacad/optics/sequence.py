@@ -152,7 +152,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -
 
 
 def unit(direction: Floats) -> tuple[Floats, Floats]:
-    """Unit directions, and the same rows scaled by a power of two, exactly, to components below 1.
+    """Unit directions (n, 3), and the same rows scaled by a power of two, exactly, to components below 1.
 
     Works for lengths from 1e-323 to 1e308; rows that are unit already are returned untouched.
     """
@@ -203,7 +203,7 @@ def launch(position: Floats, direction: Floats, vertex: tuple[float, float, floa
 
 
 def pass_on(offset: Floats, left: tuple[float, float, float], entered: tuple[float, float, float]) -> Floats:
-    """Offsets from vertex `left` as offsets from vertex `entered`: their difference, never their sum."""
+    """Offsets (m, 3), lengths, from vertex `left` as offsets from vertex `entered`: their difference, never their sum."""
     high, low = two_sum(left, np.negative(entered))
     return np.asarray((offset + low) + high)
 
@@ -238,13 +238,13 @@ def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Fl
 
 
 def largest(rows: Floats) -> Floats:
-    """Largest absolute component of each row (column by column: five times faster than a reduction of three)."""
+    """Largest absolute component (n,) of rows (n, 3); column by column, five times faster than a reduction of three."""
     size = np.abs(rows)
     return np.asarray(np.maximum(np.maximum(size[:, 0], size[:, 1]), size[:, 2]))
 
 
 def inside(aperture: Aperture, point: Floats) -> Bools:
-    """Whether points of the surface frame lie in the aperture, its edge included."""
+    """Whether points (n, 3), lengths, of the surface frame lie in the aperture, its edge included, (n,)."""
     kind, half_x, half_y = aperture
     u, v = np.abs(point[:, 0] / half_x), np.abs(point[:, 1] / half_y)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -252,7 +252,7 @@ def inside(aperture: Aperture, point: Floats) -> Bools:
 
 
 def to_sheet(rotation: Floats | None, rows: Floats) -> Floats:
-    """Rows turned from surface axes to sheet axes; summed in a fixed order, whatever their number."""
+    """Rows (n, 3) turned from surface axes to sheet axes; summed in a fixed order, whatever their number."""
     if rotation is None:
         return rows
     x, y, z = rows[:, 0], rows[:, 1], rows[:, 2]
@@ -260,7 +260,7 @@ def to_sheet(rotation: Floats | None, rows: Floats) -> Floats:
 
 
 def to_surface(rotation: Floats | None, rows: Floats) -> Floats:
-    """Rows turned from sheet axes to surface axes."""
+    """Rows (n, 3) turned from sheet axes to surface axes."""
     return rows if rotation is None else to_sheet(rotation.T, rows)
 
 

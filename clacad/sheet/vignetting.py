@@ -161,7 +161,7 @@ def _half_width(polygon: Floats, axis: int) -> float:
 
 
 def clip(subject: Floats, window: Floats) -> Floats:
-    """Cut a convex polygon (m, 2) by another one, both counter-clockwise (Sutherland and Hodgman)."""
+    """Cut a convex polygon (m, 2), lengths, by another one, both counter-clockwise (Sutherland and Hodgman)."""
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         if len(subject) == 0:
             break

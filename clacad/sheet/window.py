@@ -334,7 +334,7 @@ def column(window: Window, body: Body, x: Floats, y: Floats) -> tuple[Floats, Fl
 
 
 def face_height(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
-    """Height of one face over cell-frame points (n,): the outermost of lens and land, NaN at a hole."""
+    """Height (length) of one face over cell-frame points (n,): the outermost of lens and land, NaN at a hole."""
     if face.array is None:
         return np.full(np.shape(x), face.vertex[2])
     lens = _in_zone(window, face, x, y)

@@ -15,7 +15,7 @@ from clacad.base.types import Floats
 
 
 def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """a·b − c·d to about one unit in the last place of the result, whatever cancels.
+    """a·b − c·d (n,) to about one unit in the last place of the result, whatever cancels.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ NAMES: tuple[str, ...] = get_args(Formula)
 
 
 def index(formula: Formula, coefficients: Coefficients, micrometres: Floats) -> Floats:
-    """Refractive index at wavelengths; see `Material` for what the coefficients of each formula are."""
+    """Refractive index (n,) at wavelengths (n,); see `Material` for what the coefficients of each formula are."""
     return _FORMULAS[formula](coefficients, micrometres)
 
 

@@ -37,7 +37,7 @@ SETTLED = 2.0**-34
 
 
 def biconic_root(surface: Biconic, start: Columns, base: Columns, ray: Columns) -> tuple[Floats, Floats]:
-    """Distance from the base point and r of a biconic: Newton's method from the quadric of the same curvatures.
+    """Distance (length) from the base point and r, (n,) each, of a biconic: Newton from the quadric of its curvatures.
 
     The few rays that do not settle, all misses or near the equator, are looked up among the roots of a quartic.
     """

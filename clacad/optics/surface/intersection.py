@@ -32,7 +32,7 @@ class Meeting(NamedTuple):
 
 
 def meet(surface: Surface, position: Floats, direction: Floats) -> Meeting:
-    """Distance along rays to the apex half of a surface, normal and root there; see `meet_at`."""
+    """Where rays, (n, 3) points (lengths) and unit directions, meet the apex half of a surface; see `meet_at`."""
     return meet_at(surface, position, direction)[0]
 
 

@@ -21,7 +21,10 @@ STEEPEST = 0.25
 
 
 def carry(start: Columns, ray: Columns) -> tuple[Floats, Columns]:
-    """Distance to a base point near the apex, and that point: the vertex plane, for steep rays the nearest."""
+    """Distance (n,) to a base point near the apex, and that point, three columns (n,); lengths.
+
+    It lies in the vertex plane, for steep rays where they are nearest to the apex.
+    """
     (x, y, z), (L, M, N) = start, ray
     square = L * L + M * M + N * N
     flat = N * N >= STEEPEST * STEEPEST * square
@@ -32,7 +35,10 @@ def carry(start: Columns, ray: Columns) -> tuple[Floats, Columns]:
 def quadric_root(
     surface: Surface, kappa: Floats | float, start: Columns, base: Columns, ray: Columns
 ) -> tuple[Floats, Floats]:
-    """Distance from the base point and r = sqrt(B² − AC) of a quadric with the surface's curvatures."""
+    """Distance from the base point (length) and r = sqrt(B² − AC), (n,) each, of a quadric of the surface's curvatures.
+
+    kappa : 1/length, (n,) or one for all; start, base, ray : three columns (n,): point, base point, direction.
+    """
     cx, cy, side = surface.curvature_x, surface.curvature_y, surface.side
     (x, y, z), (L, M, N) = base, ray
     a = cx * L * L + cy * M * M + kappa * N * N
@@ -52,7 +58,7 @@ def quadric_root(
 
 
 def upright_sag(surface: Quadric, x: Floats, y: Floats) -> Floats | None:
-    """Sag (n,) over points (x, y): what a ray along +z meets, bit by bit, without the ray; NaN past the equator.
+    """Sag (n,) over points x, y (n,), lengths: what a ray along +z meets, bit by bit, without the ray; NaN past the equator.
 
     None where a point is so near the equator that the root needs the ray's compensated discriminant.
     """

@@ -56,11 +56,11 @@ class Quadric:
         _check("Quadric", self.side, self.curvature_x, self.curvature_y, self.kappa)
 
     def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Height above the apex plane; see `sag`."""
+        """Height (...) above the apex plane over x, y (...), lengths; see `sag`."""
         return sag(self, x, y)
 
     def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Unit normal towards +z; see `normal`."""
+        """Unit normal (..., 3) towards +z over x, y (...), lengths; see `normal`."""
         return normal(self, x, y)
 
 
@@ -97,11 +97,11 @@ class Biconic:
         _check("Biconic", self.side, self.curvature_x, self.curvature_y, self.conic_x, self.conic_y)
 
     def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Height above the apex plane; see `sag`."""
+        """Height (...) above the apex plane over x, y (...), lengths; see `sag`."""
         return sag(self, x, y)
 
     def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Unit normal towards +z; see `normal`."""
+        """Unit normal (..., 3) towards +z over x, y (...), lengths; see `normal`."""
         return normal(self, x, y)
 
 
@@ -116,7 +116,7 @@ def principal_radii(surface: Surface) -> tuple[float, float]:
 
 
 def conic_constants(surface: Surface) -> tuple[float | None, float | None]:
-    """Conic constants (K_x, K_y): κ/c − 1 of a quadric; None in a flat meridian, which has none."""
+    """Conic constants (K_x, K_y), pure numbers: κ/c − 1 of a quadric; None in a flat meridian, which has none."""
     if isinstance(surface, Biconic):
         return surface.conic_x, surface.conic_y
     curvatures = (surface.curvature_x, surface.curvature_y)
@@ -183,7 +183,7 @@ def gradient(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """G_x, G_y of either surface at the point over (x, y) where G_z = w.
+    """G_x, G_y (n,) of either surface at the points over (x, y), (n,) lengths, where G_z = w (n,).
 
     The biconic is Q + κ z² − 2 side z = 0 with κ = (a x² + b y²)/Q, which depends on the azimuth alone; its
     derivative gives the second terms.
@@ -197,7 +197,7 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
 
 
 def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:
-    """The form cx x² + cy y²; in pairs for a saddle, the only case whose terms cancel."""
+    """The form cx x² + cy y² (n,), length, of x, y (n,); in pairs for a saddle, the only case whose terms cancel."""
     cx, cy = surface.curvature_x, surface.curvature_y
     if cx * cy < 0:
         in_x = pair_product(pair(cx), two_product(x, x))
@@ -215,7 +215,7 @@ def slope_terms(surface: Surface) -> tuple[Pair, Pair]:
 
 
 def slope_root(surface: Surface, x: Floats, y: Floats) -> Floats:
-    """Root of 1 − a x² − b y², which is G_z; NaN beyond the equator."""
+    """Root (n,) of 1 − a x² − b y², which is G_z, over x, y (n,), lengths; NaN beyond the equator."""
     a, b = slope_terms(surface)
     x, y = np.broadcast_arrays(x, y)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -227,7 +227,7 @@ def slope_root(surface: Surface, x: Floats, y: Floats) -> Floats:
 
 
 def skewness(surface: Surface) -> float:
-    """E = (1 + K_x) cx² cy − (1 + K_y) cy² cx: how far a biconic is from a quadric."""
+    """E = (1 + K_x) cx² cy − (1 + K_y) cy² cx, 1/length³: how far a biconic is from a quadric."""
     if isinstance(surface, Quadric):
         return 0.0
     cx, cy = surface.curvature_x, surface.curvature_y

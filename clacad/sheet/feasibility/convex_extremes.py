@@ -23,19 +23,19 @@ NODES = 24
 
 
 def border(polygon: Floats, number: int, samples: int = BORDER_SAMPLES) -> Floats:
-    """Points (samples, 2) along edge `number` of a polygon, both corners included exactly."""
+    """Points (samples, 2), lengths, along edge `number` of a polygon, both corners included exactly."""
     start, end = polygon[number], polygon[(number + 1) % len(polygon)]
     t = np.linspace(0.0, 1.0, samples)[:, None]
     return np.asarray((1.0 - t) * start + t * end)
 
 
 def outline(polygon: Floats, samples: int = BORDER_SAMPLES) -> Floats:
-    """Points along all edges of a polygon, (m samples, 2)."""
+    """Points along all edges of a polygon (m, 2), (m samples, 2), lengths."""
     return np.concatenate([border(polygon, k, samples) for k in range(len(polygon))])
 
 
 def within(polygon: Floats, x: Floats, y: Floats) -> Bools:
-    """Tell which points lie in a convex counter-clockwise polygon, rim included."""
+    """Tell which points (n, 2) lie in a convex counter-clockwise polygon, rim included."""
     inside = np.ones(np.shape(x), dtype=bool)
     for start, end in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         inside &= (end[0] - start[0]) * (y - start[1]) - (end[1] - start[1]) * (x - start[0]) >= 0.0

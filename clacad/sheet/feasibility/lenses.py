@@ -182,7 +182,7 @@ def least_thickness(window: Window, array: int) -> float:
 
 
 def thicker(body: Body, change: float) -> Body:
-    """Body whose lens faces stand `change` farther apart along the lens axis (plano: its plane face moves)."""
+    """Body whose lens faces stand `change` (length) farther apart along the lens axis (plano: its plane face moves)."""
 
     def moved(face: Face, sign: float) -> Face:
         if face.array is None:
