@@ -136,7 +136,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -
         raise ValueError("the sequence holds no surface")
     ledger = _Ledger.opened(rays, len(seq) if record else 0)
     live = np.flatnonzero(rays.valid())
-    direction, scaled = unit(rays.direction[live])
+    direction, scaled = unit_directions(rays.direction[live])
     offset, travelled = launch(rays.position[live], scaled, seq[0].vertex)
     for k, interface in enumerate(seq):
         if k:
@@ -151,7 +151,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -
     return ledger.closed()
 
 
-def unit(direction: Floats) -> tuple[Floats, Floats]:
+def unit_directions(direction: Floats) -> tuple[Floats, Floats]:
     """Unit directions (n, 3), and the same rows scaled by a power of two, exactly, to components below 1.
 
     Works for lengths from 1e-323 to 1e308; rows that are unit already are returned untouched.

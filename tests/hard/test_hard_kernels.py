@@ -23,7 +23,15 @@ from oracle import trace as trace_oracle
 
 from clacad import tessellate, trace
 from clacad.optics.rays import NO_CELL, Fate, Rays
-from clacad.optics.sequence import largest, launch, pass_on, to_sheet, to_surface, trace_sequence, unit
+from clacad.optics.sequence import (
+    largest,
+    launch,
+    pass_on,
+    to_sheet,
+    to_surface,
+    trace_sequence,
+    unit_directions,
+)
 from clacad.optics.surface import Biconic, Quadric, meet
 from clacad.tracing.compiled import packing as slot
 
@@ -51,7 +59,7 @@ def kernel_meet(surface, point, ray):
 def by_kernel(case):
     """Fate, direction and path of one ray, each surface by the compiled `meet` and `snell`."""
     seq = interfaces(case.faces)
-    ray, scaled = unit(np.array([case.direction], dtype=float))
+    ray, scaled = unit_directions(np.array([case.direction], dtype=float))
     offset, travelled = launch(np.array([case.start], dtype=float), scaled, seq[0].vertex)
     path = 0.0
     for k, face in enumerate(seq):

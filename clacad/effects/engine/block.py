@@ -153,10 +153,10 @@ def inside_plate(direction: Floats, axis: Floats, index: float) -> Floats:
 
 def unit_rows(direction: Floats) -> Floats:
     """Unit directions (m, 3) of rows of any length."""
-    from clacad.optics.sequence import unit
+    from clacad.optics.sequence import unit_directions
 
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return unit(direction)[0]
+        return unit_directions(direction)[0]
 
 
 def lens_slopes(block: RayBlock) -> tuple[Floats, Floats]:

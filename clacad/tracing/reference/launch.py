@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
-from clacad.optics.sequence import unit
+from clacad.optics.sequence import unit_directions
 from clacad.sheet.lattice import relocate
 from clacad.tracing.layout import BodyPlan, Layout, sheet_position
 
@@ -94,7 +94,7 @@ def launch(
         From the start to there; negative when the start lies above the plane.
     """
     start = position[rows]
-    ray, scaled = unit(direction[rows])
+    ray, scaled = unit_directions(direction[rows])
     plane = np.full(len(rows), room.level + room.low)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         plane, beside = _alongside(layout, room, start, ray, plane)
