@@ -15,7 +15,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import Body, Window, lens_height
 from clacad.topology.complex_parts import CellComplex, Tiling
-from clacad.topology.walls import linked
+from clacad.topology.wall_strips import linked
 
 FAR = 2**60  # the other side of a body whose faces are meshed apart
 NONE = 2**61  # a front without a surface; −NONE a back without one

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.topology.walls import linked, runs_round
+from clacad.topology.wall_strips import linked, runs_round
 
 
 @dataclass(frozen=True, eq=False, slots=True)

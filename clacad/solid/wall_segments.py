@@ -18,7 +18,7 @@ from clacad.base.types import Floats
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.rational_conics import Arc
 from clacad.solid.repeated_cell import Cell, CellFace
-from clacad.topology.walls import BorderCurve, solid_strips
+from clacad.topology.wall_strips import BorderCurve, solid_strips
 
 TOLERANCE = 1e-7
 """Length below which CAD programs call two points one (mm)."""

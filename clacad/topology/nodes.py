@@ -9,7 +9,7 @@ from clacad.sheet.lattice import node_cells
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line
 from clacad.topology.complex_parts import SIDES, Node, Side
-from clacad.topology.walls import linked
+from clacad.topology.wall_strips import linked
 
 
 def make_nodes(window: Window, body: Body, faces: tuple[Side, ...], merge: float) -> tuple[Node, ...]:

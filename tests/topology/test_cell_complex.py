@@ -21,7 +21,7 @@ from clacad.solid.wall_segments import column_of_side
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.nodes import cluster
 from clacad.topology.rims import trace_zero
-from clacad.topology.walls import BorderCurve, runs_round, solid_strips
+from clacad.topology.wall_strips import BorderCurve, runs_round, solid_strips
 
 # -- roots -----------------------------------------------------------------------------------------
 
