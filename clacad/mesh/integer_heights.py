@@ -2,7 +2,8 @@
 
 The step is the float32 spacing at the sheet's largest |z|, so that every height survives a float32
 file unchanged; single linkage merges levels closer than a few steps, which leaves room for a vertex
-between any two that differ.
+between any two that differ. Levels are not those of the cell complex: a mesh asks at many points between its nodes and
+roots, and only whole numbers are equal there whichever cell asks.
 """
 
 from __future__ import annotations

@@ -4,6 +4,10 @@ A segment runs from a to b; the *left* column lies on the left hand. Each column
 back, so along the segment there are up to four border curves. *Stations* cut the segment wherever something
 changes (rims, crossings); between two stations the curves keep their order, and a wall stands wherever exactly one
 of the two columns is solid. Curves closer than the merge height along a whole piece share one edge.
+
+Where the faces of two cells cross is said by the cell complex (`topology.borders`), where walls stand by
+`topology.wall_strips`. Heights are those of the curves that are written, in mm, so that every edge meets its vertices;
+crossings are sought here only on segments the complex does not know: land round the cells, sides of a seam's islands.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from meshwindows import FORMS, pieces_and_holes, window
 
 from clacad.base.roots import sign_changes
 from clacad.mesh import mesh_body
+from clacad.mesh.integer_heights import VOID
 from clacad.sheet.feasibility import body_facts
 from clacad.sheet.lattice import Lattice, node_cells
 from clacad.sheet.window import column, lens_height, optical_tile
@@ -349,6 +350,22 @@ def test_rims_lie_on_both_surfaces_and_end_where_the_joint_ends():
     np.testing.assert_allclose(np.sort(0.5 - ends[:, 0] / 0.005), [start, start, stop, stop], atol=1e-9)
     x, y = np.concatenate([curve.points for curve in curves]).T
     np.testing.assert_allclose(gap(x, y), 0.0, atol=2e-15)
+
+
+@pytest.mark.parametrize("name", ["strips", "hexagonal, strips", "loose cells that touch"])
+def test_a_mesh_is_cut_along_the_rims_that_are_traced(name):
+    sheet = window(**FORMS[name])
+    body = sheet.bodies[1]
+    curves, gap = traced_rim(sheet, body)
+    tile = mesh_body(sheet, body, 12).tiled[0].maker.tile
+    outside = (tile.part == VOID).any(axis=1)
+    rim = np.intersect1d(tile.plan.triangles[outside], tile.plan.triangles[~outside])
+    on = tile.plan.xy[rim]
+    assert len(curves) > 0
+    assert np.abs(gap(*on.T)).max() <= 8 * tile.step
+    quad = np.hypot(*np.diff(tile.plan.xy[tile.plan.sides[0]], axis=0).T).max()
+    for point in np.concatenate([curve.points for curve in curves]):
+        assert np.hypot(*(on - point).T).min() < 1.5 * quad
 
 
 def test_a_lens_inside_its_cell_has_one_round_rim():
