@@ -54,8 +54,6 @@ RINGS = {
     (
         "effects/engine/camera_light.py", "effects/engine/homogeneous_light.py", "effects/engine/split_paths.py",
     ): "kinds of light that all give a Light",
-    ("exporting/format_table.py", "exporting/request.py"): "which formats there are",
-    ("exporting/limits.py", "exporting/tessellations.py"): "limits count the facets of one cell; tessellations know the limits",
     ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "methods of Law: then, inverse, fit",
     ("optics/material/database.py", "optics/material/material.py"): "materials named ri:… come from the database",
     (

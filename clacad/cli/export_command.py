@@ -144,7 +144,7 @@ def _within_target(design: Design, request: ExportRequest, asked: Request, *, qu
     ------
     TargetOutOfReach, LimitRefused, BadOption
     """
-    from clacad.exporting.format_table import known_formats
+    from clacad.exporting.format_names import known_formats
     from clacad.exporting.roles import Role
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import facets_for

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Rates
 from clacad.exporting import costs as cost
+from clacad.exporting.format_names import MARKED_MESHES, SOLIDS, WELDED_FORMATS
 from clacad.exporting.limits import (
     MOST_BYTES,
     MOST_FACETS,
     QUADS,
-    WELDED_FORMATS,
     refuse_cells,
     refuse_over_limits,
 )
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from clacad.formats.step.step_files import Mode
     from clacad.sheet.window import Window
 
-FIXTURES = ("baffle", "frame", "coupon", "brep", "marked")
-MARKED = ("marked-stl", "marked-3mf")
 LETTER_POINTS = 30
 """Points of the outline of a letter, about."""
 
@@ -130,7 +128,7 @@ def _forecast_one(
     meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True, grey_levels: int = 64
 ) -> Forecast:
     window = meshes.window
-    if name in MARKED:
+    if name in MARKED_MESHES:
         return _forecast_marked(meshes, name, quads)
     if name in ("stl", "stl-parts"):
         files = 1 if name == "stl" else len(window.bodies)
@@ -139,7 +137,7 @@ def _forecast_one(
         return _forecast_welded(meshes, name, quads)
     if name == "step":
         return _forecast_step(window, step, pcurves)
-    if name in FIXTURES:
+    if name in SOLIDS:
         return _forecast_fixture(window, name)
     return _forecast_map(window, name, grey_levels)
 

@@ -22,7 +22,6 @@ from clacad.exporting.request import Request
 from clacad.sheet.volume_and_extent import Integral, body_volume, volume_sum
 from clacad.sheet.window import Window
 from clacad.storage.atomic import Stage, canonical_json, file_hash
-from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
 from clacad.storage.worker import Worker
 
@@ -336,35 +335,10 @@ def _pov(job: Job) -> list[FileRecord]:
     return [job.record(path, "pov", unit="0.001 design unit", checks=())]
 
 
-FORMATS: dict[str, Callable[[Job], list[FileRecord]]] = {
+WRITERS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
     "marked-stl": _marked_stl, "marked-3mf": _marked_threemf,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""
-
-
-def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
-    """Give the formats asked for, each once, in the order asked.
-
-    Raises
-    ------
-    UnknownFormat
-        With the nearest word and the list.
-    NotPossible
-        A format needs an extra that is not installed.
-    """
-    from difflib import get_close_matches
-
-    unknown = [name for name in asked if name not in FORMATS]
-    if unknown or not asked:
-        near = get_close_matches(unknown[0], FORMATS, 1) if unknown else []
-        hint = f"; did you mean {near[0]}?" if near else ""
-        what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
-        raise UnknownFormat(f"{what}\n  allowed: {', '.join(FORMATS)}")
-    if "gds" in asked:
-        from clacad.formats.maps.gds import require_gdstk
-
-        require_gdstk()
-    return tuple(dict.fromkeys(asked))

@@ -15,6 +15,7 @@ from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.exporting.format_names import STL_FORMATS, WELDED_FORMATS
 from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
@@ -32,10 +33,6 @@ MEMORY_SHARE = 0.8
 QUADS = (64, 32, 16, 8, 4)
 """Facet grids a cell side that "auto" chooses from, finest first."""
 
-STL_FORMATS = ("stl", "stl-parts", "marked-stl")
-WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
-REPEATING = ("3mf", "glb")
-"""Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
 MOST_WELDED = 8_000_000
 """Facets up to which a mesh is welded into shared vertices in memory."""
 

@@ -9,8 +9,9 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from clacad.exporting import limits
+from clacad.exporting.format_names import MESHES, REPEATING, STL_FORMATS
 from clacad.exporting.light_forecast import FINE, POWERS, Grader
-from clacad.exporting.roles import MESHES, Prospect, Role, role_of
+from clacad.exporting.roles import Prospect, Role, role_of
 from clacad.exporting.tessellations import instanceable
 
 if TYPE_CHECKING:
@@ -46,14 +47,14 @@ class Sizes:
         drawn = min(quads, FINE if self._repeats(format) else COUNTED[1])
         row = forecast(self.meshes, [format], drawn)[0]
         facets = self.facets(format, quads)
-        if format in limits.STL_FORMATS:
+        if format in STL_FORMATS:
             return row.bytes + 50 * (facets - self.facets(format, drawn))
         return int(row.places + (row.bytes - row.places) * facets / max(1, self.facets(format, drawn)))
 
     def fits(self, format: str, quads: int) -> bool:
         """Whether a file of a format is within the limits of facets and bytes."""
         facets = self.facets(format, quads)
-        if format in limits.STL_FORMATS:
+        if format in STL_FORMATS:
             return facets <= limits.MOST_FACETS and 84 + 50 * facets <= limits.MOST_BYTES
         return facets <= limits.MOST_WELDED and self.bytes(format, quads) <= limits.MOST_BYTES
 
@@ -62,7 +63,7 @@ class Sizes:
         return max((quads for quads in POWERS if self.fits(format, quads)), default=POWERS[0])
 
     def _repeats(self, format: str) -> bool:
-        return format in limits.REPEATING and instanceable(self.meshes.window)
+        return format in REPEATING and instanceable(self.meshes.window)
 
     @cached_property
     def _cell(self) -> tuple[float, float]:

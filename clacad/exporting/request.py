@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from typing import Any, Literal
 
-from clacad.exporting.roles import MESHES, WORDS, Role, role_of
+from clacad.exporting.format_names import FORMATS, MESHES
+from clacad.exporting.roles import WORDS, Role, role_of
 from clacad.storage.errors import BadRequest
 
 EXTRAS = ("step_schema", "pcurves", "saddle_bevel", "gpu_instancing", "grey_levels")
@@ -123,8 +124,6 @@ def _role(word: object) -> Role:
 
 
 def _exported(name: str, formats: Sequence[str], what: str) -> None:
-    from clacad.exporting.format_table import FORMATS
-
     if name in formats:
         return
     if name in FORMATS:

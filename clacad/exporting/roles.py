@@ -32,10 +32,6 @@ NOT_OPTICAL = frozenset({"baffle", "frame", "coupon", "pov", "scene"})
 """Formats and bodies that carry no light of the law, by the words of manifests."""
 
 
-MESHES = ("stl", "stl-parts", "marked-stl", "3mf", "ply", "glb", "marked-3mf")
-"""Formats of facets: what they are good for depends on how fine they are."""
-
-
 def role_of(format: str) -> Role:
     """Role of the files of a format that holds exact faces, heights, poses, or no optics at all."""
     return Role.OTHER if format in NOT_OPTICAL else Role.MASTER

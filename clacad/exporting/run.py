@@ -14,7 +14,8 @@ from clacad.base.types import Progress
 from clacad.exporting import costs as cost
 from clacad.exporting import limits
 from clacad.exporting.forecast import Forecast, forecast
-from clacad.exporting.format_table import FORMATS, Job, known_formats
+from clacad.exporting.format_names import known_formats
+from clacad.exporting.format_table import WRITERS, Job
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
 from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
@@ -159,7 +160,7 @@ def _produced(
         try:
             with translated(job.stage.folder):
                 one = job if row.quads is None else replace(job, tessellation=meshes.at(row.quads))
-                records += [_with_role(record, row) for record in FORMATS[name](one)]
+                records += [_with_role(record, row) for record in WRITERS[name](one)]
         except (ExportError, MemoryError, ValueError) as error:
             failures[name] = _failure(name, error)
             log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))

@@ -11,7 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import WALL, Promise
-from clacad.exporting.limits import REPEATING
+from clacad.exporting.format_names import REPEATING
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.sheet.window import Body, Face, Land, Window, lens_height_and_normal
 

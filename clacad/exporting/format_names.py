@@ -1,0 +1,56 @@
+"""Which formats there are, and of what kind: words only, known before anything that writes them is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from clacad.storage.errors import UnknownFormat
+
+FORMATS = (
+    "step", "stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "brep",
+    "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf",
+)  # fmt: skip
+"""Words by which formats are asked for."""
+
+MESHES = ("stl", "stl-parts", "marked-stl", "3mf", "ply", "glb", "marked-3mf")
+"""Formats of facets: what they are good for depends on how fine they are."""
+
+STL_FORMATS = ("stl", "stl-parts", "marked-stl")
+"""Streams of facets, each with corners of its own."""
+
+WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
+"""Facets of shared vertices."""
+
+REPEATING = ("3mf", "glb")
+"""Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
+
+MARKED_MESHES = ("marked-stl", "marked-3mf")
+"""Meshes with their name and an arrow engraved in the border."""
+
+SOLIDS = ("baffle", "frame", "coupon", "brep", "marked")
+"""Parts modelled solid by solid; the baffle is a mesh of walls."""
+
+
+def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
+    """Give the formats asked for, each once, in the order asked.
+
+    Raises
+    ------
+    UnknownFormat
+        With the nearest word and the list.
+    NotPossible
+        A format needs an extra that is not installed.
+    """
+    from difflib import get_close_matches
+
+    unknown = [name for name in asked if name not in FORMATS]
+    if unknown or not asked:
+        near = get_close_matches(unknown[0], FORMATS, 1) if unknown else []
+        hint = f"; did you mean {near[0]}?" if near else ""
+        what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
+        raise UnknownFormat(f"{what}\n  allowed: {', '.join(FORMATS)}")
+    if "gds" in asked:
+        from clacad.formats.maps.gds import require_gdstk
+
+        require_gdstk()
+    return tuple(dict.fromkeys(asked))
