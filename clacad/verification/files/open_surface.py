@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats
+from clacad.formats.mesh.closed_stream import welded
 from clacad.formats.mesh.file_mesh import FileMesh
-
-_ODD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0xBF58476D1CE4E5B9))
 
 SECTORS = 36
 """Parts of the round that are looked at."""
@@ -50,7 +49,7 @@ def rims(mesh: FileMesh) -> Rims:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    corners, facets = _welded(np.concatenate(list(mesh.chunks())))
+    corners, facets = welded(np.concatenate(list(mesh.chunks())))
     start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
     size = np.int64(len(corners))
     same = start == end  # a facet without area has no such edge
@@ -68,24 +67,6 @@ def rims(mesh: FileMesh) -> Rims:
     count = int(np.abs(balance).sum())
     place = middles[0] if len(middles) else np.full(3, np.nan)
     return Rims(count, place, middles, int((used & ~is_open).sum()), corners)
-
-
-def _welded(corners: Floats) -> tuple[Floats, Ints]:
-    """Vertices that agree in all bits made one: (v, 3) and facets (t, 3); told by 64-bit hashes of their numbers."""
-    points = np.ascontiguousarray(corners.reshape(-1, 3) + 0.0)
-    words = points.view(np.uint64)
-    with np.errstate(over="ignore"):
-        mixed = words[:, 0] * _ODD[0] ^ (words[:, 1] * _ODD[1] >> np.uint64(7)) ^ words[:, 2] * _ODD[2]
-        mixed = (
-            (mixed ^ (mixed >> np.uint64(31))) * _ODD[1]
-            + words[:, 0]
-            + (words[:, 1] << np.uint64(21)) * _ODD[2]
-        )
-    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
-    if not np.array_equal(points[first][index.ravel()], points):  # two points of one hash: the slow way
-        unique, index = np.unique(points, axis=0, return_inverse=True)
-        return unique, index.reshape(-1, 3).astype(np.int64)
-    return points[first], index.reshape(-1, 3).astype(np.int64)
 
 
 def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:
