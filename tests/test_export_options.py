@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -230,3 +231,38 @@ def test_the_forecast_of_gdsii_counts_the_levels_that_are_asked_for(tmp_path: Pa
         assert ran(*asked).exit_code == 0
         written = sum(file.stat().st_size for file in out.iterdir() if ".gds" in file.name)
         assert said == pytest.approx(written, rel=0.2)
+
+
+# -- one declaration ------------------------------------------------------------------------------
+
+
+def test_the_command_line_and_the_function_ask_for_what_is_declared() -> None:
+    from inspect import signature
+
+    from typer.main import get_command
+
+    from clacad.exporting.request import DEFAULTS, OPTIONS
+
+    function = signature(export).parameters
+    assert [name for name in function if name not in ("design", "out", "progress")] == list(OPTIONS)
+    command: Any = get_command(app)
+    typed = {one.name: one for one in command.commands["export"].params}
+    for name, option in OPTIONS.items():
+        default = getattr(DEFAULTS, name)
+        assert function[name].default == (default or None if name in ("quads", "role") else default), name
+        shown = typed[name]
+        assert "/".join([*shown.opts, *shown.secondary_opts]) == option.flag
+        assert shown.help == option.help
+        if shown.default is not None:
+            assert shown.default == (",".join(default) if name == "formats" else default)
+    assert set(typed) - set(OPTIONS) == {
+        "design",
+        "out",
+        "dry_run",
+        "target",
+        "normals",
+        "set",
+        "json",
+        "quiet",
+        "verbose",
+    }

@@ -23,8 +23,10 @@ from clacad.cli.options import (
     Set,
     Verbose,
     Workers,
+    declared,
     print_version,
 )  # fmt: skip
+from clacad.exporting.request import DEFAULTS
 
 app = typer.Typer(
     cls=Grouped,
@@ -95,27 +97,20 @@ def check(
 def export(
     design: Design,
     out: Out,
-    format: Annotated[str, typer.Option("--format", metavar="F,G", help="step, stl, 3mf, glb, ply, sag, tiff, png, "
-                                        "xyz, table, mask, pov, ...")] = "step,stl",
-    slope_error: Annotated[str | None, typer.Option("--slope-error", metavar="E", help="rms facet slope error, e.g. "
-                           "'5 mrad', or 'auto' (default): the finest that the limits allow.")] = None,
-    quads: Annotated[str | None, typer.Option("--quads", metavar="N|F=N,...", help="Facet grid: N quads per cell side, or "
-                     "'auto': the coarsest grid that makes a master; of all meshes or per format: 3mf=auto,stl=4.")] = None,
-    role: Annotated[str | None, typer.Option("--role", metavar="R|F=R,...", help="What files are for: master or preview; of "
-                    "all or per format: stl=preview. Default: what the light through them allows.")] = None,
-    step: Annotated[str, typer.Option("--step", help="auto, fused or instanced.")] = "auto",
+    formats: Annotated[str, declared("formats")] = ",".join(DEFAULTS.formats),
+    slope_error: Annotated[str | None, declared("slope_error")] = None,
+    quads: Annotated[str | None, declared("quads")] = None,
+    role: Annotated[str | None, declared("role")] = None,
+    step: Annotated[str, declared("step")] = DEFAULTS.step,
     cells: Cells = None,
-    overwrite: Overwrite = False,
-    force: Annotated[bool, typer.Option("--force", help="Pass the limits on facets, bytes and memory.")] = False,
+    overwrite: Overwrite = DEFAULTS.overwrite,
+    force: Annotated[bool, declared("force")] = DEFAULTS.force,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
-    step_schema: Annotated[str, typer.Option("--step-schema", help="STEP: ap242 or ap214.")] = "ap242",
-    pcurves: Annotated[bool, typer.Option("--pcurves/--no-pcurves", help="STEP: write exact parameter curves; without "
-                                          "them files are smaller.")] = True,
-    saddle_bevel: Annotated[str | None, typer.Option("--saddle-bevel", metavar="W", help="Meshes: fill the corners where "
-                            "cells only touch, W wide, e.g. '5 um'; default: they touch, the surface is exact.")] = None,
-    gpu_instancing: Annotated[bool, typer.Option("--gpu-instancing", help="GLB: one node for all cells of a body.")] = False,
-    grey_levels: Annotated[int, typer.Option("--grey-levels", metavar="N", min=2, max=256, help="GDSII: layers from "
-                                             "lowest to highest.")] = 64,
+    step_schema: Annotated[str, declared("step_schema")] = DEFAULTS.step_schema,
+    pcurves: Annotated[bool, declared("pcurves")] = DEFAULTS.pcurves,
+    saddle_bevel: Annotated[str | None, declared("saddle_bevel")] = None,
+    gpu_instancing: Annotated[bool, declared("gpu_instancing")] = DEFAULTS.gpu_instancing,
+    grey_levels: Annotated[int, declared("grey_levels")] = DEFAULTS.grey_levels,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Coarsest facets whose light is within this "
                                                "rms direction error of the exact surfaces, e.g. '0.5 mrad'.")] = None,
     normals: Annotated[str, typer.Option("--normals", help="With --target, what the file is read by: facet or vertex.")]
@@ -126,15 +121,15 @@ def export(
     verbose: Verbose = False,
 ) -> int:  # fmt: skip
     """Write the part: files and manifest.json; prints the fabrication table."""
-    from clacad.cli.export_command import ExportRequest, export_design
+    from clacad.cli.export_command import ExportWords, export_design
 
-    request = ExportRequest(
-        out, tuple(f.strip() for f in format.split(",") if f.strip()), slope_error, quads, step, cells,
-        overwrite=overwrite, force=force, dry_run=dry_run, step_schema=step_schema, pcurves=pcurves,
-        saddle_bevel=saddle_bevel, gpu_instancing=gpu_instancing, grey_levels=grey_levels, target=target, normals=normals,
-        role=role,
-    )  # fmt: skip
-    return export_design(design, set or [], request, json=json, quiet=quiet)
+    options = {
+        "formats": formats, "slope_error": slope_error, "quads": quads, "role": role, "step": step, "cells": cells,
+        "overwrite": overwrite, "force": force, "step_schema": step_schema, "pcurves": pcurves,
+        "saddle_bevel": saddle_bevel, "gpu_instancing": gpu_instancing, "grey_levels": grey_levels,
+    }  # fmt: skip
+    words = ExportWords(out, options, dry_run, target, normals)
+    return export_design(design, set or [], words, json=json, quiet=quiet)
 
 
 @app.command()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_design
@@ -22,51 +22,45 @@ class BadOption(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class ExportRequest:
-    """What to export, where to, and how finely."""
+class ExportWords:
+    """What the command line says of an export.
+
+    out : Path
+    options : mapping
+        Those of `clacad.exporting.request.Request` by name, as typed.
+    dry_run : bool
+    target, normals : str
+        Of the coarsest facets that are good enough, and what a file is read by.
+    """
 
     out: Path
-    formats: tuple[str, ...]
-    slope_error: str | None
-    quads: str | None
-    step: str
-    cells: str | None
-    overwrite: bool
-    force: bool
-    dry_run: bool
-    step_schema: str = "ap242"
-    pcurves: bool = True
-    saddle_bevel: str | None = None
-    gpu_instancing: bool = False
-    grey_levels: int = 64
+    options: Mapping[str, Any]
+    dry_run: bool = False
     target: str | None = None
     normals: str = "facet"
-    role: str | None = None
 
 
-def export_design(
-    path: Path, overrides: list[str], request: ExportRequest, *, json: bool, quiet: bool
-) -> int:
+def export_design(path: Path, overrides: list[str], words: ExportWords, *, json: bool, quiet: bool) -> int:
     """Export and print what was made; with --dry-run print the forecast only."""
-    if request.formats == ("pov",):
+    formats = tuple(word.strip() for word in words.options["formats"].split(",") if word.strip())
+    if formats == ("pov",):
         from clacad.cli.render_command import export_scene, is_scene
 
         if is_scene(path):
-            return export_scene(
-                path, overrides, request.out, overwrite=request.overwrite, json=json, quiet=quiet
-            )
+            overwrite = words.options["overwrite"]
+            return export_scene(path, overrides, words.out, overwrite=overwrite, json=json, quiet=quiet)
     design = load_design(path, overrides)
-    asked = _asked(design, request)
-    if not request.force:
+    asked = _asked(design, formats, words.options)
+    if not asked.force:
         _refuse_early(design, asked)
-    if request.target is not None:
-        asked = _within_target(design, request, asked, quiet=quiet)
-    if request.dry_run:
-        return _forecast(design, request.out, asked, json=json, quiet=quiet)
-    return _export(path, design, request.out, asked, json=json, quiet=quiet)
+    if words.target is not None:
+        asked = _within_target(design, words, asked, quiet=quiet)
+    if words.dry_run:
+        return _forecast(design, words.out, asked, json=json, quiet=quiet)
+    return _export(path, design, words.out, asked, json=json, quiet=quiet)
 
 
-def _asked(design: Design, request: ExportRequest) -> Request:
+def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -> Request:
     """What the words of the command line ask for.
 
     Raises
@@ -75,13 +69,14 @@ def _asked(design: Design, request: ExportRequest) -> Request:
     """
     from clacad.exporting.request import Request, asked_quads, asked_roles
 
-    quads, role = per_format("--quads", request.quads), per_format("--role", request.role)
-    return Request(
-        request.formats, parse_slope_error(request.slope_error), asked_quads(_numbers(quads), request.formats),
-        parse_step(request.step), parse_cells(request.cells), request.overwrite, request.force,
-        parse_schema(request.step_schema), request.pcurves, parse_length(request.saddle_bevel, design),
-        request.gpu_instancing, request.grey_levels, asked_roles(role, request.formats),
-    )  # fmt: skip
+    quads, role = per_format("--quads", typed["quads"]), per_format("--role", typed["role"])
+    read = {
+        "formats": formats, "slope_error": parse_slope_error(typed["slope_error"]),
+        "quads": asked_quads(_numbers(quads), formats), "step": _one_of("step", typed["step"]),
+        "cells": parse_cells(typed["cells"]), "step_schema": _one_of("step_schema", typed["step_schema"], str.lower),
+        "saddle_bevel": parse_length(typed["saddle_bevel"], design), "role": asked_roles(role, formats),
+    }  # fmt: skip
+    return Request(**{**typed, **read})
 
 
 def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
@@ -137,7 +132,7 @@ def _refuse_early(design: Design, asked: Request) -> None:
     refuse_early(_cut(design, asked), asked.formats, asked.quads)
 
 
-def _within_target(design: Design, request: ExportRequest, asked: Request, *, quiet: bool) -> Request:
+def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet: bool) -> Request:
     """The request with the coarsest facets that meet its target in the files that are no declared previews.
 
     Raises
@@ -149,19 +144,19 @@ def _within_target(design: Design, request: ExportRequest, asked: Request, *, qu
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import facets_for
 
-    assert request.target is not None
-    target = parse_angle("--target", request.target)
+    assert words.target is not None
+    target = parse_angle("--target", words.target)
     masters = [name for name in known_formats(asked.formats) if asked.role.get(name) is not Role.PREVIEW]
-    if request.slope_error is not None or any(name in asked.quads for name in masters):
+    if words.options["slope_error"] is not None or any(name in asked.quads for name in masters):
         raise BadOption(
             "--target chooses the facets of all files but declared previews: leave out --quads for them, and "
             "--slope-error"
         )
-    if request.normals not in ("facet", "vertex"):
-        raise BadOption(f"--normals {request.normals}: it is facet or vertex")
+    if words.normals not in ("facet", "vertex"):
+        raise BadOption(f"--normals {words.normals}: it is facet or vertex")
     made = _cut(design, asked)
     chosen = facets_for(
-        made, prescribe(made), target, masters, "facet" if request.normals == "facet" else "vertex"
+        made, prescribe(made), target, masters, "facet" if words.normals == "facet" else "vertex"
     )
     if chosen is None:
         say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose", quiet=quiet)
@@ -196,15 +191,15 @@ def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
     """
     if text is None or ("=" not in text and "," not in text):
         return text
-    found: dict[str, str] = {}
-    for part in text.split(","):
-        name, sign, value = (word.strip() for word in part.partition("="))
-        if not (name and sign and value):
-            raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
-        if name in found:
-            raise BadOption(f"{option} {text}: {name} is named twice")
-        found[name] = value
-    return found
+    from clacad.exporting.request import assignments
+
+    named = assignments(text)
+    if named is None:
+        raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
+    twice = next((name for n, (name, _) in enumerate(named) if name in dict(named[:n])), None)
+    if twice is not None:
+        raise BadOption(f"{option} {text}: {twice} is named twice")
+    return dict(named)
 
 
 def _numbers(words: str | dict[str, str] | None) -> Any:
@@ -243,18 +238,14 @@ def parse_angle(option: str, text: str) -> float:
     return value
 
 
-def parse_step(text: str) -> Literal["auto", "fused", "instanced"]:
-    """One of the three STEP modes."""
-    if text not in ("auto", "fused", "instanced"):
-        raise BadOption(f"--step {text}: it is one of auto, fused, instanced")
-    return cast("Literal['auto', 'fused', 'instanced']", text)
+def _one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:
+    """A word that the declaration allows, as it spells it."""
+    from clacad.exporting.request import OPTIONS
 
-
-def parse_schema(text: str) -> Literal["ap242", "ap214"]:
-    """One of the two application protocols of STEP."""
-    if text.lower() not in ("ap242", "ap214"):
-        raise BadOption(f"--step-schema {text}: it is one of ap242, ap214")
-    return cast("Literal['ap242', 'ap214']", text.lower())
+    option = OPTIONS[name]
+    if spelt(typed) not in option.words:
+        raise BadOption(f"{option.flag} {typed}: it is one of {', '.join(option.words)}")
+    return spelt(typed)
 
 
 def parse_length(text: str | None, design: Design) -> float:

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from clacad.exporting.request import OPTIONS
+
 HELP = "Design, make and verify generalized confocal lenslet arrays."
 EPILOG = """Same design, same bytes.
 
@@ -77,6 +79,14 @@ def start_log(value: bool) -> bool:
     return value
 
 
+def declared(name: str) -> Any:
+    """Option of a command that says what the declaration of exports says: flag, help and range."""
+    option = OPTIONS[name]
+    return typer.Option(
+        option.flag, metavar=option.metavar, min=option.least, max=option.most, help=option.help
+    )
+
+
 Design = Annotated[
     Path, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON).", show_default=False)
 ]
@@ -93,11 +103,7 @@ Verbose = Annotated[bool, typer.Option("-v", "--verbose", callback=start_log, he
 Out = Annotated[
     Path, typer.Option("-o", "--out", metavar="DIR", help="Folder to write to.", show_default=False)
 ]
-Cells = Annotated[
-    str | None,
-    typer.Option("--cells", metavar="AxB", help="A x B cells of the design, centred; default all."),
-]
-
+Cells = Annotated[str | None, declared("cells")]
 
 Workers = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes on this machine; default one a core.")
@@ -109,5 +115,5 @@ Scheduler = Annotated[
     ),
 ]
 Again = Annotated[bool, typer.Option("--overwrite", help="Begin again; replace files of another origin.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files of another origin.")]
+Overwrite = Annotated[bool, declared("overwrite")]
 Replace = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]

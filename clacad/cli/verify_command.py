@@ -76,19 +76,17 @@ def parse_roles(text: str | None) -> str | dict[str, str] | None:
     ------
     UnknownRole
     """
+    from clacad.exporting.request import assignments
     from clacad.verification.files.find_files import UnknownRole
 
     if text is None or "=" not in text:
         return text
-    found = {}
-    for part in text.split(","):
-        name, mark, word = (piece.strip() for piece in part.partition("="))
-        if not (name and mark and word):
-            raise UnknownRole(
-                f"--role {text}: it is one word, or FORMAT=WORD,FORMAT=WORD with master, preview or scan"
-            )
-        found[name] = word
-    return found
+    named = assignments(text)
+    if named is None:
+        raise UnknownRole(
+            f"--role {text}: it is one word, or FORMAT=WORD,FORMAT=WORD with master, preview or scan"
+        )
+    return dict(named)
 
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:

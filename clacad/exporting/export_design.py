@@ -118,7 +118,8 @@ def export(
     from clacad.exporting.run import run_export
 
     request = Request(
-        tuple(formats), slope_error, asked_quads(quads, formats), step, cells, overwrite, force, step_schema, pcurves,
-        saddle_bevel, gpu_instancing, grey_levels, asked_roles(role, formats),
+        formats=tuple(formats), slope_error=slope_error, quads=asked_quads(quads, formats), step=step, cells=cells,
+        overwrite=overwrite, force=force, step_schema=step_schema, pcurves=pcurves, saddle_bevel=saddle_bevel,
+        gpu_instancing=gpu_instancing, grey_levels=grey_levels, role=asked_roles(role, formats),
     )  # fmt: skip
     return run_export(design, os.fspath(out), request, progress)

@@ -20,6 +20,7 @@ from clacad.exporting.limits import (
     refuse_cells,
     refuse_over_limits,
 )
+from clacad.exporting.request import DEFAULTS, Request
 from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
@@ -93,9 +94,7 @@ def forecast(
     meshes: Meshes,
     formats: Sequence[str],
     quads: int | Mapping[str, int],
-    step: Mode = "auto",
-    pcurves: bool = True,
-    grey_levels: int = 64,
+    asked: Request = DEFAULTS,
 ) -> list[Forecast]:
     """Forecast each format.
 
@@ -105,15 +104,12 @@ def forecast(
     formats : sequence of str
     quads : int or mapping
         Facet grid a cell side for the mesh formats, of all or of each.
-    step : "auto", "fused" or "instanced"
-    pcurves : bool
-        Whether STEP files hold parameter curves.
-    grey_levels : int
-        Levels of GDSII.
+    asked : Request
+        Options of STEP and GDSII.
     """
     grids = dict.fromkeys(formats, quads) if isinstance(quads, int) else quads
     return timed([
-        _forecast_one(meshes, name, grids.get(name, QUADS[-1]), step, pcurves, grey_levels) for name in formats
+        _forecast_one(meshes, name, grids.get(name, QUADS[-1]), asked) for name in formats
     ])  # fmt: skip
 
 
@@ -124,9 +120,7 @@ def timed(rows: Sequence[Forecast]) -> list[Forecast]:
     return [replace(row, seconds=(span.low, span.high)) for row, span in zip(rows, spans, strict=True)]
 
 
-def _forecast_one(
-    meshes: Meshes, name: str, quads: int, step: Mode, pcurves: bool = True, grey_levels: int = 64
-) -> Forecast:
+def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAULTS) -> Forecast:
     window = meshes.window
     if name in MARKED_MESHES:
         return _forecast_marked(meshes, name, quads)
@@ -136,10 +130,10 @@ def _forecast_one(
     if name in WELDED_FORMATS:
         return _forecast_welded(meshes, name, quads)
     if name == "step":
-        return _forecast_step(window, step, pcurves)
+        return _forecast_step(window, asked.step, asked.pcurves)
     if name in SOLIDS:
         return _forecast_fixture(window, name)
-    return _forecast_map(window, name, grey_levels)
+    return _forecast_map(window, name, asked.grey_levels)
 
 
 def _forecast_fixture(window: Window, name: str) -> Forecast:
@@ -271,7 +265,7 @@ def outlook(window: Window) -> list[dict[str, Any]]:
         (q for q in QUADS if 84 + 50 * facets[q] <= MOST_BYTES and facets[q] <= MOST_FACETS), QUADS[-1]
     )
     plain = _forecast_stl("stl", facets[quads], 1, quads, exact=quads <= 8)
-    rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8, "auto")]
+    rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8)]
     return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in timed(rows)]
 
 

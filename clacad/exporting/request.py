@@ -1,17 +1,18 @@
-"""What was asked of an export, and how quads and roles are asked for: one value for all files, or one a format."""
+"""The options of an export, declared once: the command line, the API and the manifest read them here.
+
+Quads and roles are asked for as one value for all files, or as one a format.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 from clacad.exporting.format_names import FORMATS, MESHES
 from clacad.exporting.roles import WORDS, Role, role_of
 from clacad.storage.errors import BadRequest
-
-EXTRAS = ("step_schema", "pcurves", "saddle_bevel", "gpu_instancing", "grey_levels")
 
 Quads = int | Literal["auto"]
 AskedQuads = Quads | Mapping[str, Quads] | None
@@ -23,10 +24,49 @@ AskedRole = str | Mapping[str, str] | None
 ROLES = ("master", "preview")
 """Words by which an export declares a role."""
 
+T = TypeVar("T")
+
+
+# -- the declaration -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """How one option of an export is asked for on the command line, and what is allowed.
+
+    Parameters
+    ----------
+    flag : str
+        As typed; of a switch that is on by default, with its opposite.
+    help : str
+    metavar : str or None
+        What stands for the value in the help.
+    words : tuple of str
+        All that are allowed; empty: any text that its reader takes.
+    least, most : int or None
+        Range of a whole number.
+    rare : bool
+        Kept in the manifest only where something else than the default was asked for.
+    """
+
+    flag: str
+    help: str
+    metavar: str | None = None
+    words: tuple[str, ...] = ()
+    least: int | None = None
+    most: int | None = None
+    rare: bool = False
+
+
+def _declared(default: Any, option: Option) -> Any:
+    """Field of `Request` with its default and how it is asked for."""
+    made = {"default_factory": dict} if default is dict else {"default": default}
+    return field(**made, metadata={"option": option})
+
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What was asked of an export; see `clacad.exporting.export_design.export`.
+    """What was asked of an export; what each field means: see `clacad.exporting.export_design.export`.
 
     Parameters
     ----------
@@ -36,19 +76,44 @@ class Request:
         Format → role declared, as `asked_roles` gives it.
     """
 
-    formats: tuple[str, ...]
-    slope_error: float | Literal["auto"] = "auto"
-    quads: Mapping[str, Quads] = field(default_factory=dict)
-    step: Literal["auto", "fused", "instanced"] = "auto"
-    cells: tuple[int, int] | None = None
-    overwrite: bool = False
-    force: bool = False
-    step_schema: Literal["ap242", "ap214"] = "ap242"
-    pcurves: bool = True
-    saddle_bevel: float = 0.0
-    gpu_instancing: bool = False
-    grey_levels: int = 64
-    role: Mapping[str, Role] = field(default_factory=dict)
+    formats: tuple[str, ...] = _declared(("step", "stl"), Option(
+        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, ...", "F,G",
+    ))  # fmt: skip
+    slope_error: float | Literal["auto"] = _declared("auto", Option(
+        "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the finest that the limits allow.", "E",
+    ))  # fmt: skip
+    quads: Mapping[str, Quads] = _declared(dict, Option(
+        "--quads", "Facet grid: N quads per cell side, or 'auto': the coarsest grid that makes a master; of all meshes or "
+        "per format: 3mf=auto,stl=4.", "N|F=N,...",
+    ))  # fmt: skip
+    step: Literal["auto", "fused", "instanced"] = _declared("auto", Option(
+        "--step", "auto, fused or instanced.", words=("auto", "fused", "instanced"),
+    ))  # fmt: skip
+    cells: tuple[int, int] | None = _declared(None, Option(
+        "--cells", "A x B cells of the design, centred; default all.", "AxB",
+    ))  # fmt: skip
+    overwrite: bool = _declared(False, Option("--overwrite", "Replace files of another origin."))
+    force: bool = _declared(False, Option("--force", "Pass the limits on facets, bytes and memory."))
+    step_schema: Literal["ap242", "ap214"] = _declared("ap242", Option(
+        "--step-schema", "STEP: ap242 or ap214.", words=("ap242", "ap214"), rare=True,
+    ))  # fmt: skip
+    pcurves: bool = _declared(True, Option(
+        "--pcurves/--no-pcurves", "STEP: write exact parameter curves; without them files are smaller.", rare=True,
+    ))  # fmt: skip
+    saddle_bevel: float = _declared(0.0, Option(
+        "--saddle-bevel", "Meshes: fill the corners where cells only touch, W wide, e.g. '5 um'; default: they touch, the "
+        "surface is exact.", "W", rare=True,
+    ))  # fmt: skip
+    gpu_instancing: bool = _declared(False, Option(
+        "--gpu-instancing", "GLB: one node for all cells of a body.", rare=True,
+    ))  # fmt: skip
+    grey_levels: int = _declared(64, Option(
+        "--grey-levels", "GDSII: layers from lowest to highest.", "N", least=2, most=256, rare=True,
+    ))  # fmt: skip
+    role: Mapping[str, Role] = _declared(dict, Option(
+        "--role", "What files are for: master or preview; of all or per format: stl=preview. Default: what the light "
+        "through them allows.", "R|F=R,...",
+    ))  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Options as the manifest keeps them; those that few ask for only where they were asked for."""
@@ -56,10 +121,26 @@ class Request:
             "formats": list(self.formats), "slope_error": self.slope_error, "quads": dict(self.quads) or None,
             "step": self.step, "cells": None if self.cells is None else list(self.cells),
         }  # fmt: skip
-        usual = {field.name: field.default for field in fields(self)}
-        asked = {name: getattr(self, name) for name in EXTRAS}
+        rare = {name: getattr(self, name) for name, option in OPTIONS.items() if option.rare}
+        asked = {name: value for name, value in rare.items() if value != getattr(DEFAULTS, name)}
         roles = {"role": {name: str(role) for name, role in self.role.items()}} if self.role else {}
-        return plain | {name: value for name, value in asked.items() if value != usual[name]} | roles
+        return plain | asked | roles
+
+
+OPTIONS: Mapping[str, Option] = {one.name: one.metadata["option"] for one in fields(Request)}
+"""Field of `Request` → how it is asked for."""
+
+DEFAULTS = Request()
+"""An export of which nothing was said."""
+
+
+# -- one value for all files, or one a format ------------------------------------------------------
+
+
+def assignments(text: str) -> list[tuple[str, str]] | None:
+    """NAME=VALUE,NAME=VALUE as pairs in their order; None where a part lacks its name or its value."""
+    parts = [tuple(word.strip() for word in part.partition("=")) for part in text.split(",")]
+    return [(name, value) for name, _, value in parts] if all(map(all, parts)) else None
 
 
 def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
@@ -70,17 +151,7 @@ def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
     BadRequest
         A value that is no grid, a format that is unknown, has no facets or is not exported.
     """
-    if asked is None:
-        return {}
-    if not isinstance(asked, Mapping):
-        value = _grid(asked)
-        return {name: value for name in dict.fromkeys(formats) if name in MESHES}
-    named = {name: _grid(value) for name, value in asked.items()}
-    for name in named:
-        _exported(name, formats, "quads")
-        if name not in MESHES:
-            raise BadRequest(f"quads for {name}: it has no facets; formats that have: {', '.join(MESHES)}")
-    return {name: named[name] for name in dict.fromkeys(formats) if name in named}
+    return _of_formats(asked, formats, _QUADS)
 
 
 def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
@@ -91,18 +162,31 @@ def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
     BadRequest
         A word that is no role, a format that is unknown, carries no light or is not exported.
     """
+    return _of_formats(asked, formats, _ROLE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked(Generic[T]):
+    """What is asked for format by format: its name, how a value is read, which formats have it, what others lack."""
+
+    name: str
+    read: Callable[[object], T]
+    suits: Callable[[str], bool]
+    lacking: str
+
+
+def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[str, T]:
+    """Value of each format that is exported, in the order exported: one for all that have it, or as each was named."""
     if asked is None:
         return {}
     if not isinstance(asked, Mapping):
-        role = _role(asked)
-        return {name: role for name in dict.fromkeys(formats) if role_of(name) is not Role.OTHER}
-    named = {name: _role(word) for name, word in asked.items()}
+        value = kind.read(asked)
+        return {name: value for name in dict.fromkeys(formats) if kind.suits(name)}
+    named = {name: kind.read(value) for name, value in asked.items()}
     for name in named:
-        _exported(name, formats, "role")
-        if role_of(name) is Role.OTHER:
-            raise BadRequest(
-                f"role of {name}: no light of the law goes through it, so it has none to declare"
-            )
+        _exported(name, formats, kind.name)
+        if not kind.suits(name):
+            raise BadRequest(f"{kind.name} {kind.lacking.format(name)}")
     return {name: named[name] for name in dict.fromkeys(formats) if name in named}
 
 
@@ -121,6 +205,15 @@ def _role(word: object) -> Role:
     if isinstance(word, str) and word in WORDS:
         return WORDS[word]
     raise BadRequest(f"role = {word}: unknown{_near(word, ROLES)}; allowed: {', '.join(ROLES)}")
+
+
+_QUADS: _Asked[Quads] = _Asked(
+    "quads", _grid, MESHES.__contains__, f"for {{}}: it has no facets; formats that have: {', '.join(MESHES)}"
+)
+_ROLE: _Asked[Role] = _Asked(
+    "role", _role, lambda name: role_of(name) is not Role.OTHER,
+    "of {}: no light of the law goes through it, so it has none to declare",
+)  # fmt: skip
 
 
 def _exported(name: str, formats: Sequence[str], what: str) -> None:

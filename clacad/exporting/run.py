@@ -104,7 +104,7 @@ def _forecast(
     """Rows of all formats, held against the limits before the light through the meshes is forecast."""
     grader = Grader.of(meshes, design)
     quads = chosen_quads(grader, request, formats)
-    rows = forecast(meshes, formats, quads, request.step, request.pcurves, request.grey_levels)
+    rows = forecast(meshes, formats, quads, request)
     if not request.force and out is not None:
         limits.refuse_over_limits(meshes, rows, out)
     return with_prospects(grader, rows, request.role)
