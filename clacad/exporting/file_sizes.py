@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from math import ceil, log10
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -175,32 +175,28 @@ def xyz_bytes(window: Window, per_cell: int) -> int:
 # -- STEP ------------------------------------------------------------------------------------------
 
 
-def step_bytes(window: Window, mode: str, pcurves: bool = True) -> int:
+def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: bool = True) -> int:
     """Size of the STEP file, from the text of small sheets: it grows as A + B (n1 + n2) + C n1 n2."""
+    from clacad.formats.step.step_files import step_text_length
+
     n1, n2 = window.lattice.count
     if max(n1, n2) <= 8:
-        return _step_text(window, mode, pcurves)
+        return step_text_length(window, mode, pcurves)
     if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode
         small, large = _smaller_sheet(window, 8), _smaller_sheet(window, 16)
-        one, two = _step_text(small, mode, pcurves), _step_text(large, mode, pcurves)
+        one, two = step_text_length(small, mode, pcurves), step_text_length(large, mode, pcurves)
         power = 1.0 if mode == "fused" else 0.5
         first, second, whole = (sheet.lattice.cell_count**power for sheet in (small, large, window))
         return int(two + (two - one) / (second - first) * (whole - second)) if second > first else two
     if mode == "instanced" and instanceable(window):
-        a, b = (_step_text(_smaller_sheet(window, n), mode, pcurves) for n in (2, 6))
+        a, b = (step_text_length(_smaller_sheet(window, n), mode, pcurves) for n in (2, 6))
         return int(a + (b - a) / 8 * (n1 + n2 - 4))
-    a, b, c = (_step_text(_smaller_sheet(window, n), mode, pcurves) for n in (1, 4, 8))
+    a, b, c = (step_text_length(_smaller_sheet(window, n), mode, pcurves) for n in (1, 4, 8))
     # Through n = 1, 4, 8 on the diagonal: f = A + B n + C n^2. Longer numbers add some per cent a decade.
     square = ((c - b) / 4 - (b - a) / 3) / 7
     linear = (b - a) / 3 - 5 * square
     digits = 1.0 + 0.07 * max(0.0, log10(n1 * n2 / 64))
     return int((a - linear - square + 0.5 * linear * (n1 + n2) + square * n1 * n2) * digits)
-
-
-def _step_text(window: Window, mode: str, pcurves: bool) -> int:
-    from clacad.exporting.step_record import text_length
-
-    return text_length(window, mode, pcurves)
 
 
 def _smaller_sheet(window: Window, n: int) -> Window:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any
 
@@ -91,36 +90,6 @@ def read(path: str, window: Window) -> dict[str, Any]:
     from clacad.formats.step.read_back import read_brep, read_step
 
     return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window)
-
-
-class _Counter(io.StringIO):
-    """A stream that only counts what is written to it."""
-
-    def __init__(self) -> None:
-        self.length = 0
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, text: str) -> int:
-        self.length += len(text)
-        return len(text)
-
-
-def text_length(window: Window, mode: str, pcurves: bool = True) -> int:
-    """Bytes of the STEP file of a window, by drawing up its text and throwing it away."""
-    from clacad.formats.step import step_files
-    from clacad.formats.step.part21 import Part21
-    from clacad.solid.shells import MERGE
-
-    stream = _Counter()
-    part = Part21(
-        stream, "AP242", window.name, step_files.PROGRAM, window.lattice.pitch[0] * window.unit / 1e-3
-    )
-    writer = step_files._write_fused if mode == "fused" else step_files._write_instanced
-    writer(window, part, pcurves, MERGE)
-    part.close()
-    return stream.length
 
 
 def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str
