@@ -224,8 +224,9 @@ def test_mathematics_knows_numpy_and_the_standard_library_only():
 def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_no_design():
     for name in in_rooms("exporting"):
         if name != "exporting/light_forecast.py":
-            known = {room_of(target) for target in imports(name)} | (imports(name) & {"sheet/bundle.py"})
-            assert not known & {"tracing", "sheet/bundle.py"}, f"{name} traces"
+            light = {"sheet/bundle.py", "sheet/light_against_law.py"}
+            known = {room_of(target) for target in imports(name)} | (imports(name) & light)
+            assert not known & {"tracing", *light}, f"{name} traces"
     for name in in_rooms("mesh", "solid", "topology"):
         assert "design" not in {room_of(target) for target in imports(name)}, f"{name} knows a design"
 

@@ -10,14 +10,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from math import hypot, inf, isfinite, nan, sqrt
+from math import hypot, inf, isfinite, isnan, nan, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
+from clacad.optics.law import difference_of_laws
+from clacad.optics.rays import Fate
+from clacad.sheet.light_against_law import (
+    FEWEST,
+    change_with_shift,
+    fitted_laws,
+    law_errors,
+    mean_error,
+    rms_error,
+    shift_of_array_2,
+)
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -35,9 +45,6 @@ RAYS = 16384
 POINT_RAYS = 1024
 """Rays over the field, and of each of its nine points."""
 
-FEWEST = 64
-"""Rays that must get through for a forecast."""
-
 SAFE = 0.95
 """Part of a limit that is aimed at: other cells and more rays find a few per cent more."""
 
@@ -46,9 +53,6 @@ PROBE, FINE = 16, 64
 
 NEAR = 1.25
 """A grid whose formula gives up to so many times what is aimed at is traced before it is passed over."""
-
-SLIDE = 1e-3
-"""Trial shift of array 2 over the distance between the lenses."""
 
 CLOSE = 0.04
 """The formula's own error, relative: closer to the limit only a trace tells."""
@@ -263,95 +267,36 @@ class _Light:
         return Grade(quads, self._rms(seen), bias, stretch, offset, self._defocus(seen))
 
     def _rms(self, seen: TraceResult) -> float:
-        from clacad.optics.law import angle_between
-        from clacad.optics.rays import Fate
-
-        good = (seen.fate == Fate.ALIVE) & np.isfinite(self._asked).all(axis=1)
-        if good.sum() < FEWEST:
-            return nan
-        return float(np.sqrt(np.mean(angle_between(seen.direction[good], self._asked[good]) ** 2)))
+        return rms_error(law_errors(seen, self._asked))
 
     def _bias(self, send: Callable[[Rays], TraceResult]) -> float:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""
-        from clacad.optics.law import angle_between
-        from clacad.optics.rays import Fate
-
-        found = []
-        for lit in self._points:
-            seen = send(lit.rays)
-            good = seen.fate == Fate.ALIVE
-            expected = self.window.law.refract(lit.rays.direction[:1])[0]
-            if good.sum() >= FEWEST and np.isfinite(expected).all():
-                found.append(float(angle_between(seen.direction[good].mean(axis=0), expected)))
-        return max(found, default=nan)
+        law = self.window.law
+        found = [mean_error(send(lit.rays), law.refract(lit.rays.direction[:1])[0]) for lit in self._points]
+        return max((error for error in found if not isnan(error)), default=nan)
 
     @cached_property
-    def _slid(self) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Slopes behind the exact surfaces (n, 2), along the axes of the lenses, their change with the shift of array 2
-        over the distance between the lenses, and whether both are known (n,).
-        """
-        from clacad.optics.rays import Fate, Rays
-        from clacad.sheet.telescopelet import interfaces
-        from clacad.tracing.trace import trace_sequence
+    def _change(self) -> Floats:
+        return change_with_shift(self.window, (0, 0), self.rays)
 
-        window = self.window
-        distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
-        centre = window.lattice.centres(np.zeros((1, 2), dtype=np.int64))[0]
-        rays = Rays(self.rays.position - [*centre, 0.0], self.rays.direction)
-        through = [
-            trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
-            for slide in (-SLIDE, 0.0, SLIDE)
-        ]
-        low, exact, high = (one.direction @ window.thin.rotation[:, :2] for one in through)
-        good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
-        return exact, (high - low) / (2.0 * SLIDE), good
+    def _both(self, seen: TraceResult) -> Bools:
+        """Rays (n,) that get through, and through the exact surfaces too."""
+        return np.asarray((seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE))
 
     def _defocus(self, seen: TraceResult) -> float:
-        """Least-squares shift of array 2, worse axis: one step of Gauss and Newton from the exact surfaces."""
-        from clacad.optics.rays import Fate
-
-        exact, change, good = self._slid
-        both = good & (seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE)
+        """Shift of array 2 that would make up for the facets, over the distance between the lenses, worse axis."""
+        both = self._both(seen) & np.isfinite(self._change[:, 0])
         if both.sum() < FEWEST:
             return nan
-        less = seen.direction[both] @ self.window.thin.rotation[:, :2] - exact[both]
-        weight = (change[both] ** 2).sum(axis=0)
-        powered = weight > 1e-12 * float(weight.max())
-        found = (less * change[both]).sum(axis=0) / np.where(powered, weight, 1.0)
-        return float(np.abs(found[powered]).max(initial=0.0))
+        shift = shift_of_array_2(
+            self.window, seen.direction[both], self._truth.direction[both], self._change[both]
+        )
+        return float(np.nanmax(np.abs(shift), initial=0.0))
 
     def _fitted(self, seen: TraceResult) -> tuple[float, float]:
         """Relative error of the ratio of slopes, and error of the slope that leaves along the axis, worse axis."""
-        from clacad.optics.law import Law
-        from clacad.optics.rays import Fate
-
-        both = (seen.fate == Fate.ALIVE) & (self._truth.fate == Fate.ALIVE)
-        if both.sum() < FEWEST:
-            return nan, nan
-        into = self.rays.direction[both]
-        try:
-            laws = [
-                Law.fit(into, found.direction[both], axes=self.window.law).law
-                for found in (seen, self._truth)
-            ]
-        except ValueError:  # light that leaves without depending on how it came
-            return nan, nan
-        (here, here_at), (there, there_at) = (_slopes(law, law.rotation) for law in laws)
-        return float(np.abs(there / here - 1.0).max()), float(np.abs(here_at - there_at).max())
-
-
-def _slopes(law: object, turn: Floats) -> tuple[Floats, Floats]:
-    """Change of slope behind over that before the sheet (2,), and the slopes (2,) that leave along the axis."""
-    from clacad.optics.law import Law
-
-    assert isinstance(law, Law)
-    small = 2.0**-10
-    sent = np.array([[0.0, 0.0, 1.0], [small, 0.0, 1.0], [0.0, small, 1.0]]) @ turn.T
-    out = law.matrix() @ sent.T
-    local = turn.T @ out
-    slopes = (local[:2] / local[2]).T
-    change = (slopes[[1, 2], [0, 1]] - slopes[0]) / small
-    return change, -slopes[0] / change
+        laws = fitted_laws(self.window.law, self.rays, seen, self._truth, self._both(seen))
+        return (nan, nan) if laws is None else difference_of_laws(*laws)
 
 
 # -- facets of one telescopelet ------------------------------------------------------------------
@@ -386,7 +331,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
     return tuple(bodies)
 
 
-def _optical(window: Window, rows: Iterator[Floats], bevel: float) -> tuple[Floats, NDArray[np.bool_]]:
+def _optical(window: Window, rows: Iterator[Floats], bevel: float) -> tuple[Floats, Bools]:
     """Facets (t, 3, 3) that are neither walls nor bevels, and whether each belongs to the back (t,)."""
     from clacad.mesh.saddle_bevel import in_corners
     from clacad.tracing.triangles.telescopelet_facets import WALL

@@ -30,3 +30,8 @@ def interfaces(window: Window, slide: Floats | None = None) -> list[Interface]:
                 Interface(face.surface, vertex, before, after, None if face.untilted else face.rotation)
             )
     return found
+
+
+def lens_distance(window: Window) -> float:
+    """Distance between the lenses along the axis, design units: in glass for a slab."""
+    return window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)

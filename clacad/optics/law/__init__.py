@@ -8,7 +8,7 @@ form after Oxburgh, White, Antoniou & Courtial 2014).
 from __future__ import annotations
 
 from clacad.optics.law.angle import angle_between
-from clacad.optics.law.fitting import Fit
+from clacad.optics.law.fitting import Fit, difference_of_laws
 from clacad.optics.law.imaging import apparent_map, image_planes, image_point, stretch, stretch_on_sheet
 from clacad.optics.law.law import Law
 from clacad.optics.law.orientation import euler_angles, rotation, rotation_degrees
@@ -19,6 +19,7 @@ __all__ = [
     "Law",
     "angle_between",
     "apparent_map",
+    "difference_of_laws",
     "euler_angles",
     "image_planes",
     "image_point",

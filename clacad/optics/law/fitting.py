@@ -346,3 +346,10 @@ def _chain(law: Law) -> Floats:
     chain[4:, 5] = (np.cos(law.phi), -np.sin(law.phi), 0.0)  # θ about Rz(φ)ᵀ e_x,
     chain[4:, 6] = r[2]  # ψ about the sheet's z
     return chain
+
+
+def difference_of_laws(found: Law, exact: Law) -> tuple[float, float]:
+    """Largest relative difference of η, and largest difference of δ (slope), of two laws in the same axes."""
+    eta = max(abs(found.eta_x / exact.eta_x - 1.0), abs(found.eta_y / exact.eta_y - 1.0))
+    delta = max(abs(found.delta_x - exact.delta_x), abs(found.delta_y - exact.delta_y))
+    return eta, delta

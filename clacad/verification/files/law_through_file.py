@@ -1,9 +1,8 @@
 """Light through a file, held against the law: the checks that alone let a file be called an optical master.
 
 The same rays go through the file's own triangles or faces and through the exact surfaces. What is asked of a design
-(section E of the contract: rms, bias, η, δ, confocality, throughput) is asked of the file, within the design's limits.
-Fits over a field of a degree are moved by aberration alone (2 % for the paper's sheet), so η, δ and confocality are
-differences: file less exact, over the same rays.
+(section E of the contract: rms, bias, η, δ, confocality, throughput) is asked of the file, within the design's limits;
+how each is measured: `clacad.sheet.light_against_law`.
 """
 
 from __future__ import annotations
@@ -14,17 +13,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats
 from clacad.exporting.roles import Role
-from clacad.optics.law import Law, angle_between
+from clacad.optics.law import Law, difference_of_laws
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, bundle, field_points
+from clacad.sheet.light_against_law import (
+    FEWEST,
+    change_with_shift,
+    fitted_laws,
+    law_errors,
+    mean_error,
+    rms_error,
+    shift_of_array_2,
+)
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
-from clacad.tracing.trace import trace, trace_sequence
+from clacad.tracing.trace import trace
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.light.confocality import interfaces
-from clacad.verification.light.law_checks import FEWEST, SHARE_DIRECTIONS, Tracer
+from clacad.verification.light.law_checks import SHARE_DIRECTIONS, Tracer
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -41,10 +48,6 @@ IDS = (
 
 POINT_RAYS = 4096
 """Rays of each of the nine field points through triangles."""
-
-SLIDE = 1e-3
-"""Trial shift of array 2 over the distance between the lenses, for the change of directions with it."""
-
 
 SHIFT_RAYS = 65536
 """Rays that tell the shift, at most: the slopes of facets must cancel in it."""
@@ -107,33 +110,15 @@ def measure_light(
     seen, truth = send(main), trace(window, main.rays)
     alive = seen.fate == Fate.ALIVE
     asked = window.law.refract(main.rays.direction)
-    error = angle_between(seen.direction[alive], asked[alive])
-    error = error[np.isfinite(error)]
-    known = len(error) >= FEWEST
+    error = law_errors(seen, asked)
     both = alive & (truth.fate == Fate.ALIVE) & np.isfinite(asked).all(axis=1)
-    law, exact = _fits(window, main, seen, truth, both)
+    law, exact = fitted_laws(window.law, main.rays, seen, truth, both) or (None, None)
     bias, middle = _field(design, window, send, point_rays, main.cell)
     closed = float(share(thin_cells(window), main.rays.direction[:SHARE_DIRECTIONS]).mean())
     return FileLight(
-        main,
-        float(np.sqrt(np.mean(error**2))) if known else np.nan,
-        float(error.max()) if known else np.nan,
-        bias, law, exact, _shift(window, main, seen, truth, both), middle,
-        (float(alive.mean()), closed), seen, truth,
+        main, rms_error(error), float(error.max()) if len(error) >= FEWEST else np.nan, bias, law, exact,
+        _shift(window, main, seen, truth, both), middle, (float(alive.mean()), closed), seen, truth,
     )  # fmt: skip
-
-
-def _fits(
-    window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: np.ndarray[Any, Any]
-) -> tuple[Law | None, Law | None]:
-    if both.sum() < FEWEST:
-        return None, None
-    into = main.rays.direction[both]
-    try:
-        laws = [Law.fit(into, found.direction[both], axes=window.law).law for found in (seen, truth)]
-    except ValueError:  # light that leaves without depending on how it came
-        return None, None
-    return laws[0], laws[1]
 
 
 def _field(
@@ -143,44 +128,19 @@ def _field(
     found = []
     middle = (np.nan, np.nan)
     for number, direction in enumerate(field_points(window, design.check.field, design.check.field_centre)):
-        lit = bundle(window, rays, 0.0, middle=direction, cell=cell)
-        seen = send(lit)
-        alive = seen.fate == Fate.ALIVE
+        seen = send(bundle(window, rays, 0.0, middle=direction, cell=cell))
         if number == 0:
-            middle = float(alive.mean()), float(share(thin_cells(window), direction[None])[0])
-        expected = window.law.refract(direction[None])[0]
-        dark = alive.sum() < FEWEST or not np.isfinite(expected).all()
-        found.append(np.nan if dark else float(angle_between(seen.direction[alive].mean(axis=0), expected)))
+            passed = float((seen.fate == Fate.ALIVE).mean())
+            middle = passed, float(share(thin_cells(window), direction[None])[0])
+        found.append(mean_error(seen, window.law.refract(direction[None])[0]))
     return np.array(found), middle
 
 
-def _shift(
-    window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: np.ndarray[Any, Any]
-) -> Floats:
-    """Least-squares shift of array 2 (2,), file less exact, over the distance between the lenses.
-
-    One step of Gauss and Newton with the change of directions of the exact surfaces: facets' own slopes do not change
-    by a small shift, but their mean over a lens is the lens's.
-    """
-    if both.sum() < FEWEST:
-        return np.full(2, np.nan)
-    distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+def _shift(window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, both: Bools) -> Floats:
+    """Shift of array 2 (2,), file less exact, over the distance between the lenses; see `shift_of_array_2`."""
     few = np.flatnonzero(both)[:SHIFT_RAYS]
-    centre = window.lattice.centres(np.array([main.cell], dtype=np.int64))[0]
-    rays = Rays(main.rays.position[few] - [*centre, 0.0], main.rays.direction[few])
-    through = [
-        trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), rays)
-        for slide in (-SLIDE, SLIDE)
-    ]
-    good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
-    across = window.thin.rotation[:, :2]
-    low, high = (one.direction[good] @ across for one in through)
-    change = (high - low) / (2.0 * SLIDE)
-    less = (seen.direction[few] - truth.direction[few])[good] @ across
-    weight = (change**2).sum(axis=0)
-    powered = weight > 1e-12 * max(float(weight.max(initial=0.0)), 1e-300)
-    found = -(less * change).sum(axis=0) / np.where(powered, weight, 1.0)
-    return np.asarray(np.where(powered & good.any(), found, np.nan))
+    change = change_with_shift(window, main.cell, Rays(main.rays.position[few], main.rays.direction[few]))
+    return shift_of_array_2(window, seen.direction[few], truth.direction[few], change)
 
 
 # -- judging ------------------------------------------------------------------------------------
@@ -283,8 +243,7 @@ def _fitted(design: Design, found: FileLight, what: str, common: Mapping[str, An
     if law is None or exact is None:
         why = f"too little light gets through the file's {what} to fit a law"
         return [not_run(name, why, **common) for name in ("file_law_eta", "file_law_delta")]
-    eta = max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0))
-    delta = max(abs(law.delta_x - exact.delta_x), abs(law.delta_y - exact.delta_y))
+    eta, delta = difference_of_laws(law, exact)
     text = "fitted over the same rays, {0} = {1:.6g}, {2:.6g} through the file's " + what
     text += " and {3:.6g}, {4:.6g} through the exact surfaces"
     return [

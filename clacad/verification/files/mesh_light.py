@@ -11,9 +11,10 @@ import numpy as np
 from clacad.base.types import Floats, Progress
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure
-from clacad.optics.law import Law, angle_between
+from clacad.optics.law import Law, angle_between, difference_of_laws
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import Bundle, bundle, launched
+from clacad.sheet.light_against_law import fitted_laws
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
@@ -35,6 +36,9 @@ LOST = 0.2
 
 FIT_FIELD = 0.35
 """Cone of the fit through facets over the half field of view: wide, so that facets average out."""
+
+FIT_RAYS = 1024
+"""Rays through both below which nothing is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,14 +196,7 @@ def _fits(
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
     both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
-    if both.sum() < 1024:
-        return None, None
-    into = lit.rays.direction[both]
-    try:
-        laws = [Law.fit(into, result.direction[both], axes=window.law).law for result in (seen, ideal)]
-    except ValueError:  # light that leaves without depending on how it came
-        return None, None
-    return laws[0], laws[1]
+    return fitted_laws(window.law, lit.rays, seen, ideal, both, FIT_RAYS) or (None, None)
 
 
 def _faithful_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, Any]) -> list[Check]:
@@ -207,8 +204,7 @@ def _faithful_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, A
     if law is None or exact is None:
         why = "too few rays get through the file's triangles to fit a law"
         return [not_run(name, why, **common) for name in ("faithful_eta", "faithful_delta")]
-    eta = max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0))
-    delta = max(abs(law.delta_x - exact.delta_x), abs(law.delta_y - exact.delta_y))
+    eta, delta = difference_of_laws(law, exact)
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
     return [
         judge("faithful_eta", eta, design.check.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),

@@ -14,7 +14,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays
-from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import PLANE, Window
 from clacad.tracing.trace import Interface, trace_sequence
 
@@ -64,7 +64,7 @@ def confocality(window: Window) -> Confocality:
     turn = window.thin.rotation
     arrays = [face.array for face in window.faces]
     along = window.faces[arrays.index(1)].rotation[:, 2]
-    distance = window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+    distance = lens_distance(window)
     size = STEP * window.lattice.circumradius
     start = _axis_start(window, turn[:, 2])
     aside = _onto_axis(window, turn[:, 2], start, along)

@@ -17,6 +17,7 @@ from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, TraceResult
 from clacad.sheet.bundle import Bundle, bundle, field_points
+from clacad.sheet.light_against_law import FEWEST, rms_error
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run
@@ -30,9 +31,6 @@ Tracer = Callable[[Bundle], TraceResult]
 
 FIT_SCALE = 0.1
 """Aperture and field of the bundle η and δ are fitted on, over those of the main bundle."""
-
-FEWEST = 64
-"""ALIVE rays below which a number is not given."""
 
 MERIDIANS = 0.002
 """Difference of the two meridians' defects of confocality, over the separation, that is too much for any design."""
@@ -140,7 +138,7 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
         main=main,
         result=result,
         error=error,
-        rms=float(np.sqrt(np.mean(known**2))) if len(known) >= FEWEST else np.nan,
+        rms=rms_error(known),
         worst=float(known.max()) if len(known) else np.nan,
         points=points,
         fit=law,

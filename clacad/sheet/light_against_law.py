@@ -1,0 +1,130 @@
+"""Light through a sheet held against the law and against the exact surfaces, whatever the sheet is known as.
+
+Facets in memory or a file's: the caller sends the rays. Only ALIVE rays count, and a number that fewer than FEWEST of
+them tell is NaN. Fits over a field of a degree are moved by aberration alone (2 % for the paper's sheet), so fitted laws
+and the shift of array 2 are differences: as sent, less through the exact surfaces, over the same rays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.base.types import Bools, Floats
+from clacad.optics.law import Law, angle_between
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.optics.sequence import trace_sequence
+from clacad.sheet.telescopelet import interfaces, lens_distance
+from clacad.sheet.window import Window
+
+FEWEST = 64
+"""ALIVE rays below which a number is not given."""
+
+SLIDE = 1e-3
+"""Trial shift of array 2 over the distance between the lenses, for the change of directions with it."""
+
+
+def law_errors(seen: TraceResult, asked: Floats) -> Floats:
+    """Angles (k,), radians, of the ALIVE rays to the law's directions (n, 3), where the law has one."""
+    alive = seen.fate == Fate.ALIVE
+    error = angle_between(seen.direction[alive], asked[alive])
+    return error[np.isfinite(error)]
+
+
+def rms_error(error: Floats) -> float:
+    """Root mean square (radians) of angles (k,)."""
+    return float(np.sqrt(np.mean(error**2))) if len(error) >= FEWEST else np.nan
+
+
+def mean_error(seen: TraceResult, expected: Floats) -> float:
+    """Angle (radians) of the mean direction of parallel light behind the sheet to the one expected (3,)."""
+    alive = seen.fate == Fate.ALIVE
+    if alive.sum() < FEWEST or not np.isfinite(expected).all():
+        return np.nan
+    return float(angle_between(seen.direction[alive].mean(axis=0), expected))
+
+
+def fitted_laws(
+    axes: Law, rays: Rays, one: TraceResult, other: TraceResult, good: Bools, fewest: int = FEWEST
+) -> tuple[Law, Law] | None:
+    """Laws fitted to the same rays sent two ways; None where they show none.
+
+    Parameters
+    ----------
+    axes : Law
+        Whose axes both fits hold.
+    rays : Rays
+    one, other : TraceResult
+    good : (n,) bool
+        Rays that count.
+    fewest : int
+        Rays below which nothing is fitted.
+    """
+    if good.sum() < fewest:
+        return None
+    into = rays.direction[good]
+    try:
+        first, second = (Law.fit(into, found.direction[good], axes=axes).law for found in (one, other))
+    except ValueError:  # light that leaves without depending on how it came
+        return None
+    return first, second
+
+
+def change_with_shift(window: Window, cell: tuple[int, int], rays: Rays) -> Floats:
+    """Change of exit directions with a shift of array 2 along the sheet's normal, through the exact surfaces.
+
+    Parameters
+    ----------
+    window : Window
+    cell : (i, j)
+        Cell of array 1 that the rays go through.
+    rays : Rays
+        Sheet frame.
+
+    Returns
+    -------
+    (n, 2) array
+        Along the axes of the lenses, a unit of shift being the distance between them; NaN where a ray is lost.
+    """
+    distance = lens_distance(window)
+    centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0]
+    local = Rays(rays.position - [*centre, 0.0], rays.direction)
+    through = [
+        trace_sequence(interfaces(window, np.array([0.0, 0.0, slide * distance])), local)
+        for slide in (-SLIDE, SLIDE)
+    ]
+    good = np.all([one.fate == Fate.ALIVE for one in through], axis=0)
+    low, high = (one.direction[good] @ window.thin.rotation[:, :2] for one in through)
+    change = np.full((len(rays), 2), np.nan)
+    change[good] = (high - low) / (2.0 * SLIDE)
+    return change
+
+
+def shift_of_array_2(window: Window, seen: Floats, truth: Floats, change: Floats) -> Floats:
+    """Shift of array 2 along the normal that makes the rms to the law least, less that of the exact surfaces.
+
+    One step of Gauss and Newton with the change of directions of the exact surfaces: facets' own slopes do not change
+    by a small shift, but their mean over a lens is the lens's.
+
+    Parameters
+    ----------
+    window : Window
+    seen, truth : (n, 3) directions
+        Of the same rays, as sent and through the exact surfaces, ALIVE in both.
+    change : (n, 2) array
+        As `change_with_shift` gives it.
+
+    Returns
+    -------
+    (2,) array
+        Along each lens axis, over the distance between the lenses; NaN in an axis without power.
+    """
+    known = np.isfinite(change[:, 0])
+    if known.sum() < FEWEST:
+        return np.full(2, np.nan)
+    less = (seen - truth)[known] @ window.thin.rotation[:, :2]
+    change = change[known]
+    weight = (change**2).sum(axis=0)
+    powered = weight > 1e-12 * max(float(weight.max()), 1e-300)
+    return np.asarray(
+        np.where(powered, -(less * change).sum(axis=0) / np.where(powered, weight, 1.0), np.nan)
+    )
