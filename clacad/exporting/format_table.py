@@ -95,6 +95,7 @@ def _stl_parts(job: Job) -> list[FileRecord]:
 
 
 def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
+    """Write some bodies of the sheet as one STL file, read it back, compare."""
     from clacad.exporting.compare import compare_mesh
     from clacad.formats.mesh.readers import read_mesh
     from clacad.formats.mesh.stl import check_stl_facets, write_stl
@@ -251,6 +252,7 @@ def _png(job: Job) -> list[FileRecord]:
 
 
 def _gds(job: Job) -> list[FileRecord]:
+    """One GDSII file a structured face, and one calibration file for them all."""
     from clacad.formats.maps.gds import check_gds, grey_cell, write_gds
     from clacad.formats.maps.sag import structured_faces
 
@@ -278,7 +280,7 @@ def _sag(job: Job) -> list[FileRecord]:
     for body, face, label in structured_faces(job.window):
         path = job.stage.path(f"{job.stem}.{label}.cell.dat")
         write_grid_sag(job.window, face, 64, path, job.scale)
-        check_grid_sag(job.window, face, path, job.scale)
+        check_grid_sag(face, path, job.scale)
         records.append(job.record(path, "grid-sag", bodies=[body.name], facts={"mode": "cell"}))
     return records
 
@@ -308,6 +310,7 @@ def _table(job: Job) -> list[FileRecord]:
 
 
 def _mask(job: Job) -> list[FileRecord]:
+    """Two masks a structured face, SVG and DXF."""
     from clacad.formats.maps.mask import check_mask, write_dxf, write_svg
     from clacad.formats.maps.sag import structured_faces
 

@@ -149,7 +149,7 @@ def _points(window: Window, body: Body, face: Face, label: str, path: Path) -> M
 
 
 def _grid(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    check_grid_sag(window, face, path, window.unit / 1e-3)
+    check_grid_sag(face, path, window.unit / 1e-3)
     return 0.0, 0.0, f"the sag of {label} at every node"
 
 
