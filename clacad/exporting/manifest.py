@@ -128,6 +128,7 @@ def document(design: Design, window: Window, records: Sequence[FileRecord], opti
 
 
 def _window(design: Design, window: Window) -> dict[str, Any]:
+    """The window as the manifest keeps it: recipe, count and cells; lengths in mm."""
     scale = window.unit / 1e-3
     recipe = {k: _plain(v) for k, v in window.recipe.items() if v is not None}
     for key in ("R", "f", "d", "T", "s"):
