@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import clacad
+from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes, count_together
 from clacad.sheet.window import Window
+from clacad.topology.complex_parts import CellComplex
 
 PAIR = ("thickness", "web", "confocal", "curved", "surface", "conic")
 LATTICE = ("seam", "outline", "aperture")
@@ -34,6 +36,24 @@ def window(
     if "border" in more:
         design["body"] = {"border": more["border"]}
     return clacad.prescribe(clacad.Design.from_dict(design))
+
+
+def pieces_and_holes(cells: CellComplex) -> tuple[int, int]:
+    """What a body falls into where columns that only touch in a line are apart, by Euler's formula on its complex."""
+    lattice, flats = cells.window.lattice, [
+        f.vertex[2] if f.array is None else f.land for f in (cells.body.front, cells.body.back)
+    ]  # fmt: skip
+    if len(cells.tilings) == 2 or (None not in flats and flats[0] < flats[1]):
+        return 1, 0
+    (tiling,) = cells.tilings
+    joints = [(border.step, border.joints) for border in tiling.borders]
+    glued = sum(len(on) * count_together(lattice, [(0, 0), step]) for step, on in joints)
+    filled = [[step for step, _ in node.cells] for node in tiling.nodes if node.joined]
+    euler = lattice.cell_count - glued + sum(count_together(lattice, around) for around in filled)
+    ends = [bool(on) and (on[0][0] == 0.0, on[-1][1] == 1.0) for _, on in joints]
+    found = [BorderJoint(step, len(on), end or (False, False)) for (step, on), end in zip(joints, ends)]
+    pieces, _ = count_pieces_and_holes(lattice, found)
+    return pieces, pieces - euler
 
 
 def _chosen(more: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from clacad import Design, DesignError, prescribe
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.probe_rays import of_window
-from clacad.optics.material.material import find
+from clacad.effects.engine.probe_rays import situation_of_window
+from clacad.optics.material.catalogue import find
 
 MATERIALS = ("PMMA", "polycarbonate", "polystyrene", "N-BK7", "fused silica")
 D65 = tuple(1e-9 * (430.0 + 27.5 * k) for k in range(9))
@@ -51,7 +51,7 @@ def draw(seed):
         return None
     onset = 1.0 / ratio
     field = math.atan(onset * math.exp(rng.uniform(math.log(0.02), math.log(2.0))))
-    situation = of_window(window, setting, 1e-3, 0.01, field)
+    situation = situation_of_window(window, setting, 1e-3, 0.01, field)
     rays = replace_rays(situation.rays)
     situation = replace(situation, rays=rays, contrast=float(rng.uniform(1, 5)), front=float(rng.uniform(0, 1)),
                         near=float(rng.uniform(100, 1000)), far=float(rng.uniform(1000, 1e5)))  # fmt: skip

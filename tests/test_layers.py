@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from benchmarks.house import rings
 
 PACKAGE = Path(__file__).parents[1] / "clacad"
 
@@ -48,24 +49,6 @@ EXCEPTIONS = {
 """Importing file, imported file: reason. One that nothing uses fails."""
 
 RINGS = {
-    ("cli/export_command.py", "cli/render_command.py"): "one exports scenes, the other reads angles as that does",
-    ("config/key_positions.py", "config/mistakes.py"): "places are looked up only once something is wrong",
-    ("design/canonical_text.py", "design/model.py", "design/read.py"): "methods of Design: hash, changed values",
-    (
-        "effects/engine/camera_light.py", "effects/engine/homogeneous_light.py", "effects/engine/split_paths.py",
-    ): "kinds of light that all give a Light",
-    ("optics/law/compose.py", "optics/law/fitting.py", "optics/law/law.py"): "methods of Law: then, inverse, fit",
-    ("optics/material/database.py", "optics/material/material.py"): "materials named ri:… come from the database",
-    (
-        "rendering/compiled/pixels.py", "rendering/compiled/primitives.py", "rendering/compiled/scene_hits.py",
-        "rendering/compiled/scene_light.py", "rendering/compiled/scene_tables.py", "rendering/compiled/triangle_tree.py",
-        "rendering/picture.py", "rendering/picture_files.py", "rendering/pixel_input.py",
-        "rendering/reference/scene_hits.py", "rendering/scene_arrays.py", "rendering/view.py",
-    ): "photographs in a scene are read by the module that writes pictures",
-    (
-        "scene/animation.py", "scene/model.py", "scene/named_files.py", "scene/read.py", "scene/rules.py",
-    ): "methods of Scene: its design, its frames",
-    ("verification/files/map_file.py", "verification/files/map_light.py"): "point files are read in blocks by map_file",
 }  # fmt: skip
 """Modules that import one another in a ring, function-local imports counted: why. One that is gone fails."""
 
@@ -114,35 +97,6 @@ def file_of(module: str) -> str:
     return next((f for f in (f"{path}.py", f"{path}/__init__.py".lstrip("/")) if f in files()), "")
 
 
-def rings() -> list[tuple[str, ...]]:
-    """Strongly connected sets of more than one module (Tarjan)."""
-    number: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found: list[tuple[str, ...]] = []
-
-    def visit(name: str) -> None:
-        number[name] = low[name] = len(number)
-        stack.append(name)
-        for target in sorted(imports(name)):
-            if target not in number:
-                visit(target)
-                low[name] = min(low[name], low[target])
-            elif target in stack:
-                low[name] = min(low[name], number[target])
-        if low[name] == number[name]:
-            ring = [stack.pop()]
-            while ring[-1] != name:
-                ring.append(stack.pop())
-            if len(ring) > 1:
-                found.append(tuple(sorted(ring)))
-
-    for name in files():
-        if name not in number:
-            visit(name)
-    return found
-
-
 def test_every_room_is_in_the_list_and_every_one_listed_exists():
     assert {room_of(name) for name in files()} == set(ROOMS)
 
@@ -161,7 +115,7 @@ def test_every_exception_is_used(name, target):
 
 
 def test_modules_import_one_another_in_no_ring_but_those_listed():
-    found = set(rings())
+    found = {tuple(ring) for ring in rings({name: set(imports(name)) for name in files()})}
     assert found - set(RINGS) == set()
     assert set(RINGS) - found == set(), "these rings are gone: take them off the list"
 

@@ -12,8 +12,17 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from public_api import public_api
 
 import clacad
+
+RECORD = Path(__file__).parent / "data" / "public_api.txt"
+
+AT_0_1_0 = """
+Biconic Body Design DesignError Face Fate Fit Interface Law Lattice Material Mesh Quadric Rays TraceResult Window
+accuracy export load plan_effects prescribe render render_movie solids tessellate trace trace_sequence verify
+""".split()
+"""Top-level names of the first version: none may go."""
 
 
 @pytest.mark.parametrize("name", clacad.__all__)
@@ -24,12 +33,22 @@ def test_every_public_name_resolves_to_a_function_or_a_class(name):
     assert value.__doc__
 
 
+def test_the_names_of_the_first_version_are_all_there():
+    assert set(AT_0_1_0) <= set(clacad.__all__)
+
+
+def test_the_public_api_is_the_recorded_one():
+    """A change shows in the record's difference: python tests/public_api.py > tests/data/public_api.txt."""
+    assert public_api() == RECORD.read_text(encoding="utf-8")
+
+
 def test_a_verb_stays_a_verb_after_its_module_was_imported():
     code = """
 import clacad, clacad.tracing.trace, clacad.exporting.export_design, clacad.verification
 import clacad.tracing.compiled.column as column
 from clacad.tracing.trace import trace_sequence
 assert column.__name__ == 'clacad.tracing.compiled.column'
+assert type(clacad) is type(column)
 assert clacad.trace is not None and callable(clacad.trace) and callable(clacad.export) and callable(clacad.verify)
 from clacad import trace
 assert trace is clacad.trace

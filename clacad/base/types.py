@@ -29,3 +29,7 @@ Rung = Literal["law", "thin", "surfaces", "mesh"]
 
 Progress = Callable[[str, float], None]
 """What is being done, and the part of it that is done (0 … 1)."""
+
+
+def silent(_stage: str, _done: float) -> None:
+    """Progress that nobody wants to hear of."""

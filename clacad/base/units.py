@@ -44,6 +44,9 @@ RADIANS: Final[dict[str, Fraction]] = {
 }
 """Angle units that are rational multiples of a radian."""
 
+MILLIMETRE: Final = 1e-3
+"""In metres: the unit of most files."""
+
 PERCENT: Final[dict[str, Fraction]] = {"%": Fraction(1, 100)}
 
 SHOWN: Final[dict[Family, str]] = {
@@ -124,6 +127,14 @@ def in_degrees(number: Fraction, word: str) -> float:
 def in_radians(number: Fraction, word: str) -> float:
     """Convert an angle with a unit word to radians; exact before the one rounding for rad and its parts."""
     return float(number * RADIANS[word]) if word in RADIANS else math.radians(float(number * DEGREES[word]))
+
+
+def millimetres(metres: float) -> float:
+    """Return a length in millimetres whose decimal digits are those of the value in metres.
+
+    Of a design unit in metres: the millimetres that one unit is, the scale of every file.
+    """
+    return float(Fraction(repr(metres)) * 1000)
 
 
 def nanometres(metres: float) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
-from clacad.cli.export_command import parse_angle
+from clacad.cli.option_values import parse_angle
 
 if TYPE_CHECKING:
     from clacad.verification.accuracy.accuracy_table import Row, Table

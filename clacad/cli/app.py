@@ -70,13 +70,9 @@ def schema(
     json: Json = False,
 ) -> int:
     """Print the JSON Schema of design files, or of scene files, so that editors complete keys."""
-    if scene:
-        from clacad.cli.render_command import print_scene_schema
-
-        return print_scene_schema()
     from clacad.cli.design_commands import print_schema
 
-    return print_schema()
+    return print_schema(scene=scene)
 
 
 @app.command()
@@ -155,25 +151,12 @@ def verify(
     verbose: Verbose = False,
 ) -> int:  # fmt: skip
     """Trace what was written, write the report, print the verdict."""
-    from clacad.cli.verify_command import verify_design
+    from clacad.cli.verify_command import VerifyRequest, verify_design
 
     if out is None and (pdf or timings):
         raise typer.BadParameter("--pdf and --timings say what the report holds: give its folder with -o")
-    return verify_design(
-        design,
-        set or [],
-        files,
-        out,
-        cells,
-        rays,
-        overwrite=overwrite,
-        json=json,
-        quiet=quiet,
-        pdf=pdf,
-        timings=timings,
-        target=target,
-        role=role,
-    )
+    request = VerifyRequest(files, out, cells, rays, overwrite, pdf, timings, target, role)
+    return verify_design(design, set or [], request, json=json, quiet=quiet)
 
 
 @app.command()
@@ -387,9 +370,9 @@ def atlas(
     verbose: Verbose = False,
 ) -> int:  # fmt: skip
     """Every figure and movie of the paper, each with its numbers measured in the picture."""
-    from clacad.cli.render_command import make_atlas
+    from clacad.cli.atlas_command import make_atlas
+    from clacad.rendering.atlas.make_atlas import AtlasRequest
 
-    return make_atlas(
-        scenes, out, rows, size, samples, movie_size, movies=movies, measured=measure, overwrite=overwrite, json=json,
-        quiet=quiet,
-    )  # fmt: skip
+    chosen = tuple(row.strip().upper() for row in rows.split(",") if row.strip())
+    request = AtlasRequest(scenes, out, size, samples, movies, movie_size, chosen, measure, overwrite)
+    return make_atlas(request, json=json, quiet=quiet)

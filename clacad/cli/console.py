@@ -10,26 +10,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from clacad.base import log
+from clacad.base.text import plain
 
 
 def show_json(value: Any) -> None:
-    """Print one JSON document on stdout: sorted keys, no NaN (null instead)."""
-    sys.stdout.write(json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n")
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON can hold it: numpy scalars and arrays as lists, non-finite numbers as null."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    return str(value)
+    """Print one JSON document on stdout: sorted keys, no NaN (null instead), paths as text."""
+    text = json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False, default=str)
+    sys.stdout.write(text + "\n")
 
 
 def show_text(text: str, *, quiet: bool = False) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from clacad.cli.console import show_json, show_text
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.sheet.window import Window
 
 
 def new_design(name: str, template: str, *, overwrite: bool, json: bool, quiet: bool) -> int:
@@ -32,11 +31,13 @@ def _put(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def print_schema() -> int:
-    """Print the JSON Schema of design files."""
-    from clacad.design import json_schema
-
-    show_json(json_schema())
+def print_schema(*, scene: bool) -> int:
+    """Print the JSON Schema of design files, or of scene files."""
+    if scene:
+        from clacad.scene.schema import scene_schema as made
+    else:
+        from clacad.design import json_schema as made
+    show_json(made())
     return 0
 
 
@@ -63,6 +64,7 @@ def load_counted(path: Path, overrides: list[str]) -> Design:
 
 def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
     """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails, 3 when nothing could be written."""
+    from clacad.exporting.forecast import outlook
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.feasibility import describe, feasibility
     from clacad.storage.errors import LimitRefused
@@ -72,7 +74,7 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     window = prescribe(design)
     facts = feasibility(window)
     checks = design_checks(design, window, facts)
-    forecast = _forecast(window)
+    forecast = outlook(window)
     failed = [check for check in checks if check.state == "fail"]
     if json:
         show_json(
@@ -93,9 +95,3 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     if not failed and all(row["refused"] for row in forecast):
         raise LimitRefused(str(forecast[0]["refused"]))
     return 1 if failed else 0
-
-
-def _forecast(window: Window) -> list[dict[str, Any]]:
-    from clacad.exporting.forecast import outlook
-
-    return outlook(window)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from clacad.base import log
-from clacad.cli.interrupts import INTERRUPTED, Ending, ended_in_time
+from clacad.cli.interrupts import INTERRUPTED, InterruptHandler, ended_in_time
 
 OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL = 0, 1, 2, 3, 4, 70
 
@@ -26,32 +26,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Without the program's name; default sys.argv[1:].
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    ending = Ending()
+    interrupts = InterruptHandler()
     try:
-        status = _answered(given, ending)
+        status = _answered(given, interrupts)
         log.note("end", status=status, seconds=round(log.seconds(), 3), memory=log.memory())
         return status
     except KeyboardInterrupt:  # just before signals were taken, or just after they were given back
-        ending.tell(sys.stderr.write)
+        interrupts.tell(sys.stderr.write)
         return INTERRUPTED
     finally:
         log.stop()
 
 
-def _answered(given: list[str], ending: Ending) -> int:
-    with ended_in_time(ending):
+def _answered(given: list[str], interrupts: InterruptHandler) -> int:
+    with ended_in_time(interrupts):
         try:
-            status = _status(given, ending)
+            status = _status(given, interrupts)
         except KeyboardInterrupt:
             status = INTERRUPTED
-        if ending.asked and status != OK:  # what a library made of the interruption
+        if interrupts.asked and status != OK:  # what a library made of the interruption
             status = INTERRUPTED
         if status == INTERRUPTED:
-            ending.tell(sys.stderr.write)
+            interrupts.tell(sys.stderr.write)
         return status
 
 
-def _status(given: list[str], ending: Ending) -> int:
+def _status(given: list[str], interrupts: InterruptHandler) -> int:
+    """Run the command; the exit status of its end, or of what it raised."""
     try:
         from clacad.cli.app import app
 
@@ -63,11 +64,11 @@ def _status(given: list[str], ending: Ending) -> int:
     except SystemExit as end:
         if isinstance(end.__context__, BrokenPipeError):  # the command-line library makes this of it
             return _unread()
-        if ending.asked:
+        if interrupts.asked:
             return INTERRUPTED
         raise
     except Exception as error:
-        return INTERRUPTED if ending.asked else _explained(error)
+        return INTERRUPTED if interrupts.asked else _explained(error)
 
 
 def _unread() -> int:

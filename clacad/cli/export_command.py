@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_design
+from clacad.cli.option_values import (
+    BadOption,
+    one_of,
+    parse_angle,
+    parse_cells,
+    parse_length,
+    parse_slope_error,
+    per_format,
+)
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.exporting.request import Request
-
-
-class BadOption(ValueError):
-    """An option that cannot be understood; exit status 2."""
-
-    exit_status = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,7 @@ def export_design(path: Path, overrides: list[str], words: ExportWords, *, json:
     """Export and print what was made; with --dry-run print the forecast only."""
     formats = tuple(word.strip() for word in words.options["formats"].split(",") if word.strip())
     if formats == ("pov",):
-        from clacad.cli.render_command import export_scene, is_scene
+        from clacad.cli.export_scene import export_scene, is_scene
 
         if is_scene(path):
             overwrite = words.options["overwrite"]
@@ -72,14 +75,15 @@ def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -
     quads, role = per_format("--quads", typed["quads"]), per_format("--role", typed["role"])
     read = {
         "formats": formats, "slope_error": parse_slope_error(typed["slope_error"]),
-        "quads": asked_quads(_numbers(quads), formats), "step": _one_of("step", typed["step"]),
-        "cells": parse_cells(typed["cells"]), "step_schema": _one_of("step_schema", typed["step_schema"], str.lower),
+        "quads": asked_quads(_numbers(quads), formats), "step": one_of("step", typed["step"]),
+        "cells": parse_cells(typed["cells"]), "step_schema": one_of("step_schema", typed["step_schema"], str.lower),
         "saddle_bevel": parse_length(typed["saddle_bevel"], design), "role": asked_roles(role, formats),
     }  # fmt: skip
     return Request(**{**typed, **read})
 
 
 def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
+    """Write the files, print what they are and the derived numbers; return the exit status."""
     from clacad.cli.tables import derived_text, files_text
     from clacad.exporting.run import run_export
     from clacad.prescription.prescribe import prescribe
@@ -181,83 +185,8 @@ def _forecast(design: Design, out: Path, asked: Request, *, json: bool, quiet: b
     return 0
 
 
-def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
-    """Read VALUE, or FORMAT=VALUE,… as a mapping.
-
-    Raises
-    ------
-    BadOption
-        Both kinds at once, a part without a value, or a format named twice.
-    """
-    if text is None or ("=" not in text and "," not in text):
-        return text
-    from clacad.exporting.request import assignments
-
-    named = assignments(text)
-    if named is None:
-        raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
-    twice = next((name for n, (name, _) in enumerate(named) if name in dict(named[:n])), None)
-    if twice is not None:
-        raise BadOption(f"{option} {text}: {twice} is named twice")
-    return dict(named)
-
-
 def _numbers(words: str | dict[str, str] | None) -> Any:
     """Words that are whole numbers as such; the others as they are, for `asked_quads` to judge."""
     if isinstance(words, dict):
         return {name: _numbers(word) for name, word in words.items()}
     return int(words) if words is not None and words.isdecimal() and len(words) < 20 else words
-
-
-def parse_cells(text: str | None) -> tuple[int, int] | None:
-    """Read "10x10" (or "10" for 10 by 10) as a pair; None stays None."""
-    if text is None:
-        return None
-    parts = text.lower().replace("×", "x").split("x")
-    if len(parts) not in (1, 2) or not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
-        raise BadOption(f"--cells {text}: it is two whole numbers above 0, such as 10x10")
-    a, b = int(parts[0]), int(parts[-1])
-    return a, b
-
-
-def parse_slope_error(text: str | None) -> float | Literal["auto"]:
-    """Read "auto", or an angle such as "5 mrad" as radians."""
-    return "auto" if text is None or text == "auto" else parse_angle("--slope-error", text)
-
-
-def parse_angle(option: str, text: str) -> float:
-    """Read an angle above 0 such as "5 mrad" as radians; a bare number is degrees, as in a design file."""
-    from clacad.base.units import family_of, in_radians, split
-
-    parts = split(text)
-    if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
-        raise BadOption(f"{option} {text}: it is an angle such as '5 mrad' or '0.3 deg'")
-    value = in_radians(parts[0], parts[1] or "deg")
-    if not value > 0.0:
-        raise BadOption(f"{option} {text}: it is an angle above 0, such as '5 mrad'")
-    return value
-
-
-def _one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:
-    """A word that the declaration allows, as it spells it."""
-    from clacad.exporting.request import OPTIONS
-
-    option = OPTIONS[name]
-    if spelt(typed) not in option.words:
-        raise BadOption(f"{option.flag} {typed}: it is one of {', '.join(option.words)}")
-    return spelt(typed)
-
-
-def parse_length(text: str | None, design: Design) -> float:
-    """Read a length such as "5 um" in the design's unit; a bare number is in that unit, None is 0."""
-    from clacad.base.units import family_of, in_metres, split
-
-    if text is None:
-        return 0.0
-    parts = split(text)
-    if parts is None or (parts[1] and family_of(parts[1]) != "length"):
-        raise BadOption(f"--saddle-bevel {text}: it is a length such as '5 um'")
-    value = in_metres(parts[0], parts[1]) / design.unit_m if parts[1] else float(parts[0])
-    if not value > 0.0:
-        raise BadOption(f"--saddle-bevel {text}: it is a length above 0, such as '5 um'")
-    return value

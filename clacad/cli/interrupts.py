@@ -24,12 +24,12 @@ INTERRUPTED = 130
 PATIENCE = 0.5
 """Seconds that the ordinary way has."""
 
-ENDING = tuple(
+SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
 
 
-class Ending:
+class InterruptHandler:
     """Whether the command was told to end; who says so first says it alone.
 
     Plain attributes: a lock taken in a signal handler could be one that the main thread holds.
@@ -37,11 +37,11 @@ class Ending:
 
     def __init__(self) -> None:
         self.asked = False
-        self.over = threading.Event()
+        self.finished = threading.Event()
         self._heard = False
         self._untold = threading.Lock()
 
-    def heard(self, _: int, frame: FrameType | None) -> None:
+    def handle(self, _: int, frame: FrameType | None) -> None:
         """Handle a signal: the first is raised, later ones would only break off the cleaning up after it.
 
         Not through the compiler of kernels, nor through the loading of a module: an exception that unwinds compiled
@@ -64,7 +64,7 @@ class Ending:
         """Wait for signals, one byte each, until the other end is closed."""
         with os.fdopen(wake, "rb", buffering=0) as stream:
             while told := stream.read(1):
-                if told[0] in ENDING:
+                if told[0] in SIGNALS:
                     self.asked = True
                     if not self._over_soon(told[0]):
                         self._leave()
@@ -72,7 +72,7 @@ class Ending:
     def _over_soon(self, number: int) -> bool:
         """Wait for the ordinary way; call the main thread again if it began to wait just before it could hear."""
         for _ in range(5):
-            if self.over.wait(PATIENCE / 5):
+            if self.finished.wait(PATIENCE / 5):
                 return True
             main = threading.main_thread().ident
             if not self._heard and main is not None and hasattr(signal, "pthread_kill"):
@@ -100,7 +100,7 @@ def _loading(frame: FrameType | None) -> bool:
 
 
 @contextmanager
-def ended_in_time(ending: Ending) -> Iterator[None]:
+def ended_in_time(interrupts: InterruptHandler) -> Iterator[None]:
     """Within the block a signal raises KeyboardInterrupt, and ends the process with `INTERRUPTED` should that not do it.
 
     Only in the main thread, where signals can be heard; elsewhere nothing is watched. A signal that is ignored
@@ -111,18 +111,18 @@ def ended_in_time(ending: Ending) -> Iterator[None]:
         return
     wake, tell = os.pipe()
     os.set_blocking(tell, False)
-    watcher = threading.Thread(target=ending.watch, args=(wake,), daemon=True)
+    watcher = threading.Thread(target=interrupts.watch, args=(wake,), daemon=True)
     before, hook = signal.set_wakeup_fd(tell, warn_on_full_buffer=False), sys.unraisablehook
     watcher.start()
     taken: dict[int, Any] = {}
     try:
-        sys.unraisablehook = lambda lost: None if _swallowed(lost, ending) else hook(lost)
-        for number in ENDING:
+        sys.unraisablehook = lambda lost: None if _swallowed(lost, interrupts) else hook(lost)
+        for number in SIGNALS:
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-                taken[number] = signal.signal(number, ending.heard)
+                taken[number] = signal.signal(number, interrupts.handle)
         yield
     finally:
-        ending.over.set()
+        interrupts.finished.set()
         for number, handler in taken.items():
             signal.signal(number, handler)
         sys.unraisablehook = hook
@@ -130,6 +130,6 @@ def ended_in_time(ending: Ending) -> Iterator[None]:
         os.close(tell)
 
 
-def _swallowed(lost: Any, ending: Ending) -> bool:
+def _swallowed(lost: Any, interrupts: InterruptHandler) -> bool:
     """Tell the interruption that a library could not pass on, which the watcher will carry out."""
-    return ending.asked and issubclass(lost.exc_type, KeyboardInterrupt)
+    return interrupts.asked and issubclass(lost.exc_type, KeyboardInterrupt)

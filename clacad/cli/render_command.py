@@ -1,4 +1,4 @@
-"""`clacad render` and `clacad atlas`."""
+"""`clacad render`: the view through the sheet, a picture or a movie."""
 
 from __future__ import annotations
 
@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text, table
+from clacad.cli.option_values import parse_angle
+from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.rendering.picture import Picture
     from clacad.scene import Scene
 
 MOVIE_ENDINGS = (".webp", ".apng", ".gif", ".mp4")
-
-
-class BadRequest(ValueError):
-    """Options that do not go together; exit status 2."""
-
-    exit_status = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +35,7 @@ class RenderRequest:
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
     """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
     from clacad.rendering.picture import view_through
-    from clacad.rendering.picture_cost import seconds, task
+    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
 
@@ -49,7 +45,7 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
         return _movie(scene, request, progress, json=json, quiet=quiet)
     if scene.animation is not None:
         scene = scene.at(request.frame or 0)
-    with forecast(task(scene), seconds(scene), quiet=quiet):
+    with forecast(task(scene), picture_seconds(scene), quiet=quiet):
         picture = view_through(scene, progress=progress)
     progress.done()
     write_picture(picture, request.out, overwrite=request.overwrite)
@@ -80,19 +76,19 @@ def _within_target(scene: Scene, text: str) -> Scene:
     ------
     TargetOutOfReach
     """
-    from clacad.cli.export_command import parse_angle
     from clacad.rendering.picture_target import within_target
 
     return within_target(scene, parse_angle("--target", text))
 
 
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
+    """Write all frames as a movie, print how many; return the exit status."""
     from clacad.rendering.picture import render_movie
-    from clacad.rendering.picture_cost import seconds, task
+    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
-    with forecast(task(scene), seconds(scene, scene.animation.frames), quiet=quiet):
+    with forecast(task(scene), picture_seconds(scene, scene.animation.frames), quiet=quiet):
         frames = write_movie(
             render_movie(scene, progress=progress),
             request.out,
@@ -110,14 +106,14 @@ def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bo
 
 def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool) -> None:
     """Say what was written and how it was made."""
-    from clacad.rendering.picture_files import facts
+    from clacad.rendering.picture_files import metadata_of
 
     if json:
         shown = []
         for picture, file in zip(pictures, files, strict=True):
             plan = picture.passage.plan
             shown.append({
-                "file": str(file), "metadata": facts(picture), "samples": int(picture.samples.sum()),
+                "file": str(file), "metadata": metadata_of(picture), "samples": int(picture.samples.sum()),
                 "error": float(picture.error.mean()), "plan": None if plan is None else plan.to_dict(),
             })  # fmt: skip
         show_json({"pictures": shown})
@@ -127,7 +123,7 @@ def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool
         show_text(
             f"wrote {file}: {width} x {height}, {int(picture.samples.sum()):,} camera rays", quiet=quiet
         )
-    notes = facts(pictures[-1])
+    notes = metadata_of(pictures[-1])
     rows = [(key.removeprefix("clacad:"), notes[key]) for key in notes if key.startswith("clacad:")]
     say(table(rows), quiet=quiet)
 
@@ -177,84 +173,3 @@ def _length(design: Path, overrides: list[str], option: str, text: str | None) -
         return Quantity("length", "a length > 0", above=0.0).read(value, unit)
     except Refusal as refusal:
         raise BadRequest(f"{option} {text}: {refusal.complaint}; {refusal.allowed}") from None
-
-
-def make_atlas(
-    scenes: Path, out: Path, rows: str, size: int, samples: int, movie_size: int, *, movies: bool, measured: bool,
-    overwrite: bool, json: bool, quiet: bool,
-) -> int:  # fmt: skip
-    """Make the paper's figures and movies, measure their rows; exit 1 when one fails."""
-    from clacad.rendering.atlas.make_atlas import AtlasRequest, prepare
-    from clacad.rendering.atlas.make_atlas import make_atlas as make
-    from clacad.rendering.picture_cost import ATLAS, atlas_seconds
-
-    if not scenes.is_dir():
-        raise BadRequest(
-            f"{scenes}: there is no such folder; give the folder of the scene files with --scenes"
-        )
-    chosen = tuple(row.strip().upper() for row in rows.split(",") if row.strip())
-    progress = Progress(quiet=quiet)
-    request = AtlasRequest(scenes, out, size, samples, movies, movie_size, chosen, measured, overwrite)
-    job = prepare(request)
-    with forecast(ATLAS, atlas_seconds(job), quiet=quiet):
-        atlas = make(job, progress)
-    progress.done()
-    findings = [(row, one) for row, found in atlas.findings.items() for one in found]
-    if json:
-        show_json({
-            "folder": str(atlas.folder), "files": list(atlas.files), "passed": atlas.passed,
-            "rows": {row: [one.to_dict() for one in found] for row, found in atlas.findings.items()},
-        })  # fmt: skip
-    else:
-        lines = [
-            (row, "pass" if one.passed else "FAIL", f"{one.measured:.4g}", f"{one.expected:.4g}", one.what)
-            for row, one in findings
-        ]
-        show_text(table([("row", "", "measured", "formula", ""), *lines]) if lines else "", quiet=quiet)
-        failed = sum(not one.passed for _, one in findings)
-        verdict = f"{len(findings)} numbers measured, {failed} outside their tolerance"
-        show_text(f"wrote {atlas.folder / 'index.html'}: {verdict}", quiet=quiet)
-    return 0 if atlas.passed else 1
-
-
-def print_scene_schema() -> int:
-    """Print the JSON Schema of scene files."""
-    from clacad.scene.schema import scene_schema
-
-    show_json(scene_schema())
-    return 0
-
-
-def is_scene(path: Path) -> bool:
-    """Whether a file is a scene: it has a sheet, which no design has."""
-    import tomllib
-
-    try:
-        with path.open("rb") as stream:
-            return "sheet" in tomllib.load(stream)
-    except (OSError, ValueError):  # told by whoever reads it
-        return False
-
-
-def export_scene(
-    path: Path, overrides: list[str], out: Path, *, overwrite: bool, json: bool, quiet: bool
-) -> int:
-    """Write a scene, sheet and all, for POV-Ray; of an animated scene the first frame."""
-    from clacad.formats.pov.pov_scene import write_pov
-    from clacad.prescription.prescribe import prescribe
-    from clacad.rendering.atlas.make_atlas import manifest_of
-    from clacad.scene import load_scene
-    from clacad.storage.atomic import Stage, safe_name
-
-    scene = load_scene(path, tuple(overrides))
-    still = scene.at(0) if scene.animation is not None else scene
-    with Stage(out, overwrite=overwrite) as stage:
-        name = f"{safe_name(still.name)}.pov"
-        write_pov(prescribe(still.design()), stage.path(name), still)
-        stage.publish(manifest_of(stage, "scene"))
-    if json:
-        show_json({"folder": str(out), "files": [name]})
-    else:
-        width, height = still.camera.pixels
-        show_text(f"wrote {out / name}: povray +I{name} +W{width} +H{height} -A File_Gamma=1.0", quiet=quiet)
-    return 0

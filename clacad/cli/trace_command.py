@@ -155,13 +155,13 @@ def trace_file(path: Path, overrides: list[str], request: TraceRequest, *, json:
 
 def _cost(request: TraceRequest, rays: int, faces: int) -> tuple[str, float]:
     """Task and modelled seconds, for the forecast."""
-    from clacad.tracing.trace_cost import seconds, task
+    from clacad.tracing.trace_cost import task, trace_seconds
 
     mesh = request.mesh
     size = mesh.stat().st_size if mesh is not None and mesh.is_file() else 0
     return (
         task(request.rung, request.effects, rays, faces, from_file=mesh is not None),
-        seconds(rays, request.rung, request.effects, faces, size),
+        trace_seconds(rays, request.rung, request.effects, faces, size),
     )
 
 

@@ -2,71 +2,99 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
-from clacad.cli.export_command import parse_angle, parse_cells
+from clacad.cli.option_values import parse_angle, parse_cells
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-if TYPE_CHECKING:
     from clacad.verification import Report
 
 
+@dataclass(frozen=True, slots=True)
+class VerifyRequest:
+    """What to judge, by how many rays, and what to write of it."""
+
+    files: Path | None
+    out: Path | None
+    cells: str | None
+    rays: int
+    overwrite: bool
+    pdf: bool = False
+    timings: bool = False
+    target: str | None = None
+    role: str | None = None
+
+
 def verify_design(
-    path: Path, overrides: list[str], files: Path | None, out: Path | None, cells: str | None, rays: int, *,
-    overwrite: bool, json: bool, quiet: bool, pdf: bool = False, timings: bool = False, target: str | None = None,
-    role: str | None = None,
-) -> int:  # fmt: skip
+    path: Path, overrides: list[str], request: VerifyRequest, *, json: bool, quiet: bool
+) -> int:
     """Judge a design and its files; the exit status comes from the same object as the page.
 
     With a target its error chooses the number of rays, and every file is judged by it.
     """
     design = load_counted(path, overrides)
-    from clacad.cli.tables import checks_text, verdicts_text
+    progress = Progress(quiet=quiet)
+    written: list[Path] = []
+    try:
+        report = _judged(design, request, progress, quiet=quiet)
+        if request.out is not None:
+            report = report.with_evidence(progress)
+            written = _write(report, request.out, request, progress)
+    finally:
+        progress.done()
+    _tell(report, design.name, json=json, quiet=quiet)
+    if written and not quiet:
+        say("report: " + ", ".join(str(p) for p in written))
+    return report.exit_status
+
+
+def _judged(design: Design, request: VerifyRequest, progress: Progress, *, quiet: bool) -> Report:
+    """The report: checks and verdicts, by the target where one is given."""
     from clacad.verification import verify
+    from clacad.verification.error_target import judged_by
     from clacad.verification.files.find_files import declared_roles, find_files
     from clacad.verification.verification_cost import seconds, task
 
-    roles = parse_roles(role)
-    limit = None if target is None else parse_angle("--target", target)
-    if limit is not None:
-        rays = _rays(design, files, limit, parse_cells(cells))
-    progress = Progress(quiet=quiet)
-    try:
-        judged = () if files is None else find_files(files, declared_roles(roles)).subjects
-        with forecast(task(judged), seconds(rays, judged), quiet=quiet):
-            report = verify(
-                design, files=files, cells=parse_cells(cells), rays=rays, progress=progress, role=roles
-            )
-        if limit is not None:
-            from clacad.verification.error_target import judged_by
+    roles = parse_roles(request.role)
+    target = None if request.target is None else parse_angle("--target", request.target)
+    rays = (
+        request.rays if target is None else _rays(design, request.files, target, parse_cells(request.cells))
+    )
+    found = () if request.files is None else find_files(request.files, declared_roles(roles)).subjects
+    with forecast(task(found), seconds(rays, found), quiet=quiet):
+        report = verify(
+            design, files=request.files, cells=parse_cells(request.cells), rays=rays, progress=progress, role=roles
+        )  # fmt: skip
+    return report if target is None else judged_by(report, target)
 
-            report = judged_by(report, limit)
-        if out is not None:
-            from clacad.report import write_report
 
-            report = report.with_evidence(progress)
-            written = write_report(
-                report, out, overwrite=overwrite, progress=progress, pdf=pdf, timings=timings
-            )
-            written = (*written, *_deviations(report, out, overwrite))
-    finally:
-        progress.done()
+def _write(report: Report, out: Path, request: VerifyRequest, progress: Progress) -> list[Path]:
+    """Write page, numbers and maps of returned parts; their paths."""
+    from clacad.report import write_report
+
+    written = write_report(
+        report, out, overwrite=request.overwrite, progress=progress, pdf=request.pdf, timings=request.timings
+    )
+    return [*written, *_deviations(report, out, request.overwrite)]
+
+
+def _tell(report: Report, name: str, *, json: bool, quiet: bool) -> None:
+    """Print checks, verdicts and the last word."""
+    from clacad.cli.tables import checks_text, verdicts_text
+
     if json:
         show_json(report.to_dict())
     else:
-        show_text(f"{design.name}\n{checks_text(report.checks)}", quiet=quiet)
+        show_text(f"{name}\n{checks_text(report.checks)}", quiet=quiet)
         if report.verdicts:
             show_text(verdicts_text(report.verdicts), quiet=quiet)
         show_text(report.verdict(), quiet=quiet)
-    if out is not None and not quiet:
-        say("report: " + ", ".join(str(p) for p in written))
-    return report.exit_status
 
 
 def parse_roles(text: str | None) -> str | dict[str, str] | None:

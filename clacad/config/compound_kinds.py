@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Literal
 
 from clacad.base import units
+from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
 from clacad.config.value_kinds import JsonSchema, Kind, Refusal, not_this, shown
 
@@ -88,8 +88,7 @@ class WordOr:
         if not isinstance(value, str) or value in self.words:
             return value if isinstance(value, str) else self._other(value, unit)
         if units.split(value) is None:  # a text that is no quantity was meant as a word
-            close = get_close_matches(value.lower(), self.words, n=1, cutoff=0.5)
-            hint = f'did you mean "{close[0]}"?' if close else ""
+            hint = did_you_mean(near(value.lower(), self.words, 0.5), quote='"')
             raise Refusal("CL107", "is not a word known here", value, self.allowed(unit), hint)
         return self._other(value, unit)
 
@@ -138,8 +137,7 @@ class Table:
         return tuple(zip((key for key, _ in self.kinds if key in value), found, strict=True))
 
     def _unknown(self, key: str, value: object, unit: Unit) -> Refusal:
-        close = get_close_matches(key, dict(self.kinds), n=1, cutoff=0.5)
-        hint = f"did you mean {close[0]}?" if close else ""
+        hint = did_you_mean(near(key, dict(self.kinds), 0.5))
         refusal = Refusal("CL102", f"has an unknown key {shown(key)}", value, self.allowed(unit), hint)
         refusal.where = (key,)
         return refusal

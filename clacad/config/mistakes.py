@@ -1,18 +1,13 @@
 """What is wrong with a design, said the way a compiler says it.
 
-A `Mistake` is one finding with its place; a `DesignError` carries all of them at once. Codes are
-stable words for programs: CL100 … CL129 are mistakes of a design file, listed in `CODES`.
+A `Mistake` is one finding with its place. Codes are stable words for programs: CL100 … CL129 are mistakes of a
+design file, listed in `CODES`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from clacad.design.model import Design
 
 CODES: dict[str, str] = {
     "CL100": "the file cannot be read",
@@ -104,55 +99,6 @@ class Mistake:
         caret = " " * (self.column - 1 - start) + "^" * max(1, min(self.width, WIDTH // 2))
         number = "" if self.line is None else str(self.line)
         return [f"  {number} | {shown}".rstrip(), f"  {' ' * len(number)} | {caret}"]
-
-
-class DesignError(ValueError):
-    """A design that cannot be accepted; holds every mistake that was found.
-
-    Parameters
-    ----------
-    mistakes : iterable of Mistake
-        At least one.
-    """
-
-    def __init__(self, mistakes: Iterable[Mistake]) -> None:
-        self.mistakes: tuple[Mistake, ...] = tuple(mistakes)
-        super().__init__(self.mistakes)
-
-    def __str__(self) -> str:
-        """Return all mistakes, one block each, in the order of their places."""
-        blocks = [str(mistake) for mistake in self.mistakes]
-        if len(blocks) > 1:
-            blocks.append(f"{len(blocks)} mistakes")
-        return "\n".join(blocks)
-
-    @classmethod
-    def at(
-        cls, design: Design, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
-        hint: str = "",
-    ) -> DesignError:  # fmt: skip
-        """Refuse a design for a reason found after reading, at the place of one of its keys.
-
-        Parameters
-        ----------
-        design : Design
-            The design that is refused; its file text gives line and column.
-        key : str
-            Dotted key the reason belongs to, such as "pair.thickness".
-        message : str
-            What is wrong, with the computed numbers.
-        code, found, allowed, hint : str
-            As in `Mistake`.
-
-        Returns
-        -------
-        DesignError
-            With one mistake; raise it.
-        """
-        from clacad.config.key_positions import located
-
-        mistake = Mistake(code, message, key=key, found=found, allowed=allowed, hint=hint)
-        return cls(located([mistake], design.source, design.path, ()))
 
 
 def printable(text: str) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fractions import Fraction
 from typing import Final
 
 from clacad.base import units
+from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
 from clacad.config.value_kinds import JsonSchema, Refusal, not_this, shown
 
@@ -158,10 +158,9 @@ _SPELLINGS: Final = {
 def _nearest_unit(word: str, family: units.Family) -> str:
     known = units.SHOWN[family].split()
     folded = {name.lower(): name for name in known}
-    near = [name for name in (_SPELLINGS.get(word.lower()), folded.get(word.lower())) if name in known][:1]
-    near = near or [name for name in known if len(name) == len(word) and _one_slip(name, word)]
-    near = near or get_close_matches(word, known, n=1, cutoff=0.5)
-    return f"did you mean {' or '.join(near)}?" if near else ""
+    meant = [name for name in (_SPELLINGS.get(word.lower()), folded.get(word.lower())) if name in known][:1]
+    meant = meant or [name for name in known if len(name) == len(word) and _one_slip(name, word)]
+    return did_you_mean(meant or near(word, known, 0.5))
 
 
 def _one_slip(name: str, word: str) -> bool:

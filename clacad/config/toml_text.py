@@ -9,17 +9,16 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 
+from clacad.base.text import DEEPEST, did_you_mean, near
+from clacad.config.design_error import DesignError
 from clacad.config.key_positions import Place, find, syntax_place
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import kind_of
 
 LARGEST_FILE: Final = 16 * 2**20
-DEEPEST: Final = 64
 
 
 def _refuse(mistake: Mistake) -> NoReturn:
@@ -67,8 +66,8 @@ def _nearest_file(name: str) -> str:
         )
     except (OSError, ValueError):
         return ""
-    close = get_close_matches(base, listed, n=1, cutoff=0.6) or get_close_matches(base + ".toml", listed, n=1)
-    return f"did you mean {os.path.join(folder, close[0])}?" if close else ""
+    found = near(base, listed) or near(base + ".toml", listed)
+    return did_you_mean([os.path.join(folder, name) for name in found])
 
 
 def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
@@ -139,16 +138,3 @@ def too_deep(data: Any) -> bool:
         level = [item for part in level if isinstance(part, dict | list)
                  for item in (part.values() if isinstance(part, dict) else part)]  # fmt: skip
     return False
-
-
-def plain(value: Any, depth: int = 0) -> Any:
-    """Turn tuples, mappings, paths and number-like scalars of other libraries into what TOML knows."""
-    if depth > DEEPEST:
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): plain(item, depth + 1) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item, depth + 1) for item in value]
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return plain(value.tolist(), depth + 1)
-    return value

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Final, Protocol
 
+from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
 
 JsonSchema = dict[str, Any]
@@ -150,8 +150,7 @@ class Word:
         return {"enum": list(self.words)}
 
     def _nearest(self, value: str) -> str:
-        close = get_close_matches(value.lower(), self.words, n=1, cutoff=0.5)
-        return f'did you mean "{close[0]}"?' if close else ""
+        return did_you_mean(near(value.lower(), self.words, 0.5), quote='"')
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from clacad.config.mistakes import CODES, DesignError, Mistake
-from clacad.design.model import (
+from clacad.config.design_error import DesignError
+from clacad.config.mistakes import CODES, Mistake
+from clacad.design.model import Design, load
+from clacad.design.sections import (
     Allowed,
     BodySpec,
     CheckSpec,
-    Design,
     Frame,
     LatticeSpec,
     LawSpec,
@@ -21,7 +22,6 @@ from clacad.design.model import (
     PairSpec,
     TolerancesSpec,
 )
-from clacad.design.read import load
 from clacad.design.starter_designs import template, templates
 
 __all__ = [

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clacad.base import units
 from clacad.config.compound_kinds import Several
 from clacad.config.quantities import Quantity
 from clacad.design.keys import FORMAT, SECTIONS, Key
-from clacad.design.model import NO_TOLERANCES, Allowed, Design, Frame, Outline
+from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline
+
+if TYPE_CHECKING:
+    from clacad.design.model import Design
 
 
 def to_dict(design: Design) -> dict[str, Any]:

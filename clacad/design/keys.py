@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Final
 
 from clacad.base import units
+from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
 from clacad.config.compound_kinds import ListOf, Several, Table, WordOr
 from clacad.config.quantities import Quantity
@@ -59,8 +59,8 @@ class UnitWord:
         if not isinstance(value, str):
             raise Refusal("CL104", not_this(value, "a text"), value, self.allowed(unit))
         if units.design_unit(value) is None:
-            close = get_close_matches(value.lower(), ["nm", "um", "mm", "cm", "m", "in"], n=1, cutoff=0.5)
-            hint = f'did you mean "{close[0]}"?' if close else ""
+            words = ("nm", "um", "mm", "cm", "m", "in")
+            hint = did_you_mean(near(value.lower(), words, 0.5), quote='"')
             raise Refusal("CL105", "is not a length", value, self.allowed(unit), hint)
         return value
 
@@ -319,11 +319,11 @@ def suggestion(section: str, name: str) -> str:
     elsewhere = homes(folded)
     if elsewhere:
         return elsewhere[0]
-    close = get_close_matches(folded, here, n=1, cutoff=0.65)
+    close = near(folded, here, 0.65)
     if close:
         return dot + close[0]
     every = [key for keys in SECTIONS.values() for key in keys] + list(ROOT)
-    close = get_close_matches(folded, every, n=1, cutoff=0.75)
+    close = near(folded, every, 0.75)
     return homes(close[0])[0] if close else ""
 
 

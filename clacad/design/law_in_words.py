@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.design.model import LawSpec
+from clacad.design.sections import LawSpec
 
 
 def law_words(law: LawSpec, turned: bool = False) -> str:

@@ -1,4 +1,4 @@
-"""From a file, a dictionary or a changed design to a checked `Design`; every mistake at once."""
+"""From a file, a dictionary or changed keys to the checked sections of a design; every mistake at once."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from clacad.base import units
+from clacad.base.text import DEEPEST, did_you_mean, plain
 from clacad.base.units import Unit
 from clacad.config import overrides as override
+from clacad.config.design_error import DesignError
 from clacad.config.key_positions import KeyPath, located, split_key
-from clacad.config.mistakes import DesignError, Mistake, in_order
-from clacad.config.toml_text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.config.mistakes import Mistake, in_order
+from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
-from clacad.design.model import (
+from clacad.design.rules import Asked, broken
+from clacad.design.sections import (
     Allowed,
     BodySpec,
     CheckSpec,
-    Design,
+    DesignFields,
     Frame,
     LatticeSpec,
     LawSpec,
@@ -26,65 +29,47 @@ from clacad.design.model import (
     PairSpec,
     TolerancesSpec,
 )
-from clacad.design.rules import Asked, broken
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
 
-def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
-    """Read a design file.
-
-    Parameters
-    ----------
-    path : path
-        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
-    overrides : sequence of str
-        "key.path=value" each, as with --set; applied in order.
-
-    Returns
-    -------
-    Design
-
-    Raises
-    ------
-    DesignError
-        With every mistake, each with path, line and column.
-    """
+def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> DesignFields:
+    """Read a design file; see `load`."""
     name = os.fspath(path)
     text = read_text(name)
-    data = parse(text, name)
-    return _made(data, tuple(overrides), text, name)
+    return _read(parse(text, name), tuple(overrides), text, name)
 
 
-def from_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> Design:
+def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> DesignFields:
     """Read a design from nested dictionaries; see `Design.from_dict`."""
-    given = plain(data)
+    given = plain(data, float)
     if not isinstance(given, dict):
         raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(given)}")])
     if too_deep(given):
         raise DesignError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
-    return _made(given, tuple(overrides), None, "")
+    return _read(given, tuple(overrides), None, "")
 
 
-def replaced(design: Design, changes: Mapping[str, Any]) -> Design:
-    """Return a design with some keys changed; see `Design.replace`."""
-    data: Any = design.given
+def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> DesignFields:
+    """Read a design's keys as written, some of them changed; see `Design.replace`."""
+    data: Any = given
     mistakes = []
     for key, value in changes.items():
         try:
-            data = override.put(data, split_key(key), plain(value))
+            data = override.put(data, split_key(key), plain(value, float))
         except LookupError as problem:
             mistakes.append(Mistake("CL118", str(problem.args[0]), key=key))
     if mistakes:
         raise DesignError(mistakes)
-    return _made(data, (), None, design.path)
+    return _read(data, (), None, path)
 
 
 # --- checking ---------------------------------------------------------------------------------------------
 
 
-def _made(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> Design:
+def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> DesignFields:
+    """Lay overrides over the data, check everything, convert it; every mistake at its place."""
     changed, places, mistakes = override.apply(data, texts)
     values, found = _checked(changed)
     mistakes += found
@@ -140,6 +125,7 @@ def _readable(data: dict[str, Any], unit: Unit) -> dict[str, Any]:
 
 
 def _structural(problem: ValidationError) -> list[Mistake]:
+    """What is wrong with the shape of the data: keys unknown or missing, values of the wrong kind."""
     mistakes: list[Mistake] = []
     missing: list[Mistake] = []
     for error in problem.errors(include_url=False, include_input=True):
@@ -168,7 +154,7 @@ def _unknown(where: KeyPath) -> Mistake:
                        allowed=f"here: {known_in('')}")  # fmt: skip
     near = suggestion(section, name)
     key = f"{section}.{name}" if section else name
-    message = f"unknown key {key}" + (f"; did you mean {near}?" if near else "")
+    message = f"unknown key {key}" + did_you_mean([near] if near else [], before="; ")
     place = f"in [{section}]" if section else "here"
     return Mistake("CL102", message, key, found=name, allowed=f"{place}: {known_in(section)}", hint=near)
 
@@ -198,7 +184,8 @@ def _refused(key: str, refusal: Refusal) -> Mistake:
 # --- building ---------------------------------------------------------------------------------------------
 
 
-def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> Design:
+def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> DesignFields:
+    """Sections from converted values by dotted key; what follows from other keys is filled in."""
     part = {
         section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()
     }
@@ -220,7 +207,8 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     check["allow"] = tuple(Allowed(**dict(item)) for item in check["allow"])
     unit = units.design_unit(values["unit"])
     assert unit is not None, values["unit"]  # UnitWord accepted it
-    return Design(
-        values["name"], values["unit"], float(unit.metres), LawSpec(**law), PairSpec(**pair), LatticeSpec(**lattice),
-        BodySpec(**body), CheckSpec(**check), TolerancesSpec(**tolerances), values["notes"], data, source, path,
-    )  # fmt: skip
+    return {
+        "name": values["name"], "unit": values["unit"], "unit_m": float(unit.metres), "law_spec": LawSpec(**law),
+        "pair": PairSpec(**pair), "lattice": LatticeSpec(**lattice), "body": BodySpec(**body), "check": CheckSpec(**check),
+        "tolerances": TolerancesSpec(**tolerances), "notes": values["notes"], "given": data, "source": source, "path": path,
+    }  # fmt: skip

@@ -142,7 +142,7 @@ def material_is_known(a: Asked) -> Iterator[Mistake]:
     name, wavelength = a("pair.material"), a("pair.wavelength")
     if name is None:
         return
-    from clacad.optics.material.material import find
+    from clacad.optics.material.catalogue import find
 
     try:
         material = find(name)

@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 from clacad.base.units import LENGTHS, Unit
-from clacad.config.mistakes import DesignError, Mistake
+from clacad.config.design_error import DesignError
+from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.keys import ROOT
 

@@ -14,8 +14,8 @@ _HOME = {
     "Effect": "engine.passes",
     "trace_with": "engine.passes",
     "Setting": "engine.parameters",
-    "Light": "engine.camera_light",
-    "lit": "engine.camera_light",
+    "LightRays": "engine.light_rays",
+    "light_reaching_camera": "engine.camera_light",
     "Plan": "engine.plan",
     "plan_effects": "engine.plan",
 }

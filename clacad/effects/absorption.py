@@ -15,10 +15,10 @@ from math import exp, pi
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import Block, Crossing, inside_of, unit_rows
+from clacad.effects.engine.block import FaceCrossing, RayBlock, inside_plate, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Losses, Stage
+from clacad.effects.engine.passes import Effect, Losses, When
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Body, Window
 
@@ -28,7 +28,7 @@ NAME = "absorption"
 def effect(window: Window, setting: Setting) -> Effect:
     """One exponential a ray."""
 
-    def apply(block: Block, _: Crossing | None) -> None:
+    def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         rates = attenuations(window, setting, block.wavelength)
         if not any(rates):
             return
@@ -45,7 +45,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     def losses(wavelength: float | None) -> Losses:
         return False, attenuations(window, setting, wavelength)
 
-    return Effect(NAME, Stage.EXIT, needs=("hits",), apply=apply, losses=losses)
+    return Effect(NAME, When.EXIT, needs=("hits",), apply=apply, losses=losses)
 
 
 def attenuations(window: Window, setting: Setting, wavelength: float | None) -> tuple[float, ...]:
@@ -70,7 +70,7 @@ def attenuation(window: Window, body: Body, setting: Setting, wavelength: float 
     return None if alpha is None else alpha * window.unit
 
 
-def optical_depth(block: Block, rates: tuple[float, ...]) -> Floats:
+def optical_depth(block: RayBlock, rates: tuple[float, ...]) -> Floats:
     """Σ α L of each ray (m,)."""
     depth = np.zeros(len(block.result))
     for number, (body, rate) in enumerate(zip(block.window.bodies, rates, strict=True)):
@@ -79,7 +79,7 @@ def optical_depth(block: Block, rates: tuple[float, ...]) -> Floats:
     return depth
 
 
-def path_in(block: Block, number: int, body: Body) -> Floats:
+def path_in(block: RayBlock, number: int, body: Body) -> Floats:
     """Length of each ray inside a body (m,)."""
     result = block.result
     if block.rung in ("law", "thin"):
@@ -87,7 +87,7 @@ def path_in(block: Block, number: int, body: Body) -> Floats:
 
         ray = unit_rows(block.rays.direction) if number == 0 else result.direction
         axis = block.window.thin.rotation[:, 2]
-        cos = inside_of(body, block, ray, axis) @ axis
+        cos = inside_plate(ray, axis, block.index(body)) @ axis
         return np.where(block.emerging(), mean_thickness(block.window, body) / cos, 0.0)
     assert result.hits is not None
     step = result.hits[2 * number + 1] - result.hits[2 * number]
@@ -103,7 +103,7 @@ def bound(situation: Situation) -> Bound:
     if not lines or any(rate is None for rates in known for rate in rates):
         why = "nothing is known of the material's absorption: not bounded"
         return Bound(0.0, 0.0, why, 1.1, known=False)
-    block = Block(window, situation.rays, situation.probe, "surfaces", None)
+    block = RayBlock(window, situation.rays, situation.probe, "surfaces", None)
     passing = situation.probe.fate <= Fate.LAND
     lengths = [
         float(path_in(block, k, body)[passing].max(initial=0.0)) for k, body in enumerate(window.bodies)

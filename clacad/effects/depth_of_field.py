@@ -12,7 +12,7 @@ import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import disc
 from clacad.optics.rays import Rays
 from clacad.sheet.window import Window
@@ -38,7 +38,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         aim = (sharp - start) * np.sign(setting.focus)
         return Rays(start, aim / np.linalg.norm(aim, axis=1)[:, None], rays.wavelength)
 
-    return Effect(NAME, Stage.LAUNCH, launch=launch)
+    return Effect(NAME, When.LAUNCH, launch=launch)
 
 
 def bound(situation: Situation) -> Bound:

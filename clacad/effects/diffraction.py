@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import Block, Crossing
+from clacad.base.units import millimetres
+from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import uniform
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate
@@ -41,7 +42,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """Turn emerging rays."""
     cells = thin_cells(window)
 
-    def apply(block: Block, _: Crossing | None) -> None:
+    def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         wave = block.air_wavelength / window.unit
         rows = np.flatnonzero(block.emerging())
         widths = lit_widths(cells, block.rays.direction[rows], block.result.order[rows])
@@ -56,7 +57,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         forwards = real & (out[:, 2] > 0.0)
         block.result.direction[rows[forwards]] = out[forwards]
 
-    return Effect(NAME, Stage.EXIT, apply=apply)
+    return Effect(NAME, When.EXIT, apply=apply)
 
 
 def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) -> Floats:
@@ -114,7 +115,7 @@ def bound(situation: Situation) -> Bound:
     wave = max(lines)
     angle = hypot(*(wave / (mean * window.unit)))
     why = (
-        f"lit slits of {mean[0] * window.unit * 1e3:.3g} by {mean[1] * window.unit * 1e3:.3g} mm spread "
+        f"lit slits of {mean[0] * millimetres(window.unit):.3g} by {mean[1] * millimetres(window.unit):.3g} mm spread "
         f"{wave * 1e9:.0f} nm light by {angle:.2g} rad"
     )
     return Bound(angle, 0.0, why, COST)

@@ -17,7 +17,7 @@ import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
 from clacad.sheet.window import Window
@@ -41,7 +41,7 @@ def effect(window: Window, setting: Setting) -> Effect:
         turn = np.arange(len(rays)) % len(lines)
         return Rays(rays.position, rays.direction, np.array(lines)[turn])
 
-    return Effect(NAME, Stage.LAUNCH, launch=launch)
+    return Effect(NAME, When.LAUNCH, launch=launch)
 
 
 def passes(rays: Rays, wavelengths: Sequence[float]) -> Iterator[Rays]:

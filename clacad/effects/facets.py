@@ -15,7 +15,7 @@ import numpy as np
 
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.optics.surface import principal_radii
 from clacad.sheet.vignetting import focal_ratio, thin_cells
 from clacad.sheet.window import Window
@@ -27,7 +27,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """Trace the mesh instead."""
     from clacad.mesh import tessellate
 
-    return Effect(NAME, Stage.LAUNCH, rung="mesh", options={"mesh": tessellate(window, quads=setting.quads)})
+    return Effect(NAME, When.LAUNCH, rung="mesh", options={"mesh": tessellate(window, quads=setting.quads)})
 
 
 def forecast(window: Window, quads: int) -> float:

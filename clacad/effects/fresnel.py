@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage, trace_with
+from clacad.effects.engine.passes import Effect, When, trace_with
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import deviation, normal_loss, reflected, transmission
 from clacad.sheet.window import Window
@@ -26,7 +26,7 @@ NAME = "fresnel"
 def effect(window: Window, setting: Setting) -> Effect:
     """One multiplication of the flux a face."""
 
-    def apply(block: Block, crossing: Crossing | None) -> None:
+    def apply(block: RayBlock, crossing: FaceCrossing | None) -> None:
         if crossing is None or crossing.n1 == crossing.n2:
             return
         turn = deviation(crossing.before, crossing.after)
@@ -46,7 +46,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
     return Effect(
         NAME,
-        Stage.HIT,
+        When.HIT,
         needs=("hits",),
         apply=apply,
         compiled=_compiled if setting.coating == "none" else None,
@@ -54,7 +54,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     )
 
 
-def _compiled(block: Block) -> None:
+def _compiled(block: RayBlock) -> None:
     from clacad.effects.engine.compiled_passes import fresnel_pass
 
     rays, result = block.rays, block.result
@@ -67,7 +67,7 @@ def _compiled(block: Block) -> None:
 
 
 def losses(situation: Situation) -> Floats:
-    """Share lost by each probe ray that passes the sheet."""
+    """Share (k,) lost by each probe ray that passes the sheet."""
     own = effect(situation.window, situation.setting)
     result = trace_with(situation.window, situation.rays, "surfaces", (own,))
     return np.asarray(1.0 - result.flux[result.fate <= Fate.LAND])

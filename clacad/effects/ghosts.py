@@ -15,7 +15,7 @@ import numpy as np
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.homogeneous_light import shares
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, thin_cells
 from clacad.sheet.window import Window
@@ -24,8 +24,8 @@ NAME = "ghosts"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
-    """No pass: the rays carry their label, and `lit` lets them shine."""
-    return Effect(NAME, Stage.EXIT)
+    """No pass: the rays carry their label, and `light_reaching_camera` lets them shine."""
+    return Effect(NAME, When.EXIT)
 
 
 def bound(situation: Situation) -> Bound:

@@ -22,10 +22,10 @@ from math import cos, sin
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import Block, Crossing, crossings, unit_rows
+from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings, unit_rows
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import amplitudes, deviation, reflected
 from clacad.sheet.window import Window
@@ -39,7 +39,7 @@ STEEPER = 1.5
 def effect(window: Window, setting: Setting) -> Effect:
     """Carry field vectors from face to face; the flux is set after the last one."""
 
-    def apply(block: Block, crossing: Crossing | None) -> None:
+    def apply(block: RayBlock, crossing: FaceCrossing | None) -> None:
         if crossing is None:
             return
         if NAME not in block.state:
@@ -50,12 +50,12 @@ def effect(window: Window, setting: Setting) -> Effect:
             ratio = window.wavelength / block.air_wavelength
         block.state[NAME] = [_crossed(field, crossing, setting.coating, ratio) for field in fields]
 
-    def finish(block: Block) -> None:
+    def finish(block: RayBlock) -> None:
         if NAME not in block.state:  # compiled code has done all
             return
         block.result.flux[:] *= passed(setting, block.state.pop(NAME), block.result.direction)
 
-    def compiled(block: Block) -> None:
+    def compiled(block: RayBlock) -> None:
         from clacad.effects.engine.compiled_passes import polarisation_pass
 
         rays, result = block.rays, block.result
@@ -68,7 +68,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 
     bare = setting.coating == "none"
     return Effect(
-        NAME, Stage.HIT, needs=("hits",), apply=apply, finish=finish, compiled=compiled if bare else None
+        NAME, When.HIT, needs=("hits",), apply=apply, finish=finish, compiled=compiled if bare else None
     )
 
 
@@ -78,7 +78,7 @@ def _pointing(angle: float | None) -> Floats:
 
 
 def analysed(setting: Setting, direction: Floats) -> list[Floats]:
-    """Field vectors across the rays that the camera takes: one with an analyser, else two."""
+    """Field vectors (n, 3) across the rays that the camera takes: one with an analyser, else two."""
     if setting.analyser is not None:
         return [across(direction, setting.analyser)]
     first = across(direction, 0.0)
@@ -93,7 +93,7 @@ def across(direction: Floats, angle: float) -> Floats:
 
 
 def passed(setting: Setting, fields: list[Floats], direction: Floats) -> Floats:
-    """Share of the scene's unpolarised light that reaches the camera with these field vectors."""
+    """Share (n,) of the scene's unpolarised light that reaches the camera with these field vectors."""
     total = np.zeros(len(direction))
     for field in fields:
         if setting.polariser is None:
@@ -103,7 +103,7 @@ def passed(setting: Setting, fields: list[Floats], direction: Floats) -> Floats:
     return 0.5 * total
 
 
-def _crossed(field: Floats, crossing: Crossing, coating: str, ratio: float) -> Floats:
+def _crossed(field: Floats, crossing: FaceCrossing, coating: str, ratio: float) -> Floats:
     out = cross_face(field, crossing.before, crossing.after, crossing.n1, crossing.n2, coating, ratio)
     if crossing.through is None:
         return out
@@ -149,7 +149,7 @@ def bound(situation: Situation) -> Bound:
     if setting.polariser is not None or setting.analyser is not None:
         which = " and ".join(name for name in ("polariser", "analyser") if getattr(setting, name) is not None)
         return Bound(0.0, 1.0, f"the scene has a {which}", 2.0)
-    block = Block(situation.window, situation.rays, situation.probe, "surfaces", None)
+    block = RayBlock(situation.window, situation.rays, situation.probe, "surfaces", None)
     n = len(situation.probe)
     plain, once, twice = np.ones(n), np.zeros(n), np.zeros(n)
     for crossing in crossings(block):

@@ -2,7 +2,8 @@
 
 *Model.* Every path of up to `Setting.order` partial reflections is split off deterministically and followed
 exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of `fresnel` on the
-straight path. In a trace, one row a ray, only those losses appear; the split paths are rows of `clacad.effects.lit`.
+straight path. In a trace, one row a ray, only those losses appear; the split paths are rows of
+`clacad.effects.light_reaching_camera`.
 *Law.* Shares of all paths, what was cut off beyond the order included, sum to 1 without noise.
 *On when* N(N − 1)/2 r0² D (forward, D the scene's contrast) or N r0 times the front world's brightness exceeds the
 radiance that matters. *Cost* 1.75 N², compiled.
@@ -26,7 +27,7 @@ COST = 1.75
 def effect(window: Window, setting: Setting) -> Effect:
     """The losses of the straight path."""
     own = straight(window, setting)
-    return Effect(NAME, own.stage, own.needs, own.apply, compiled=own.compiled)
+    return Effect(NAME, own.when, own.needs, own.apply, compiled=own.compiled)
 
 
 def bound(situation: Situation) -> Bound:

@@ -14,10 +14,10 @@ from math import expm1, hypot, pi, sqrt
 
 import numpy as np
 
-from clacad.effects.engine.block import Block, Crossing, bend, lens_slopes
+from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import normal
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Window
@@ -34,7 +34,7 @@ def effect(window: Window, setting: Setting) -> Effect:
     """Turn emerging rays and take the haze from their flux."""
     width = np.array(blur(window, setting.slope_rms))
 
-    def apply(block: Block, _: Crossing | None) -> None:
+    def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         rows = block.emerging()
         if setting.roughness > 0.0:
             block.result.flux[rows] *= 1.0 - haze(window, setting.roughness, block.air_wavelength)
@@ -42,7 +42,7 @@ def effect(window: Window, setting: Setting) -> Effect:
             slopes = lens_slopes(block)[0] + normal(block.rays, 1, setting.seed, SALT) * width
             bend(block, slopes, rows)
 
-    return Effect(NAME, Stage.EXIT, apply=apply)
+    return Effect(NAME, When.EXIT, apply=apply)
 
 
 def blur(window: Window, slope_rms: float) -> tuple[float, float]:

@@ -8,10 +8,10 @@ they leave. Off: they end, black.
 
 from __future__ import annotations
 
-from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 
@@ -21,12 +21,12 @@ NAME = "tir_paths"
 def effect(window: Window, setting: Setting) -> Effect:
     """Follow what was reflected totally; see `clacad.effects.walls.effect`."""
 
-    def apply(block: Block, _: Crossing | None) -> None:
-        from clacad.effects.engine.nonsequential_rows import carry_on
+    def apply(block: RayBlock, _: FaceCrossing | None) -> None:
+        from clacad.effects.engine.nonsequential_rows import trace_ended_rays
 
-        carry_on(block, setting, Fate.TIR)
+        trace_ended_rays(block, setting, Fate.TIR)
 
-    return Effect(NAME, Stage.EXIT, apply=apply)
+    return Effect(NAME, When.EXIT, apply=apply)
 
 
 def bound(situation: Situation) -> Bound:

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.effects.engine.block import Block, Crossing
+from clacad.effects.engine.block import FaceCrossing, RayBlock
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
-from clacad.effects.engine.passes import Effect, Stage
+from clacad.effects.engine.passes import Effect, When
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 
@@ -27,12 +27,12 @@ SMOOTH = 1e-9
 def effect(window: Window, setting: Setting) -> Effect:
     """Follow what ended at walls; rows that leave get their last point, direction and flux, the others flux 0."""
 
-    def apply(block: Block, _: Crossing | None) -> None:
-        from clacad.effects.engine.nonsequential_rows import carry_on
+    def apply(block: RayBlock, _: FaceCrossing | None) -> None:
+        from clacad.effects.engine.nonsequential_rows import trace_ended_rays
 
-        carry_on(block, setting, Fate.WALL)
+        trace_ended_rays(block, setting, Fate.WALL)
 
-    return Effect(NAME, Stage.EXIT, apply=apply)
+    return Effect(NAME, When.EXIT, apply=apply)
 
 
 def bound(situation: Situation) -> Bound:

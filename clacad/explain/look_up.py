@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from difflib import get_close_matches
 
+from clacad.base.text import did_you_mean, near
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.mistakes import CODES as DESIGN
 from clacad.design.keys import ROOT, SECTIONS, homes
@@ -101,7 +101,7 @@ def _nearest(word: str, known: dict[str, Entry], names: list[str]) -> str:
     digits = "".join(sign for sign in word if sign.isdigit())
     if digits and (word[:2].upper() == "CL" or word.isdigit()):
         codes = [code for code in known if known[code].code]
-        near = sorted(codes, key=lambda code: (abs(int(code[2:]) - int(digits)), code))[:3]
-        return f"the nearest codes are {', '.join(sorted(near))}"
-    close = get_close_matches(word.lower(), names, n=3, cutoff=0.4)
-    return f"did you mean {' or '.join(close)}?" if close else "`clacad explain` lists all codes and words"
+        nearest = sorted(codes, key=lambda code: (abs(int(code[2:]) - int(digits)), code))[:3]
+        return f"the nearest codes are {', '.join(sorted(nearest))}"
+    close = near(word.lower(), names, 0.4, most=3)
+    return did_you_mean(close) or "`clacad explain` lists all codes and words"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from clacad.base.units import millimetres
 from clacad.exporting.tessellations import Meshes, instanceable, weld
 from clacad.formats.mesh.repeated_pieces import Places
 from clacad.sheet.lattice import Circle, Rectangle
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
 
 SAMPLE = 20_000
 """Facets or places whose text is drawn up; the rest is taken to be like them."""
-
-
-def mm(window: Window) -> float:
-    """Millimetres per design unit."""
-    return window.unit / 1e-3
 
 
 # -- 3MF -------------------------------------------------------------------------------------------
@@ -44,7 +40,7 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
         if not len(corners):
             continue
         piece = replace(weld(body, corners, np.zeros_like(corners)), normals=None)
-        text = "".join(threemf.mesh_lines(piece, 1, mm(meshes.window))).encode()
+        text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
         # one stream for all bodies, as in the file: a second body that is like the first takes little room
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
         total += size * part.facet_count / len(corners)
@@ -55,7 +51,10 @@ def threemf_place_bytes(window: Window) -> int:
     """Bytes of a 3MF file that say where the repeated cells of each body stand."""
     arrays = (next(f.array for f in (b.front, b.back) if f.array is not None) for b in window.bodies)
     return int(
-        sum(_places_bytes(Places(window.lattice, window.shifts[array]), mm(window)) for array in arrays)
+        sum(
+            _places_bytes(Places(window.lattice, window.shifts[array]), millimetres(window.unit))
+            for array in arrays
+        )
     )
 
 
@@ -89,7 +88,7 @@ def _deflated(lines: Iterable[str]) -> int:
 def glb_place_bytes(window: Window) -> float:
     """Bytes of one node of a GLB file, from the cells of one row."""
     row = window.lattice.row(window.lattice.count[1] // 2)
-    centres = (window.lattice.centres(row) * mm(window)).tolist()
+    centres = (window.lattice.centres(row) * millimetres(window.unit)).tolist()
     nodes = [f'{{"mesh":0,"translation":[{x!r},{y!r},0.0]}},{window.lattice.cell_count},' for x, y in centres]
     return sum(map(len, nodes)) / max(1, len(nodes))
 
@@ -119,11 +118,11 @@ def table_bytes(window: Window) -> int:
     from clacad.formats.maps.pose_table import pose_lines, surface_table
     from clacad.storage.atomic import canonical_json
 
-    total = float(len(canonical_json(surface_table(window, mm(window)))))
+    total = float(len(canonical_json(surface_table(window, millimetres(window.unit)))))
     row = window.lattice.row(window.lattice.count[1] // 2)
     text = io.StringIO()
     lines = 0
-    for line in pose_lines(window, mm(window), [row]):
+    for line in pose_lines(window, millimetres(window.unit), [row]):
         text.write(",".join(str(word) for word in line) + "\n")
         lines += 1
     faces = max(1, lines // max(1, len(row)))
@@ -136,7 +135,7 @@ def mask_bytes(window: Window) -> int:
     from clacad.formats.maps.sag import structured_faces
 
     total = 0.0
-    scale = mm(window)
+    scale = millimetres(window.unit)
     for body, face, _ in structured_faces(window):
         assert face.array is not None
         outline = (aperture(window, body, face) * scale + 0.0).tolist()
@@ -167,7 +166,7 @@ def xyz_bytes(window: Window, per_cell: int) -> int:
     middle = row[len(row) // 2 : len(row) // 2 + 1]
     total = 0.0
     for _, face, _ in structured_faces(window):
-        lines = point_lines(window, face, per_cell, middle, mm(window))
+        lines = point_lines(window, face, per_cell, middle, millimetres(window.unit))
         total += sum(len(line) + 1 for line in lines) * window.lattice.cell_count + 80
     return int(total)
 

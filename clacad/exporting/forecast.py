@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Rates
+from clacad.base.units import millimetres
 from clacad.exporting import costs
 from clacad.exporting.format_names import MARKED_MESHES, SOLIDS, WELDED_FORMATS
 from clacad.exporting.limits import (
@@ -233,7 +234,7 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
     elif name == "gds":
         from clacad.formats.maps.gds import gds_bytes
 
-        size = gds_bytes(window, levels, file_sizes.mm(window))
+        size = gds_bytes(window, levels, millimetres(window.unit))
     elif name == "pov":
         size = file_sizes.pov_bytes(window)
     elif name == "xyz":

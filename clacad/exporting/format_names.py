@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from clacad.base.text import did_you_mean, near
 from clacad.storage.errors import UnknownFormat
 
 FORMATS = (
@@ -41,12 +42,9 @@ def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
     NotPossible
         A format needs an extra that is not installed.
     """
-    from difflib import get_close_matches
-
     unknown = [name for name in asked if name not in FORMATS]
     if unknown or not asked:
-        near = get_close_matches(unknown[0], FORMATS, 1) if unknown else []
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = did_you_mean(near(unknown[0], FORMATS), before="; ") if unknown else ""
         what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
         raise UnknownFormat(f"{what}\n  allowed: {', '.join(FORMATS)}")
     if "gds" in asked:

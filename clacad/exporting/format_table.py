@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.types import Progress
+from clacad.base.units import millimetres
 from clacad.exporting.fixtures.fixture_files import (
     baffle_records,
     brep_records,
@@ -58,7 +59,7 @@ class Job:
     @property
     def scale(self) -> float:
         """Millimetres per design unit."""
-        return self.window.unit / 1e-3
+        return millimetres(self.window.unit)
 
     @cached_property
     def integrals(self) -> dict[str, Integral | None]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import plain
+from clacad.base.units import millimetres
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import Surface, Window
 from clacad.storage.atomic import canonical_json, owns, read_manifest
@@ -129,8 +131,8 @@ def document(design: Design, window: Window, records: Sequence[FileRecord], opti
 
 def _window(design: Design, window: Window) -> dict[str, Any]:
     """The window as the manifest keeps it: recipe, count and cells; lengths in mm."""
-    scale = window.unit / 1e-3
-    recipe = {k: _plain(v) for k, v in window.recipe.items() if v is not None}
+    scale = millimetres(window.unit)
+    recipe = {k: plain(v, lambda _: "infinite") for k, v in window.recipe.items() if v is not None}
     for key in ("R", "f", "d", "T", "s"):
         if key in recipe:
             recipe[key] = _scaled(recipe[key], scale)
@@ -153,20 +155,6 @@ def _window(design: Design, window: Window) -> dict[str, Any]:
 
 def _lenses(window: Window) -> list[Surface]:
     return [face.surface for face in window.faces if face.array is not None]
-
-
-def _plain(value: Any) -> Any:
-    """Turn tuples, numpy numbers and infinities into what JSON holds."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (bool, str, int)) or value is None:
-        return value
-    number = float(value)
-    return number if abs(number) < float("inf") else "infinite"
 
 
 def _scaled(value: Any, scale: float) -> Any:

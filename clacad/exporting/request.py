@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from typing import Any, Generic, Literal, TypeVar
 
+from clacad.base.text import did_you_mean, near
 from clacad.exporting.format_names import FORMATS, MESHES
 from clacad.exporting.roles import WORDS, Role, role_of
 from clacad.storage.errors import BadRequest
@@ -227,8 +227,8 @@ def _grid(value: object) -> Quads:
         return "auto"
     if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
         return value
-    near = _near(value, ("auto",))
-    raise BadRequest(f"quads = {value}: it is a whole number above 0, or auto{near}")
+    hint = _near(value, ("auto",))
+    raise BadRequest(f"quads = {value}: it is a whole number above 0, or auto{hint}")
 
 
 def _role(word: object) -> Role:
@@ -257,5 +257,4 @@ def _exported(name: str, formats: Sequence[str], what: str) -> None:
 
 
 def _near(word: object, words: Mapping[str, object] | Sequence[str]) -> str:
-    found = get_close_matches(str(word), list(words), 1)
-    return f"; did you mean {found[0]}?" if found else ""
+    return did_you_mean(near(str(word), words), before="; ")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.units import millimetres
 from clacad.exporting.manifest import FileRecord
 from clacad.sheet.volume_and_extent import Integral, volume_sum, whole_extent
 from clacad.sheet.window import Window
@@ -107,7 +108,7 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
     checks = ["closed"]
     if found["kernel"]:
         _compare_solids(written, found, name)
-    scale = window.unit / 1e-3
+    scale = millimetres(window.unit)
     room = SHAPE_LIMIT * min(window.lattice.pitch) * scale + written["fit_error"] + written["largest_shift"]
     measured = [found.get(key) for key in ("patch_error", "lens_error")]
     for error in measured:

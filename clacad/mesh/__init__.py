@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.mesh.body_mesh import BodyMesh
+from clacad.mesh.body_mesh import BodyMesh, Mesh
 from clacad.mesh.health import Health, check_closed
 from clacad.mesh.tessellation import (
     count_facets,
@@ -14,7 +14,6 @@ from clacad.mesh.tessellation import (
 )
 from clacad.mesh.vertex_normals import CellSolid, cell_solid, corner_normals
 from clacad.mesh.volume import exact_volume, mesh_volume
-from clacad.mesh.window_mesh import Mesh
 
 __all__ = [
     "BodyMesh",

@@ -1,4 +1,4 @@
-"""The mesh of one body: a few cell templates, where they stand, and the land around them."""
+"""The mesh of a window's bodies: a few cell templates of each, where they stand, and the land around them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.mesh.cell_template import Template, TemplateMaker
-from clacad.mesh.land_ring import Land, row_states
+from clacad.mesh.land_ring import row_states
 from clacad.sheet.window import Body, Window
 
 _CHUNK = 200_000  # triangles an expanded block holds at most, about
@@ -26,7 +26,7 @@ class Tiled:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class CellBlock:
     """Cells of one row that share a template.
 
     template : Template
@@ -106,14 +106,14 @@ class BodyMesh:
     saddles: int = 0
     bevel_volume: float = 0.0
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[CellBlock]:
         """Cells grouped by row and template."""
         lattice = self.window.lattice
         for tiled in self.tiled:
             for j in range(lattice.count[1]):
                 yield from self._row_blocks(tiled, j)
 
-    def _row_blocks(self, tiled: Tiled, j: int) -> Iterator[Block]:
+    def _row_blocks(self, tiled: Tiled, j: int) -> Iterator[CellBlock]:
         row = self.window.lattice.row(j)
         if not len(row):
             return
@@ -121,7 +121,7 @@ class BodyMesh:
         states = row_states(self.window, row, tiled.maker.offsets, self.ringed, apart)
         kinds, which = np.unique(states, axis=0, return_inverse=True)
         for n, kind in enumerate(kinds):
-            yield Block(tiled.maker.template(kind), row[which.ravel() == n], tiled.shift)
+            yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled.shift)
 
     @cached_property
     def census(self) -> tuple[tuple[Template, int], ...]:
@@ -151,7 +151,7 @@ class BodyMesh:
         if len(self.plain.triangles):
             yield self.plain.vertices[self.plain.triangles]
 
-    def _portions(self) -> Iterator[tuple[Block, int, int]]:
+    def _portions(self) -> Iterator[tuple[CellBlock, int, int]]:
         """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
         for block in self.blocks():
             each = max(1, _CHUNK // len(block.template.triangles))
@@ -213,6 +213,55 @@ class BodyMesh:
         return mesh_volume(self)
 
 
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Watertight meshes of a window's bodies, expanded only when asked.
+
+    Attributes
+    ----------
+    window : Window
+    bodies : tuple of BodyMesh
+    quads : int
+        Grid steps along each side of a cell.
+    """
+
+    window: Window
+    bodies: tuple[BodyMesh, ...]
+    quads: int
+
+    @property
+    def slope_error(self) -> float:
+        """Rms angle between facet and exact normal over optical facets, worst face (radians)."""
+        return max(body.slope_error for body in self.bodies)
+
+    @property
+    def sag_error(self) -> float:
+        """Largest normal distance between facets and exact surfaces (length)."""
+        return max(body.sag_error for body in self.bodies)
+
+    @property
+    def facet_count(self) -> int:
+        """Number of triangles of all bodies, exactly, without expanding them."""
+        return sum(body.facet_count for body in self.bodies)
+
+    @cached_property
+    def _expanded(self) -> tuple[Floats, Ints]:
+        vertices = [body.vertices for body in self.bodies]
+        starts = np.cumsum([0, *(len(v) for v in vertices)])[:-1]
+        triangles = [body.triangles + start for body, start in zip(self.bodies, starts)]
+        return np.concatenate(vertices), np.concatenate(triangles)
+
+    @property
+    def vertices(self) -> Floats:
+        """Vertices (n, 3) of all bodies, sheet frame (lengths). Expands everything."""
+        return self._expanded[0]
+
+    @property
+    def triangles(self) -> Ints:
+        """Vertex numbers (m, 3) of all bodies, outward. Expands everything."""
+        return self._expanded[1]
+
+
 def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
     """Rows that stand for all: (row, how many are like it). Inner rows of a full lattice repeat in pairs."""
     if not full or count <= 6:
@@ -248,6 +297,3 @@ def no_plain() -> Plain:
     """No land ring."""
     return Plain(np.empty((0, 3)), np.empty((0, 4), dtype=np.int64), np.empty((0, 3), dtype=np.int64),
                  np.empty(0, dtype=np.uint8))  # fmt: skip
-
-
-__all__ = ["Block", "BodyMesh", "Land", "Plain", "Tiled", "no_plain"]

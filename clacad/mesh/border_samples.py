@@ -6,12 +6,11 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
-from clacad.mesh.integer_heights import FAR, cluster
-from clacad.mesh.prototile_input import Maker, shortest
+from clacad.mesh.integer_heights import FAR, CellLevels, cluster, shortest
 from clacad.sheet.window import optical_tile
 
 
-def with_borders(make: Maker, plan: pl.Planar, quads: int) -> tuple[pl.Planar, list[Floats], list[Ints]]:
+def with_borders(make: CellLevels, plan: pl.Planar, quads: int) -> tuple[pl.Planar, list[Floats], list[Ints]]:
     """Give the tile's sides the complex's breaks: the same samples on both sides of every border.
 
     Returns
@@ -53,13 +52,13 @@ def border_stops(width: float, length: float) -> Floats:
     return np.array([width / length, 1.0 - width / length])
 
 
-def _least(make: Maker, start: tuple[float, float], end: tuple[float, float], quads: int) -> float:
+def _least(make: CellLevels, start: tuple[float, float], end: tuple[float, float], quads: int) -> float:
     """Least spacing of two border samples, as a parameter, within reason."""
     length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     return float(np.clip(shortest(make) / length, 1e-6, 0.05 / quads))
 
 
-def settle_inside(make: Maker, lens: Ints) -> Ints:
+def settle_inside(make: CellLevels, lens: Ints) -> Ints:
     """Merge levels closer than the gap at every point by itself."""
     held = np.array([make.held[0], make.held[1], True, True])
     both = np.concatenate([lens, np.broadcast_to(np.array(make.land), lens.shape)], axis=1)
@@ -76,7 +75,7 @@ def settle_sides(plan: pl.Planar, lens: Ints, levels: list[Ints]) -> Ints:
     return lens
 
 
-def _border_levels(make: Maker, k: int, t: Floats, groups: list[Floats], nodes: Ints) -> Ints:
+def _border_levels(make: CellLevels, k: int, t: Floats, groups: list[Floats], nodes: Ints) -> Ints:
     """Merged levels of both cells along border class k, (n, 4): equal where a break says they are."""
     m = len(make.tiling.tile)
     half = m // 2
@@ -94,7 +93,7 @@ def _border_levels(make: Maker, k: int, t: Floats, groups: list[Floats], nodes: 
 
 
 def _parted(
-    make: Maker, k: int, t: Floats, rows: Ints, groups: list[Floats], nodes: Ints
+    make: CellLevels, k: int, t: Floats, rows: Ints, groups: list[Floats], nodes: Ints
 ) -> tuple[Floats, Ints]:
     """Part two columns that only touch along a stretch of the border, so that no edge has four faces.
 
@@ -125,7 +124,7 @@ def _touching(rows: Ints) -> Bools:
     return np.asarray(there & (shared == 0))
 
 
-def _at(make: Maker, k: int, t: float) -> Ints:
+def _at(make: CellLevels, k: int, t: float) -> Ints:
     """Levels of left front, back, right front, back and land at a parameter of border class k."""
     tile, m = make.tiling.tile, len(make.tiling.tile)
     half = m // 2
@@ -135,7 +134,7 @@ def _at(make: Maker, k: int, t: float) -> Ints:
     return np.concatenate([levels[0], levels[1], np.array(make.land)])
 
 
-def _hold_equal(make: Maker, here: Ints, root: Ints, held: Bools) -> None:
+def _hold_equal(make: CellLevels, here: Ints, root: Ints, held: Bools) -> None:
     """Make equal, in place, the levels that are equal at the root (a sample may stand a little beside it)."""
     order = np.argsort(root, kind="stable")
     runs = np.split(order, np.flatnonzero(np.diff(root[order]) > make.gap) + 1)
@@ -146,7 +145,7 @@ def _hold_equal(make: Maker, here: Ints, root: Ints, held: Bools) -> None:
         here[run] = here[fixed[0]] if len(fixed) else int(here[run].min() + here[run].max()) // 2
 
 
-def _node_levels(make: Maker) -> Ints:
+def _node_levels(make: CellLevels) -> Ints:
     """Merged front and back level at each corner of the tile, (m, 2)."""
     levels = make.levels(make.heights(make.tiling.tile))
     for node in make.tiling.nodes:

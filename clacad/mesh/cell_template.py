@@ -18,8 +18,7 @@ from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile
 from clacad.mesh.step_walls import Column, Ring, strip
-from clacad.sheet.lattice import Lattice
-from clacad.topology import node_cells
+from clacad.sheet.lattice import Lattice, node_cells
 
 Offset = tuple[int, int]
 
@@ -84,7 +83,9 @@ class TemplateMaker:
         self._apart = bool((np.abs(self.tile.land) == FAR).any())
         self.places = self._canonical()
         self._caps = self._make_caps()
-        self._inner = self._inner_walls()
+        self._inner = _inner_walls(triangles, self._levels)
+        ends = {point for wall in self._inner for point in wall[:2]}
+        self._spokes = {point: [edge for edge in self._left if edge[0] == point] for point in ends}
         self._rings: dict[tuple[int, bytes], Ring] = {}
 
     # -- where points belong ------------------------------------------------------------------
@@ -153,6 +154,7 @@ class TemplateMaker:
         return self._rings[key]
 
     def _wedges(self, point: int, states: dict[Offset, int]) -> list[tuple[Hashable, Column]]:
+        """Columns about a point counter-clockwise, each with its tag: the index step to its cell, and its triangle."""
         sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
         around: list[
             tuple[Offset, int]
@@ -189,7 +191,7 @@ class TemplateMaker:
             if (np.abs(level) == FAR).all():
                 continue
             if self.tile.plane[side]:
-                corners = self._plane_cap()
+                corners = _plane_cap(self.tile.plan)
                 z = np.full(corners.shape, self.tile.lens[0, side])
                 kind = np.full(len(corners), (FRONT, BACK)[side])
             else:
@@ -206,42 +208,6 @@ class TemplateMaker:
         vertex, inverse = np.unique(key, axis=0, return_inverse=True)
         return vertex[:, 0], vertex[:, 1], inverse.reshape(-1, 3), np.concatenate(kinds).astype(np.uint8)
 
-    def _plane_cap(self) -> Ints:
-        """Triangles of a plane face: a fan over the border points only, where a point lies inside."""
-        sides = self.tile.plan.sides
-        if all(len(side) == 2 for side in sides):
-            return pl.polygon_fan(np.array([side[0] for side in sides]))
-        centre = int(np.argmin(np.hypot(*self.tile.plan.xy.T)))
-        if any(centre in side for side in sides):
-            return self.tile.plan.triangles
-        return pl.fan(sides, centre)
-
-    def _inner_walls(self) -> list[tuple[int, int, int, int]]:
-        """Edges inside the footprint over which the columns differ: (p, q, left, right triangle)."""
-        triangles, levels = self.tile.plan.triangles, self._levels
-        edges, number = pl.edges_of(triangles)
-        order = np.argsort(number.ravel(), kind="stable")
-        sorted_number = number.ravel()[order]
-        twice = np.flatnonzero(sorted_number[:-1] == sorted_number[1:])
-        one, two = order[twice], order[twice + 1]
-
-        def ends(flat: Ints) -> tuple[Ints, Ints]:
-            t, s = flat // 3, flat % 3
-            return levels[t, s], levels[t, (s + 1) % 3]
-
-        (p1, q1), (q2, p2) = ends(one), ends(two)
-        differ = np.flatnonzero((p1 != p2).any(axis=1) | (q1 != q2).any(axis=1))
-        walls = []
-        for n in differ:
-            t, s = int(one[n] // 3), int(one[n] % 3)
-            walls.append((int(triangles[t, s]), int(triangles[t, (s + 1) % 3]), t, int(two[n] // 3)))
-        self._spokes: dict[int, list[tuple[int, int]]] = {}
-        for p, q, *_ in walls:
-            for point in (p, q):
-                if point not in self._spokes:
-                    self._spokes[point] = [edge for edge in self._left if edge[0] == point]
-        return walls
-
     # -- templates ----------------------------------------------------------------------------
 
     def template(self, states: NDArray[np.uint8]) -> Template:
@@ -252,6 +218,7 @@ class TemplateMaker:
         return self._made[code]
 
     def _make(self, states: dict[Offset, int], code: bytes) -> Template:
+        """The template of a cell: its caps and walls, with the vertices they use and no others."""
         walls = self._walls(states, code)
         point, level, caps, kinds = self._caps
         known = dict(zip(zip(point.tolist(), level.tolist()), range(len(point))))
@@ -326,3 +293,35 @@ class TemplateMaker:
         assert at_p is not None
         assert at_q is not None
         return at_p[face], at_q[face]
+
+
+def _plane_cap(plan: pl.Planar) -> Ints:
+    """Triangles of a plane face: a fan over the border points only, where a point lies inside."""
+    sides = plan.sides
+    if all(len(side) == 2 for side in sides):
+        return pl.polygon_fan(np.array([side[0] for side in sides]))
+    centre = int(np.argmin(np.hypot(*plan.xy.T)))
+    if any(centre in side for side in sides):
+        return plan.triangles
+    return pl.fan(sides, centre)
+
+
+def _inner_walls(triangles: Ints, levels: Ints) -> list[tuple[int, int, int, int]]:
+    """Edges inside the footprint over which the columns differ: (p, q, left, right triangle)."""
+    edges, number = pl.edges_of(triangles)
+    order = np.argsort(number.ravel(), kind="stable")
+    sorted_number = number.ravel()[order]
+    twice = np.flatnonzero(sorted_number[:-1] == sorted_number[1:])
+    one, two = order[twice], order[twice + 1]
+
+    def ends(flat: Ints) -> tuple[Ints, Ints]:
+        t, s = flat // 3, flat % 3
+        return levels[t, s], levels[t, (s + 1) % 3]
+
+    (p1, q1), (q2, p2) = ends(one), ends(two)
+    differ = np.flatnonzero((p1 != p2).any(axis=1) | (q1 != q2).any(axis=1))
+    walls = []
+    for n in differ:
+        t, s = int(one[n] // 3), int(one[n] % 3)
+        walls.append((int(triangles[t, s]), int(triangles[t, (s + 1) % 3]), t, int(two[n] // 3)))
+    return walls

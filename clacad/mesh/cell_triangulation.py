@@ -60,6 +60,7 @@ def grid(lattice: Lattice, tile: Floats, zone: Floats, quads: int, diagonal: int
 
 
 def _square(zone: Floats, q: int, diagonal: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
+    """Points (n, 2), triangles (t, 3) and the points of each side of a rectangle cut into q × q."""
     hx, hy = zone[0, 0], zone[1, 1]
     steps = (2 * np.arange(q + 1) - q) / q  # symmetric about the centre to the last bit
     x, y = np.meshgrid(hx * steps, hy * steps)
@@ -78,6 +79,7 @@ def _square(zone: Floats, q: int, diagonal: int) -> tuple[Floats, Ints, tuple[In
 
 
 def _hexagon(zone: Floats, q: int) -> tuple[Floats, Ints, tuple[Ints, ...]]:
+    """Points (n, 2), triangles (t, 3) and the points of each side of a convex polygon in q rings about its centre."""
     m = len(zone)
     ring = np.arange(1, q + 1)
     start = np.concatenate([[0], 1 + m * ring * (ring - 1) // 2])

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from clacad.mesh.integer_heights import LENS
 from clacad.mesh.prototile import Prototile
+from clacad.optics.law.angle import angle_between
 from clacad.sheet.window import Body, Face, lens_height_and_normal
 
 # edge middles, centroid, and the three inner points of the rule that is exact to degree 2
@@ -36,6 +37,7 @@ def facet_errors(tile: Prototile, body: Body) -> tuple[float, float]:
 
 
 def _face_errors(tile: Prototile, face: Face, side: int, chosen: NDArray[np.bool_]) -> tuple[float, float]:
+    """Rms angle (radians) and largest distance (length) of the chosen facets of one face from its surface."""
     triangles = tile.plan.triangles[chosen]
     corner = np.concatenate(
         [tile.plan.xy[triangles], (tile.lens[triangles, side] * tile.step)[..., None]], axis=2
@@ -52,8 +54,6 @@ def _face_errors(tile: Prototile, face: Face, side: int, chosen: NDArray[np.bool
         z, exact = lens_height_and_normal(face, at[:, 0], at[:, 1])
         sag = max(sag, float(np.nanmax(np.abs(z - at[:, 2]) * exact[:, 2], initial=0.0)))
         if weights.max() == 2 / 3:
-            angle = np.arctan2(
-                np.linalg.norm(np.cross(normal, exact), axis=1), np.einsum("td,td->t", normal, exact)
-            )
+            angle = angle_between(normal, exact)
             squares += np.where(np.isnan(angle), 0.0, angle) ** 2 / 3.0
     return float(np.sqrt(np.sum(area * squares) / np.sum(area))), sag

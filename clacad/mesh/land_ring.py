@@ -81,7 +81,7 @@ Segment = tuple[int, Key, Key, tuple[int, int, int, int] | None]
 
 
 @dataclass(frozen=True, eq=False)
-class Land:
+class LandRing:
     """The ring of land of one tiling.
 
     keys : list of Key
@@ -112,44 +112,30 @@ def boundary(lattice: Lattice) -> list[tuple[int, int, int]]:
 
 def make_land(
     window: Window, maker: TemplateMaker, shift: tuple[float, float], centre: tuple[float, float]
-) -> Land:
+) -> LandRing:
     """Triangulate the land between the cells of one tiling and the outline.
 
     Parameters
     ----------
-    window : Window
-    maker : TemplateMaker
-        Of the tiling: gives the points of the cells' sides.
-    shift : (2,) lengths
-        Displacement of the tiling's cells.
-    centre : (2,) lengths
-        Centre of the outline.
+    window, maker
+        The maker of the tiling's templates gives the points of the cells' sides.
+    shift, centre : (2,) lengths
+        Displacement of the tiling's cells; centre of the outline.
 
     Raises
     ------
-    ValueError
-        A cell reaches beyond the outline.
+    CannotBuild
+        CL136: a cell reaches beyond the outline.
     """
     polygon = outline_polygon(window) + np.array(centre)
-    owner, point = maker.places
-    sides = maker.tile.plan.sides
     scale = float(np.abs(polygon).max())
     position: dict[Key, tuple[float, float]] = {}
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
-    bare = boundary(window.lattice)
-    local = maker.tile.plan.xy
-    for i, j, k in bare:
-        chain = sides[k]
-        keys: list[Key] = [
-            (i + int(owner[p][0]), j + int(owner[p][1]), int(point[p])) for p in chain.tolist()
-        ]
+    for i, j, k in boundary(window.lattice):
+        keys = _side_keys(maker, i, j, k)
         for key in (key for key in keys if key not in position):
-            c = window.lattice.centres(np.array([key[:2]]))[0]
-            position[key] = (
-                float(c[0] + shift[0] + local[key[2]][0]),
-                float(c[1] + shift[1] + local[key[2]][1]),
-            )
+            position[key] = _place(window, maker, shift, key)
         ends = np.array([position[keys[0]], position[keys[-1]]])
         if len(_on_side(polygon, ends, scale)):
             for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
@@ -162,7 +148,22 @@ def make_land(
     loops = link_loops(directed, position)
     keys = list(dict.fromkeys(key for loop in loops for key in loop))
     number = {key: n for n, key in enumerate(keys)}
-    return Land(keys, position, triangulate_loops(loops, number, position), rim)
+    return LandRing(keys, position, triangulate_loops(loops, number, position), rim)
+
+
+def _place(window: Window, maker: TemplateMaker, shift: tuple[float, float], key: Key) -> tuple[float, float]:
+    """Where a point lies, in the frame of its owner: x, y on the sheet (lengths)."""
+    c = window.lattice.centres(np.array([key[:2]]))[0]
+    x, y = maker.tile.plan.xy[key[2]]
+    return float(c[0] + shift[0] + x), float(c[1] + shift[1] + y)
+
+
+def _side_keys(maker: TemplateMaker, i: int, j: int, k: int) -> list[Key]:
+    """Points of side k of cell i, j, each by the cell that owns it."""
+    owner, point = maker.places
+    return [
+        (i + int(owner[p][0]), j + int(owner[p][1]), int(point[p])) for p in maker.tile.plan.sides[k].tolist()
+    ]
 
 
 def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:

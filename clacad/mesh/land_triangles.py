@@ -6,7 +6,7 @@ import numpy as np
 
 from clacad.mesh.body_mesh import Plain, Tiled, no_plain
 from clacad.mesh.cell_template import BACK_LAND, FRONT_LAND, WALL
-from clacad.mesh.land_ring import Key, Land, make_land
+from clacad.mesh.land_ring import Key, LandRing, make_land
 from clacad.sheet.window import Window
 
 Vertex = tuple[int, int, int, int]  # owner cell, point, level
@@ -74,7 +74,7 @@ def _key(key: Key, tiling: int) -> Key:
     return key if tiling == 0 or key[2] == -1 else (key[0], key[1], key[2] + 2**40)
 
 
-def _sheet(build: _Builder, land: Land, level: int, kind: int, tiling: int) -> None:
+def _sheet(build: _Builder, land: LandRing, level: int, kind: int, tiling: int) -> None:
     """The flat ring of one face."""
     number = [build.vertex(_key(key, tiling), level, land.position[key]) for key in land.keys]
     for a, b, c in land.triangles.tolist():
@@ -86,7 +86,7 @@ def _sheet(build: _Builder, land: Land, level: int, kind: int, tiling: int) -> N
         build.kind.append(kind)
 
 
-def _quad(build: _Builder, land: Land, p: Key, q: Key, front: int, back: int) -> None:
+def _quad(build: _Builder, land: LandRing, p: Key, q: Key, front: int, back: int) -> None:
     """The wall over one segment of the outline."""
     xp, xq = land.position[p], land.position[q]
     a, b = build.vertex(p, front, xp), build.vertex(q, front, xq)
@@ -95,7 +95,7 @@ def _quad(build: _Builder, land: Land, p: Key, q: Key, front: int, back: int) ->
     build.kind += [WALL, WALL]
 
 
-def _chain(build: _Builder, land: Land, tiled: Tiled, side: int, face: int) -> list[tuple[float, int]]:
+def _chain(build: _Builder, land: LandRing, tiled: Tiled, side: int, face: int) -> list[tuple[float, int]]:
     """The face's edge along one side of the outline: (distance, vertex), jumps between cells included."""
     chain: list[tuple[float, int]] = []
     maker = tiled.maker

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside, settle_sides, with_borders
-from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID
-from clacad.mesh.prototile_input import Maker
+from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
-from clacad.sheet.window import Body, Window, optical_tile
-from clacad.topology import CellComplex, Tiling
+from clacad.sheet.window import optical_tile
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,53 +88,24 @@ class Prototile:
         )
 
 
-def make_prototile(
-    window: Window, body: Body, cells: CellComplex, tiling: Tiling, quads: int, step: float, gap: int,
-    bevel: float = 0.0,
-) -> Prototile:  # fmt: skip
-    """Mesh one cell of a body's tiling.
-
-    Parameters
-    ----------
-    window, body, cells, tiling
-    quads : int
-        Grid steps along each side of the cell's optical zone.
-    step : length
-        Height of one level.
-    gap : int
-        Merge height in steps.
-    bevel : length
-        Width of the bevels at saddles; 0: none.
+def make_prototile(make: CellLevels, quads: int) -> Prototile:
+    """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone.
 
     Raises
     ------
     ValueError
-        A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge.
+        A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge; or no point of the
+        grid meets the lenslet.
     """
-    make = Maker(window, body, cells, tiling, step, gap, bevel)
-    tile, zone = tiling.tile, optical_tile(window)
-    plan = pl.grid(window.lattice, tile, zone, quads, _diagonal(make, zone, quads))
+    window = make.window
+    zone = optical_tile(window)
+    plan = pl.grid(window.lattice, make.tiling.tile, zone, quads, _diagonal(make, zone, quads))
     plan, side_t, levels = with_borders(make, plan, quads)
-    lens = make.levels(make.heights(plan.xy))
-    lens = settle_inside(make, lens)
-    lens = settle_sides(plan, lens, levels)
-    material = plan.zone.copy()
-    done: list[Curve] = []
-    if make.cells.columnar:
-        plan, lens, enclosed = cut(make, plan, lens, plan.zone, rim_curve(), done)
-        material = plan.zone & enclosed
-    proud = []
-    for side in (0, 1):
-        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.names()[side]:
-            proud.append(material)
-            continue
-        plan, lens, positive = cut(make, plan, lens, material, land_curve(make, side), done)
-        material, proud = _again(make, plan, lens, proud)
-        proud.append(material & positive)
-    part = _parts(make, material, proud)
+    lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), levels)
+    plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
         raise ValueError(
-            f"quads = {quads}: no point of the grid meets the lenslet of body {body.name!r}, whose rim lies well "
+            f"quads = {quads}: no point of the grid meets the lenslet of body {make.body.name!r}, whose rim lies well "
             "inside its cell; more quads would find it"
         )
     whole = not (part == VOID).any()
@@ -145,30 +114,53 @@ def make_prototile(
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
-    return Prototile(plan, lens, make.land, part, plane, step, tuple(side_t), lifted)
+    return Prototile(plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted)
 
 
-def _again(make: Maker, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:
+def _with_rims(make: CellLevels, plan: pl.Planar, lens: Ints) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:
+    """Cut a cell along its rims: (plan, lens, part) as in `Prototile`."""
+    material = plan.zone.copy()
+    done: list[Curve] = []
+    if make.cells.columnar:
+        plan, lens, enclosed = cut(make, plan, lens, plan.zone, rim_curve(), done)
+        material = plan.zone & enclosed
+    proud: list[Bools] = []
+    for side in (0, 1):
+        if _without_rim(make, side):
+            proud.append(material)
+            continue
+        plan, lens, positive = cut(make, plan, lens, material, land_curve(make, side), done)
+        material, proud = _again(make, plan, lens, proud)
+        proud.append(material & positive)
+    return plan, lens, _parts(make, material, proud)
+
+
+def _without_rim(make: CellLevels, side: int) -> bool:
+    """Whether a face does not end on land of its own: it is a plane, has no land, or is meshed apart."""
+    return make.held[side] or make.land[side] in (NONE, -NONE) or not make.meshed()[side]
+
+
+def _again(make: CellLevels, plan: pl.Planar, lens: Ints, proud: list[Bools]) -> tuple[Bools, list[Bools]]:
     """Tell material and proud triangles anew after triangles were cut further."""
     material = plan.zone.copy()
     if make.cells.columnar:
         material &= side_of(plan.triangles, rim_curve().value(lens)) > 0
     again = []
     for side in range(len(proud)):
-        if make.held[side] or make.land[side] in (NONE, -NONE) or not make.names()[side]:
+        if _without_rim(make, side):
             again.append(material)
         else:
             again.append(material & (side_of(plan.triangles, land_curve(make, side).value(lens)) > 0))
     return material, again
 
 
-def _parts(make: Maker, material: Bools, proud: list[Bools]) -> NDArray[np.uint8]:
+def _parts(make: CellLevels, material: Bools, proud: list[Bools]) -> NDArray[np.uint8]:
     """What front and back of each triangle are."""
     part = np.full((len(material), 2), VOID, dtype=np.uint8)
     lands = [level not in (NONE, -NONE) for level in make.land]
     for side in (0, 1):
         flat = LENS if make.held[side] else LAND
-        if not make.names()[side]:
+        if not make.meshed()[side]:
             part[:, side] = LENS
             continue
         part[:, side] = np.where(proud[side], LENS, np.where(lands[side], flat, VOID))
@@ -179,7 +171,7 @@ def _parts(make: Maker, material: Bools, proud: list[Bools]) -> NDArray[np.uint8
     return part
 
 
-def _diagonal(make: Maker, zone: Floats, quads: int) -> int:
+def _diagonal(make: CellLevels, zone: Floats, quads: int) -> int:
     """Split squares along the direction in which the surfaces bend less."""
     if make.window.lattice.hexagonal:
         return 1

@@ -1,4 +1,8 @@
-"""Cutting a triangulated cell along rims: curves where a lens meets the other lens, a plane or land."""
+"""Cutting a triangulated cell along rims: curves where a lens meets the other lens, a plane or land.
+
+The curves are not those `topology.rims` traces: a cut is a point on an edge of the triangles at a whole level, and where
+rounding has put a point on a curve already, its level decides and not its exact height.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,7 @@ import numpy as np
 from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
-from clacad.mesh.integer_heights import cluster
-from clacad.mesh.prototile_input import Maker, shortest
+from clacad.mesh.integer_heights import CellLevels, cluster, shortest
 from clacad.topology.cannot_build import CannotBuild
 
 _WARP = 0.2  # a cut nearer than this share of an edge to a free point moves the point instead
@@ -42,7 +45,7 @@ def rim_curve() -> Curve:
     return Curve(lambda lens: np.asarray(lens[:, 1] - lens[:, 0]), meet, -1)
 
 
-def land_curve(make: Maker, side: int) -> Curve:
+def land_curve(make: CellLevels, side: int) -> Curve:
     """The lens of one face stands proud of its land on the positive side."""
     land = make.land[side]
     sign = 1 if side else -1
@@ -63,7 +66,7 @@ def side_of(triangles: Ints, value: Ints) -> Ints:
 
 
 def cut(
-    make: Maker, plan: pl.Planar, lens: Ints, region: Bools, curve: Curve, done: list[Curve]
+    make: CellLevels, plan: pl.Planar, lens: Ints, region: Bools, curve: Curve, done: list[Curve]
 ) -> tuple[pl.Planar, Ints, Bools]:
     """Cut triangles of a region along a curve; `done` lists earlier curves and takes this one.
 
@@ -92,20 +95,30 @@ def cut(
         if stage == "snap":
             lens = _snap(make, plan, lens, inside, outside, t, [*done, curve])
             continue
-        xy = plan.xy[inside] + t[:, None] * (plan.xy[outside] - plan.xy[inside])
-        new = _forced(make, xy, curve)
-        for earlier in done:  # an edge that lies on an earlier curve stays on it
-            on = (earlier.value(lens)[inside] == 0) & (earlier.value(lens)[outside] == 0)
-            new[on] = earlier.meet(new[on], curve.face)
         middle = np.full(len(edges), -1)
         middle[crossed] = len(plan.xy) + np.arange(len(t))
-        every = np.concatenate([plan.xy, xy])
-        triangles, zone = pl.split(plan.triangles, plan.zone, every, number, middle)
-        fixed = np.concatenate([plan.fixed, np.ones(len(t), dtype=bool)])
-        plan = replace(plan, xy=every, triangles=triangles, zone=zone, fixed=fixed)
-        lens = np.concatenate([lens, new])
+        plan, lens = _split(make, plan, lens, (inside, outside, t), (number, middle), [*done, curve])
     done.append(curve)
     return plan, lens, side_of(plan.triangles, curve.value(lens)) > 0
+
+
+def _split(make: CellLevels, plan: pl.Planar, lens: Ints, roots: tuple[Ints, Ints, Floats], edges: tuple[Ints, Ints],
+           curves: list[Curve]) -> tuple[pl.Planar, Ints]:  # fmt: skip
+    """Put a point on every crossed edge, at (inside, outside, share), and split its triangles there.
+
+    `edges`: the triangles' edge numbers, and the new point on each edge or −1; the last curve is the one cut along.
+    """
+    inside, outside, t = roots
+    curve = curves[-1]
+    xy = plan.xy[inside] + t[:, None] * (plan.xy[outside] - plan.xy[inside])
+    new = _forced(make, xy, curve)
+    for earlier in curves[:-1]:  # an edge that lies on an earlier curve stays on it
+        on = (earlier.value(lens)[inside] == 0) & (earlier.value(lens)[outside] == 0)
+        new[on] = earlier.meet(new[on], curve.face)
+    every = np.concatenate([plan.xy, xy])
+    triangles, zone = pl.split(plan.triangles, plan.zone, every, *edges)
+    fixed = np.concatenate([plan.fixed, np.ones(len(t), dtype=bool)])
+    return replace(plan, xy=every, triangles=triangles, zone=zone, fixed=fixed), np.concatenate([lens, new])
 
 
 def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
@@ -120,7 +133,7 @@ def _refuse_cut_sides(plan: pl.Planar, crossed: Ints) -> None:
         )
 
 
-def _roots(make: Maker, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
+def _roots(make: CellLevels, xy: Floats, lens: Ints, inside: Ints, outside: Ints, curve: Curve) -> Floats:
     """Parameter of the last point from the inside at which the function is not negative.
 
     Where a point's levels were moved onto an earlier curve and its own heights no longer have its sign,
@@ -146,7 +159,7 @@ def _roots(make: Maker, xy: Floats, lens: Ints, inside: Ints, outside: Ints, cur
     return np.asarray(np.clip(t, np.minimum(least, 0.25), 1.0 - np.minimum(least, 0.25)))
 
 
-def _exact(make: Maker, heights: Floats, curve: Curve) -> Floats:
+def _exact(make: CellLevels, heights: Floats, curve: Curve) -> Floats:
     """The cut function on unrounded heights (length): −inf where a surface is missing."""
     scaled = heights / make.step
     # value() is linear in the levels up to its constant: evaluate it on floats of level size
@@ -155,7 +168,7 @@ def _exact(make: Maker, heights: Floats, curve: Curve) -> Floats:
     return np.where(np.isnan(out), -np.inf, out)
 
 
-def _forced(make: Maker, xy: Floats, curve: Curve) -> Ints:
+def _forced(make: CellLevels, xy: Floats, curve: Curve) -> Ints:
     """Levels at points on a curve, where the meeting surfaces agree exactly."""
     heights = make.heights(xy)
     heights = np.where(np.isnan(heights), np.flip(heights, axis=1), heights)
@@ -166,7 +179,7 @@ def _forced(make: Maker, xy: Floats, curve: Curve) -> Ints:
 
 
 def _snap(
-    make: Maker, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
+    make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curves: list[Curve]
 ) -> Ints:
     """Let points that lie on the last curve but for a hair lie on it, so that no hair's breadth is cut off."""
     length = np.hypot(*(plan.xy[outside] - plan.xy[inside]).T)
@@ -200,7 +213,7 @@ def _lonely(plan: pl.Planar, lens: Ints, inside: Ints, t: Floats, curve: Curve) 
 
 
 def _warp(
-    make: Maker, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curve: Curve
+    make: CellLevels, plan: pl.Planar, lens: Ints, inside: Ints, outside: Ints, t: Floats, curve: Curve
 ) -> tuple[pl.Planar, Ints]:
     """Move free points that lie close to the curve onto it, so that no sliver is cut there."""
     point = np.concatenate([inside, outside])

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.border_samples import settle_inside
-from clacad.mesh.integer_heights import NONE, VOID
-from clacad.mesh.prototile_input import Maker, shortest
+from clacad.mesh.integer_heights import NONE, VOID, CellLevels, shortest
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 
@@ -26,7 +25,7 @@ WIDEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Corner:
+class LowCorner:
     """A low cell's corner at a saddle of one face.
 
     points : (n,)
@@ -43,7 +42,7 @@ class Corner:
     ends: tuple[int, int, int]
 
 
-def check_width(make: Maker, width: float) -> None:
+def check_width(make: CellLevels, width: float) -> None:
     """Refuse a bevel that no mesh of this sheet can hold.
 
     Raises
@@ -75,7 +74,7 @@ def in_corners(window: Window, points: Floats, width: float) -> NDArray[np.bool_
 
 
 def bevelled(
-    make: Maker, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], side_t: list[Floats]
+    make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], side_t: list[Floats]
 ) -> tuple[pl.Planar, Ints, NDArray[np.uint8], Ints]:
     """Cut the bevels' triangles out of a cell's footprint and raise them.
 
@@ -112,10 +111,10 @@ def _outer(lens: Ints, land: tuple[int, int], side: int, points: Ints) -> Ints:
 
 
 def _corners(
-    make: Maker, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], side_t: list[Floats], side: int
-) -> list[Corner]:
+    make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], side_t: list[Floats], side: int
+) -> list[LowCorner]:
     """Corners of the tile that are low at a saddle of one face."""
-    if make.held[side] or not make.names()[side]:
+    if make.held[side] or not make.meshed()[side]:
         return []
     out = 1 if side else -1
     found = []
@@ -139,8 +138,8 @@ def _solid(plan: pl.Planar, part: NDArray[np.uint8], point: int) -> bool:
     return bool((part[(plan.triangles == point).any(axis=1)] != VOID).all())
 
 
-def _corner(make: Maker, plan: pl.Planar, lens: Ints, side_t: list[Floats], side: int, corner: int, top: int
-            ) -> Corner:  # fmt: skip
+def _corner(make: CellLevels, plan: pl.Planar, lens: Ints, side_t: list[Floats], side: int, corner: int, top: int
+            ) -> LowCorner:  # fmt: skip
     """Legs along the two sides that meet in a corner, raised to the neighbours' levels."""
     m = len(plan.sides)
     legs = []
@@ -157,7 +156,7 @@ def _corner(make: Maker, plan: pl.Planar, lens: Ints, side_t: list[Floats], side
         legs.append((own[1 : last + 1], raised[1 : last + 1]))
     (first, first_z), (second, second_z) = legs
     at = int(plan.sides[corner][0])
-    return Corner(
+    return LowCorner(
         side,
         np.concatenate([first[::-1], [at], second]),
         np.concatenate([first_z[::-1], [top], second_z]),
@@ -165,7 +164,7 @@ def _corner(make: Maker, plan: pl.Planar, lens: Ints, side_t: list[Floats], side
     )
 
 
-def _beyond(plan: pl.Planar, corner: Corner) -> Floats:
+def _beyond(plan: pl.Planar, corner: LowCorner) -> Floats:
     """Distance of every footprint point from the bevel's edge, positive on the corner's side."""
     a, c, b = (plan.xy[point] for point in corner.ends)
     along = (b - a) / np.hypot(*(b - a))
@@ -177,7 +176,7 @@ def _beyond(plan: pl.Planar, corner: Corner) -> Floats:
     return np.asarray(f)
 
 
-def _cut(make: Maker, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corner: Corner
+def _cut(make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corner: LowCorner
          ) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:  # fmt: skip
     """Split the triangles that the bevel's edge crosses."""
     f = _beyond(plan, corner)
@@ -198,7 +197,7 @@ def _cut(make: Maker, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corn
     return plan, np.concatenate([lens, new]), np.ascontiguousarray(tags[:, 1:])
 
 
-def _lift(plan: pl.Planar, lens: Ints, land: tuple[int, int], part: NDArray[np.uint8], corner: Corner, lifted: Ints
+def _lift(plan: pl.Planar, lens: Ints, land: tuple[int, int], part: NDArray[np.uint8], corner: LowCorner, lifted: Ints
           ) -> None:  # fmt: skip
     """Write the raised levels of a bevel's triangles."""
     side = corner.side

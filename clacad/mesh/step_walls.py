@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 
+from clacad.topology.walls import BorderCurve, runs_round, solid_strips
+
 Column = tuple[int, int] | None  # front and back level; None: no material
 Vertex = tuple[int, int]  # point of the footprint, level
 
@@ -46,14 +48,7 @@ class Ring:
 
     def _run(self, a: int, b: int, at: int) -> int:
         """Number of the run of neighbouring wedges that cover [a, b] and contain wedge `at`; first run is 0."""
-        cover = [column is not None and column[0] <= a and column[1] >= b for column in self.columns]
-        starts = [n for n in range(len(cover)) if cover[n] and not cover[n - 1]]
-        if len(starts) < 2:
-            return 0
-        own = at
-        while cover[own - 1]:
-            own = (own - 1) % len(cover)
-        return starts.index(own)
+        return runs_round([c is not None and c[0] <= a and c[1] >= b for c in self.columns])[at]
 
 
 def strip(
@@ -75,33 +70,35 @@ def strip(
     -------
     list of triangles of vertices (point, level), outward.
     """
-    lines = []  # (level at p, level at q, which column, whether it starts it)
-    for which, (at_p, at_q) in enumerate((left, right)):
-        # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
-        if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
-            lines += [(at_p[0], at_q[0], which, True), (at_p[1], at_q[1], which, False)]
-    lines.sort(key=lambda line: (line[0] + line[1], not line[3]))
-    inside = [False, False]
+    lines = _lines(left, right)
     triangles: list[tuple[Vertex, Vertex, Vertex]] = []
-    for below, above in zip(lines[:-1], lines[1:]):
-        inside[below[2]] = below[3]
-        if inside[0] == inside[1] or below[:2] == above[:2]:
+    for below, above, solid in zip(lines[:-1], lines[1:], solid_strips([line[2]] for line in lines)):
+        if solid[0] == solid[1] or below[:2] == above[:2]:
             continue
         if below[0] > above[0] or below[1] > above[1]:
             raise ValueError(
                 f"two heights cross inside the edge {p}–{q} of the footprint: a crossing was missed"
             )
-        owner = 0 if inside[0] else 1
-        chain_p = [(p, z) for z in rings[0].chain(below[0], above[0], tags[owner])] if below[0] < above[0] else [
-            (p, below[0])
-        ]  # fmt: skip
-        chain_q = [(q, z) for z in rings[1].chain(below[1], above[1], tags[owner])] if below[1] < above[1] else [
-            (q, below[1])
-        ]  # fmt: skip
-        # seen from the right hand of p → q, p lies on the left: outward of the left column
-        faces = zipper(chain_p, chain_q)
-        triangles += faces if owner == 0 else [(a, c, b) for a, b, c in faces]
+        tag = tags[0] if solid[0] else tags[1]
+        first, second = (
+            [(point, z) for z in (ring.chain(low, high, tag) if low < high else [low])]
+            for point, ring, low, high in zip((p, q), rings, below[:2], above[:2])
+        )
+        faces = zipper(
+            first, second
+        )  # seen from the right hand of p → q, p on the left: outward of the left column
+        triangles += faces if solid[0] else [(a, c, b) for a, b, c in faces]
     return triangles
+
+
+def _lines(left: tuple[Column, Column], right: tuple[Column, Column]) -> list[tuple[int, int, BorderCurve]]:
+    """Fronts and backs of both columns upwards: level at p, level at q, whose front or back."""
+    lines = []
+    for which, (at_p, at_q) in enumerate((left, right)):
+        # a column without thickness (two faces meeting along the edge) leaves the other's wall whole
+        if at_p is not None and at_q is not None and (at_p[0] != at_p[1] or at_q[0] != at_q[1]):
+            lines += [(at_p[face], at_q[face], BorderCurve(which, face == 0)) for face in (0, 1)]
+    return sorted(lines, key=lambda line: (line[0] + line[1], not line[2].opens))
 
 
 def zipper(first: list[Vertex], second: list[Vertex]) -> list[tuple[Vertex, Vertex, Vertex]]:

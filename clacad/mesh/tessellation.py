@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import ceil
 
-from clacad.mesh.body_mesh import BodyMesh, Tiled, no_plain
+from clacad.mesh.body_mesh import BodyMesh, Mesh, Tiled, no_plain
 from clacad.mesh.cell_template import TemplateMaker
 from clacad.mesh.facet_error import facet_errors
-from clacad.mesh.integer_heights import NONE, merge_steps, z_step
+from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
 from clacad.mesh.prototile import Prototile, make_prototile
-from clacad.mesh.window_mesh import Mesh
 from clacad.sheet.window import Body, Window
-from clacad.topology import CellComplex, cell_complex
+from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
-from clacad.topology.pieces_and_holes import saddle_count
+from clacad.topology.complex_parts import CellComplex
 
 COARSEST = 1e-2  # largest step of heights, in body thicknesses
 MOST_QUADS = 2048  # a prototile of 17 M triangles
@@ -49,8 +48,8 @@ def tessellate(
     Raises
     ------
     ValueError
-        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
-        surface ends inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
+        Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's surface ends
+        inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
@@ -59,9 +58,8 @@ def tessellate(
         quads = forecast_quads(window, slope_error)
     if quads < 1:
         raise ValueError(f"quads = {quads}: at least 1 is needed")
-    return Mesh(
-        window, tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies), quads
-    )
+    bodies = tuple(mesh_body(window, body, quads, merge, saddle_bevel) for body in window.bodies)
+    return Mesh(window, bodies, quads)
 
 
 def mesh_body(
@@ -110,9 +108,10 @@ class _Parts:
 
     def tile(self, tiling: int, quads: int) -> Prototile:
         """The prototile of one tiling."""
-        return make_prototile(
-            self.window, self.body, self.cells, self.cells.tilings[tiling], quads, self.step, self.gap, self.bevel
-        )  # fmt: skip
+        make = CellLevels(
+            self.window, self.body, self.cells, self.cells.tilings[tiling], self.step, self.gap, self.bevel
+        )
+        return make_prototile(make, quads)
 
 
 def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
@@ -126,7 +125,7 @@ def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) 
             f"body {body.name!r} is {thick:.3g} thick: no mesh holds it; STEP does, or a shorter pair.separation",
         )
     gap = merge_steps(merge, step)
-    cells = cell_complex(window, body, merge=gap * step, spacing=0.0, rims=False)
+    cells = cell_complex(window, body, merge=gap * step, spacing=0.0)
     return _Parts(window, body, cells, step, gap, bevel)
 
 

@@ -13,7 +13,7 @@ from clacad.base.roots import bisect, sign_changes
 from clacad.base.types import Floats
 from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.window import Body, Face, Window, lens_height, optical_tile
-from clacad.topology import one_tiling
+from clacad.topology.build_complex import one_tiling
 
 if TYPE_CHECKING:
     from clacad.mesh.body_mesh import BodyMesh

@@ -68,6 +68,7 @@ def first_zeros(polygon: ArrayLike) -> Floats:
 
 
 def _first_zero(polygon: ArrayLike, axis: int) -> float:
+    """Frequency (1/length) of the first zero of the pattern along one axis."""
     extent = float(np.ptp(np.asarray(polygon)[:, axis]))
 
     def amplitude(frequency: ArrayLike) -> Floats:

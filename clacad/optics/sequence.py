@@ -91,7 +91,7 @@ class Interface:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Crossing:
+class SurfaceCrossing:
     """What one surface did to m rays, in sheet axes and relative to its vertex.
 
     Attributes
@@ -114,8 +114,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -
 
     Parameters
     ----------
-    seq : sequence of Interface
-        In the order of the light.
+    seq : sequence of Interface, in the order of the light
     rays : Rays
         In the sheet frame. Indices come with the interfaces, so `rays.wavelength` is only checked.
     record : bool
@@ -125,17 +124,15 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -
     -------
     TraceResult
         ALIVE, BACKWARD (d_z <= 0 after the last surface), TIR, VIGNETTED, MISSED or INVALID. A hit at negative
-        distance is a miss: before the first surface the start lies behind it, later the ray passes outside the
-        rim where two faces cross. If such a ray is also beyond the critical angle there it is reported as TIR;
-        it has ended either way.
+        distance is a miss (the start lies behind the first surface, or the ray passes outside the rim where two
+        faces cross), and TIR if it is also beyond the critical angle.
 
     Raises
     ------
     ValueError
         The sequence is empty.
     """
-    seq = list(seq)
-    if not seq:
+    if not (seq := list(seq)):
         raise ValueError("the sequence holds no surface")
     ledger = _Ledger.opened(rays, len(seq) if record else 0)
     live = np.flatnonzero(rays.valid())
@@ -211,7 +208,7 @@ def pass_on(offset: Floats, left: tuple[float, float, float], entered: tuple[flo
     return np.asarray((offset + low) + high)
 
 
-def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Floats) -> Crossing:
+def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Floats) -> SurfaceCrossing:
     """Meet and refract at one interface.
 
     Parameters
@@ -237,7 +234,7 @@ def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Fl
     fate[np.isnan(met.distance)] = Fate.MISSED
     ended = fate != Fate.ALIVE
     after = np.where(ended[:, None], direction, to_sheet(turn, out))
-    return Crossing(to_sheet(turn, point), after, distance, fate)
+    return SurfaceCrossing(to_sheet(turn, point), after, distance, fate)
 
 
 def largest(rows: Floats) -> Floats:
@@ -295,7 +292,7 @@ class _Ledger:
             directions=np.zeros((recorded, n, 3)),
         )
 
-    def enter(self, k: int, interface: Interface, rows: NDArray[np.intp], crossing: Crossing) -> None:
+    def enter(self, k: int, interface: Interface, rows: NDArray[np.intp], crossing: SurfaceCrossing) -> None:
         """Write what surface k did to the rays `rows`."""
         self.fate[rows] = crossing.fate
         met = crossing.fate != Fate.MISSED

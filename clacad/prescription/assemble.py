@@ -81,7 +81,7 @@ def _intent(design: Design) -> Intent:
 
 
 def _find(name: str) -> Material:
-    from clacad.optics.material.material import find
+    from clacad.optics.material.catalogue import find
 
     return find(name)
 

@@ -13,6 +13,7 @@ from clacad.design import load
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.picture import Picture, Progress, view_through
 from clacad.scene import Scene
+from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +63,27 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
     ------
     DesignError, SceneError, OSError
     """
+    design = load(request.design, overrides)
+    folder = os.path.commonpath([request.design.resolve().parent, request.photo.resolve().parent])
+    data: dict[str, Any] = {
+        "format": 1,
+        "name": f"{design.name} - {request.photo.stem}"[:80].replace("'", "").replace('"', ""),
+        "unit": design.unit,
+        "sheet": {
+            "design": os.path.relpath(request.design.resolve(), folder),
+            "set": dict(_read(text) for text in overrides),
+        },
+        "light": {"ambient": 1.0, "key": 0.0},
+        "background": {"sky": [[0.02, 0.02, 0.02]] * 2, "ground": [0.02, 0.02, 0.02]},
+        **_camera_and_screen(request, prescribe(design), os.path.relpath(request.photo.resolve(), folder)),
+    }
+    return Scene.from_dict(data, folder=folder)
+
+
+def _camera_and_screen(request: EyeRequest, window: Window, photo: str) -> dict[str, Any]:
+    """A scene's camera where the eye is, and its only object: the photograph on a screen; lengths in design units."""
     from PIL import Image
 
-    design = load(request.design, overrides)
-    window = prescribe(design)
     x0, x1, y0, y1 = window.lattice.extent()
     side = max(x1 - x0, y1 - y0)
     eye = 4.0 * side if request.eye is None else request.eye
@@ -76,31 +94,19 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
     height = (
         frame * (eye + distance) / eye / min(1.0, ratio) * 1.02 if request.height is None else request.height
     )
-    folder = os.path.commonpath([request.design.resolve().parent, request.photo.resolve().parent])
     right, up = request.aside
-    behind = window.z_range[1] + distance
-    data: dict[str, Any] = {
-        "format": 1,
-        "name": f"{design.name} - {request.photo.stem}"[:80].replace("'", "").replace('"', ""),
-        "unit": design.unit,
-        "sheet": {
-            "design": os.path.relpath(request.design.resolve(), folder),
-            "set": dict(_read(text) for text in overrides),
-        },
+    return {
         "camera": {
             "position": [-right, up, -eye], "frame": frame, "pixels": [request.pixels, request.pixels],
             "samples": request.samples,
         },
-        "light": {"ambient": 1.0, "key": 0.0},
-        "background": {"sky": [[0.02, 0.02, 0.02]] * 2, "ground": [0.02, 0.02, 0.02]},
         "object": [
             {
-                "id": "photo", "kind": "screen", "at": [0.0, 0.0, behind], "size": [height * ratio, height],
-                "pattern": "image", "file": os.path.relpath(request.photo.resolve(), folder),
+                "id": "photo", "kind": "screen", "at": [0.0, 0.0, window.z_range[1] + distance],
+                "size": [height * ratio, height], "pattern": "image", "file": photo,
             }
         ],
     }  # fmt: skip
-    return Scene.from_dict(data, folder=folder)
 
 
 def _read(text: str) -> tuple[str, Any]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, aim, offsets, rays
+from clacad.rendering.pixel_input import SampleRange, Sums, sample
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import Viewing, radiance, set_up
 from clacad.scene import Scene, SceneError, load_scene
@@ -165,7 +166,8 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
         if single:
             pixels = np.arange(rows.start * view.width, rows.stop * view.width)
             total = light[rows].reshape(-1, 3)  # whole rows: no copy
-            _sample(viewing, view, pixels, np.arange(len(pixels)), 0, 1, 1, total, np.zeros((0, 3)))
+            sums = Sums(total, np.zeros((0, 3)))
+            _sample(viewing, view, pixels, np.arange(len(pixels)), SampleRange(0, 1, 1), sums)
             return
         light[rows, columns], samples[rows, columns], error[rows, columns] = tile(
             viewing, still, view, rows, columns
@@ -222,7 +224,7 @@ def tile(
     most = max(camera.samples, camera.most_samples) if camera.noise > 0.0 else camera.samples
     first, more = 0, camera.samples
     while len(active):
-        _sample(viewing, view, pixels, active, first, more, most, total, square)
+        _sample(viewing, view, pixels, active, SampleRange(first, more, most), Sums(total, square))
         count[active] += more
         first += more
         noisy = (
@@ -237,15 +239,11 @@ def tile(
     return mean.reshape(*y.shape, 3), count.reshape(y.shape), error.reshape(y.shape)
 
 
-def _sample(
-    viewing: Viewing, view: View, pixels: Ints, active: Ints, first: int, more: int, most: int, total: Floats,
-    square: Floats,
-) -> None:  # fmt: skip
-    """Add `more` samples to the sums of the active pixels; `square` has no rows where nothing asks for it."""
+def _sample(viewing: Viewing, view: View, pixels: Ints, active: Ints, which: SampleRange, sums: Sums) -> None:
+    """Add samples, counted from 0, to the sums of the active pixels."""
+    (first, more, most), (total, square) = which, sums
     if viewing.pane is not None and view.aperture == 0.0:
-        from clacad.rendering.pixel_input import sample
-
-        sample(viewing, view, pixels[active], active, 1 + first, more, most, total, square)
+        sample(viewing, view, pixels[active], active, SampleRange(1 + first, more, most), sums)
         return
     batch = max(1, min(more, BLOCK))
     at_once = max(1, BLOCK // batch)

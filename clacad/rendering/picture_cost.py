@@ -15,7 +15,7 @@ FIXED = 0.4
 PER_RAY = {"numpy": 8e-6, "compiled": 1.2e-6}
 
 
-def seconds(scene: Scene, frames: int = 1) -> float:
+def picture_seconds(scene: Scene, frames: int = 1) -> float:
     """Processor seconds of a still, or of so many frames."""
     return frames * (FIXED + PER_RAY[_path(scene)] * _rays(scene))
 

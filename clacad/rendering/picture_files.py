@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Bytes, Floats
 from clacad.rendering.picture import Picture
@@ -16,8 +15,6 @@ from clacad.storage.atomic import write_file
 
 STILLS = (".png", ".webp", ".tiff", ".tif")
 MOVIES = (".webp", ".png", ".apng", ".gif", ".mp4")
-LARGEST_PICTURE = 1 << 28
-"""Pixels of a picture that is read at most."""
 
 MIRRORED = "mirror image: the part made from this design shows the view flipped left-right"
 NOT_SIMULATED = (
@@ -39,32 +36,7 @@ def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Byte
     return np.rint(255.0 * value).astype(np.uint8)
 
 
-def decode(pixels: NDArray[Any]) -> Floats:
-    """Linear light of sRGB-encoded bytes."""
-    table = np.arange(256) / 255.0
-    table = np.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4)
-    return np.asarray(table[pixels])
-
-
-def read_picture(path: str | os.PathLike[str]) -> Floats:
-    """Linear light (h, w, 3) of a picture file; transparent pixels are laid over black.
-
-    Raises
-    ------
-    OSError
-        No such file, no picture, or one of more than 2²⁸ pixels.
-    """
-    from PIL import Image, ImageOps
-
-    with Image.open(path) as picture:
-        if picture.width * picture.height > LARGEST_PICTURE:
-            raise OSError(f"{path}: {picture.width} x {picture.height} pixels are too many")
-        upright = ImageOps.exif_transpose(picture) or picture
-        rgba = np.asarray(upright.convert("RGBA"))
-    return decode(rgba[..., :3]) * (rgba[..., 3:] / 255.0)
-
-
-def facts(picture: Picture) -> dict[str, str]:
+def metadata_of(picture: Picture) -> dict[str, str]:
     """What a picture's metadata say, by key."""
     scene, passage = picture.scene, picture.passage
     found = {
@@ -108,7 +80,9 @@ def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: 
     target = Path(path)
     if target.suffix.lower() not in STILLS:
         raise UnknownPicture(f"{target.name}: a picture is one of {' '.join(STILLS)}")
-    write_file(target, lambda private: save(pixels_of(picture), private, facts(picture)), overwrite=overwrite)
+    write_file(
+        target, lambda private: save(pixels_of(picture), private, metadata_of(picture)), overwrite=overwrite
+    )
 
 
 def save(pixels: Bytes, path: Path, notes: dict[str, str]) -> None:
@@ -213,7 +187,7 @@ def write_movie(
     def pixels() -> Iterator[Bytes]:
         for picture in frames:
             told.append({"rung": picture.passage.rung, "rays": int(picture.samples.sum())})
-            notes.update(facts(picture))
+            notes.update(metadata_of(picture))
             yield pixels_of(picture)
 
     def write(private: Path) -> None:

@@ -7,12 +7,14 @@ from typing import cast
 import numpy as np
 
 from clacad.base.types import Rung
+from clacad.design import Design
 from clacad.effects.engine.bounds import Situation
 from clacad.effects.engine.cheapest_rung import rms_angle
-from clacad.effects.engine.probe_rays import of_scene
+from clacad.effects.engine.probe_rays import situation_of_scene
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
+from clacad.sheet.window import Window
 from clacad.verification.accuracy.choose_setting import facets_for
 from clacad.verification.accuracy.rows import MOST_DISAGREEMENT, TargetOutOfReach
 
@@ -45,15 +47,8 @@ def within_target(scene: Scene, target: float) -> Scene:
     design = still.design()
     window = prescribe(design)
     if rung == "mesh" and still.sheet.mesh is None:
-        facets = facets_for(design, window, target, ("3mf",))
-        assert facets is not None
-        if facets.quads > MOST_QUADS:
-            raise TargetOutOfReach(
-                f"{1e3 * target:.4g} mrad takes {facets.quads} quads a cell side, more than {MOST_QUADS}; "
-                "use rung surfaces"
-            )
-        return chosen.replace({"sheet.quads": facets.quads})
-    situation = of_scene(still, window)
+        return chosen.replace({"sheet.quads": _quads_within(design, window, target)})
+    situation = situation_of_scene(still, window)
     mesh = still.file(still.sheet.mesh) if still.sheet.mesh else None
     error, disagree = _compared(situation, cast("Rung", rung), mesh)
     if error > target or disagree > MOST_DISAGREEMENT:
@@ -63,6 +58,18 @@ def within_target(scene: Scene, target: float) -> Scene:
             "rung surfaces, or auto"
         )
     return chosen
+
+
+def _quads_within(design: Design, window: Window, target: float) -> int:
+    """Coarsest quads a cell side whose facets keep directions within the target (radians)."""
+    facets = facets_for(design, window, target, ("3mf",))
+    assert facets is not None
+    if facets.quads > MOST_QUADS:
+        raise TargetOutOfReach(
+            f"{1e3 * target:.4g} mrad takes {facets.quads} quads a cell side, more than {MOST_QUADS}; "
+            "use rung surfaces"
+        )
+    return facets.quads
 
 
 def _compared(situation: Situation, rung: Rung, mesh: str | None) -> tuple[float, float]:

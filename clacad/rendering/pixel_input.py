@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.rendering.camera import View, digits
 from clacad.rendering.sheet_passage import Passage
-from clacad.rendering.spectrum import Line
+from clacad.rendering.spectrum import SpectralLine
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -22,15 +22,12 @@ ROOM = 1e-9
 
 
 def pane_of(
-    window: Window, passage: Passage, lines: tuple[Line, ...], scale: float, front: float, opaque: bool, present: bool,
+    window: Window, passage: Passage, lines: tuple[SpectralLine, ...], scale: float, front: float, opaque: bool, present: bool,
     before: bool,
 ) -> Pane | None:  # fmt: skip
     """The sheet for `compiled.pixels.sample_all`; None where a picture needs more than that kernel does.
 
-    Parameters
-    ----------
-    window, passage, lines, scale, front, opaque, present, before
-        As in `view.Viewing`.
+    Parameters as the attributes of `view.Viewing`.
     """
     lattice = window.lattice
     plane = passage.homogeneous and not lattice.hexagonal and lattice.outline is None
@@ -77,20 +74,27 @@ def _first_box(window: Window) -> Floats:
     return np.concatenate([low - room, high + room])
 
 
-def sample(
-    viewing: Viewing, view: View, pixels: Ints, slots: Ints, first: int, more: int, most: int, total: Floats,
-    square: Floats,
-) -> None:  # fmt: skip
-    """Add samples first, first + 1, … of some pixels to the sums in the rows `slots`, by the one kernel.
+class SampleRange(NamedTuple):
+    """Samples first, first + 1, … first + more − 1 of the sequence, of which a pixel may get `most` in all."""
 
-    Parameters
-    ----------
-    pixels, slots : (n,) ints
-    first, more, most : int
-        Which samples of the sequence, of how many a pixel may get in all.
-    total, square : (m, 3)
-        Changed in place; `square` with no rows where nothing asks for it.
+    first: int
+    more: int
+    most: int
+
+
+class Sums(NamedTuple):
+    """Sums of the samples of m pixels, and of their squares: (m, 3) each, changed in place.
+
+    `square` has no rows where nothing asks for it.
     """
+
+    total: Floats
+    square: Floats
+
+
+def sample(viewing: Viewing, view: View, pixels: Ints, slots: Ints, which: SampleRange, sums: Sums) -> None:
+    """Add samples of some pixels (n,) to the sums in the rows `slots` (n,), by the one kernel."""
+    (first, more, most), (total, square) = which, sums
     from clacad.rendering.compiled.pixels import Eye, sample_all
 
     frame = np.stack([view.position, view.ahead, view.right, view.down])

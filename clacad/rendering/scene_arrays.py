@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.rendering.reference.triangle_tree import Tree, behind_one_another, grow
+from clacad.rendering.photographs import read_picture
 from clacad.scene import Background, Light, Scene, SceneObject, chess_knight
 from clacad.scene.object_rotation import turned
+from clacad.tracing.triangles.median_tree import Tree, behind_one_another, grow
 
 FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
 """Kinds of primitive."""
@@ -251,8 +252,6 @@ def _screen(scene: Scene, thing: SceneObject, frame: Floats, at: Floats) -> Prim
     size = (0.5 * w, 0.5 * h, 0.0, 0.0)
     both = (thing.colour, thing.colour)
     if thing.pattern == "image":
-        from clacad.rendering.picture_files import read_picture
-
         assert thing.file is not None  # the scene's rules ask for it
         return Primitive(SCREEN, frame, at, size, both, IMAGE, image=read_picture(scene.file(thing.file)))
     if thing.pattern == "stripes":

@@ -164,7 +164,21 @@ def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[
 
 
 def fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
-    """Least squares, repeated without strays: rays farther off than 4 times the median distance."""
+    """Least squares, repeated without strays: rays farther off than 4 times the median distance.
+
+    Parameters
+    ----------
+    x0, seen : (n, 2) lengths
+        Where rays cross the sheet and the screen.
+
+    Returns
+    -------
+    offset : (2,) lengths, matrix : (2, 2)
+        seen ≈ offset + matrix · x0.
+    rms : (2,) lengths
+    count : int
+        Rays that were kept.
+    """
     design = np.column_stack([np.ones(len(x0)), x0])
     kept = np.ones(len(x0), dtype=bool)
     for _ in range(10):

@@ -32,7 +32,7 @@ _XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class SpectralLine:
     """One wavelength.
 
     Attributes
@@ -53,7 +53,7 @@ class Line:
     whole: bool = False
 
 
-def lines(light: Light, window: Window, dispersion: bool) -> tuple[Line, ...]:
+def lines(light: Light, window: Window, dispersion: bool) -> tuple[SpectralLine, ...]:
     """Lines of a scene's light.
 
     Parameters
@@ -66,22 +66,22 @@ def lines(light: Light, window: Window, dispersion: bool) -> tuple[Line, ...]:
     """
     tells = any(body.material is not None for body in window.bodies)
     if isinstance(light.spectrum, float):
-        return (Line(light.spectrum if tells else None, np.ones(3), np.ones(3), whole=True),)
+        return (SpectralLine(light.spectrum if tells else None, np.ones(3), np.ones(3), whole=True),)
     if not (dispersion and tells):
-        return (Line(None, np.ones(3), np.ones(3), whole=True),)
+        return (SpectralLine(None, np.ones(3), np.ones(3), whole=True),)
     if light.spectrum == "rgb":
-        return tuple(Line(wave, unit, unit) for wave, unit in zip(RGB_LINES, np.eye(3), strict=True))
+        return tuple(SpectralLine(wave, unit, unit) for wave, unit in zip(RGB_LINES, np.eye(3), strict=True))
     return _daylight()
 
 
-def _daylight() -> tuple[Line, ...]:
+def _daylight() -> tuple[SpectralLine, ...]:
     waves = np.array(DAYLIGHT_NM)
     weights = (_matching(waves) * np.interp(waves, _D65_NM, _D65)[:, None]) @ _XYZ_TO_RGB.T
     weights /= weights.sum(axis=0)  # equal radiance at every line is white
     blue, red = np.clip((510.0 - waves) / 40.0, 0.0, 1.0), np.clip((waves - 570.0) / 30.0, 0.0, 1.0)
     bands = np.column_stack([red, 1.0 - red - blue, blue])
     basis = bands @ np.linalg.inv(weights.T @ bands)  # colours come back exactly; rows still sum to 1
-    return tuple(Line(1e-9 * wave, b, w) for wave, b, w in zip(waves, basis, weights, strict=True))
+    return tuple(SpectralLine(1e-9 * wave, b, w) for wave, b, w in zip(waves, basis, weights, strict=True))
 
 
 def _matching(nm: Floats) -> Floats:

@@ -17,7 +17,7 @@ from clacad.optics.rays import Fate, Rays
 from clacad.rendering.reference.scene_hits import background, look
 from clacad.rendering.scene_arrays import FLOOR, Stage, set_stage
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
-from clacad.rendering.spectrum import Line, lines
+from clacad.rendering.spectrum import SpectralLine, lines
 from clacad.scene import Camera, Scene
 from clacad.sheet.window import Window
 
@@ -32,7 +32,7 @@ class Viewing:
     window : Window
     passage : Passage
         How rays pass the sheet: rung, effects, which fates shine.
-    lines : tuple of Line
+    lines : tuple of SpectralLine
         Wavelengths to trace and what each adds to the picture.
     scale : float
         Window lengths in one scene length.
@@ -57,7 +57,7 @@ class Viewing:
     stage: Stage
     window: Window
     passage: Passage
-    lines: tuple[Line, ...]
+    lines: tuple[SpectralLine, ...]
     scale: float
     box: Floats
     front: float

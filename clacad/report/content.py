@@ -8,8 +8,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import plainly, shown
+from clacad.base.text import plain
+from clacad.base.units import millimetres
 from clacad.report.fabrication import Line, fabrication, orientation
 from clacad.sheet.feasibility import describe
+from clacad.verification.limit_sources import Origin
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
@@ -28,8 +31,6 @@ _CSS = {
 }
 """Class of a file's verdict on the page."""
 
-PROFILE = "process profile "
-
 STATES = {"on": "simulated", "forced": "simulated, as asked", "off": "left out", "without": "left out, as asked",
           "unknown": "left out, not bounded"}  # fmt: skip
 
@@ -47,13 +48,8 @@ def row(check: Check) -> dict[str, Any]:
         "code": check.code, "subject": check.subject, "value": value,
         "limit": "" if check.limit is None else f"{SIGNS.get(check.relation, check.relation)} {limit}{note}",
         "unit": unit, "sentence": check.sentence, "where": check.where,
-        "bundle": check.bundle, "source": _source(check),
+        "bundle": check.bundle, "source": check.limit_source.heading,
     }  # fmt: skip
-
-
-def _source(check: Check) -> str:
-    """Source of a limit; what a process profile is founded on is said once, below the table."""
-    return check.source.split(":")[0] if check.source.startswith(PROFILE) else check.source
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +120,7 @@ class Content:
     @property
     def process(self) -> str:
         """What the limits of the process profile are founded on; "" where none was asked."""
-        found = {c.source for c in self.report.checks if c.source.startswith(PROFILE)}
+        found = {c.source for c in self.report.checks if c.limit_source.origin is Origin.PROFILE}
         return "; ".join(sorted(text[0].upper() + text[1:] for text in found))
 
     @cached_property
@@ -198,7 +194,7 @@ class Content:
         """Foci of both lenses in both meridians, mm."""
         if self.evidence.foci is None:
             return []
-        mm = 1e3 * self.report.window.unit
+        mm = millimetres(self.report.window.unit)
         return [
             (name, number(f.lens1.focus[0] * mm), number(f.lens2.focus[0] * mm), number(f.gap * mm),
              f"{abs(f.gap) / f.distance:.2g}", ", ".join(number(v * mm) for v in f.length))
@@ -264,7 +260,6 @@ class Content:
     def numbers(self) -> dict[str, Any]:
         """Everything the page says as numbers: what goes into report.json."""
         from clacad.report.fabrication import fabrication_dict
-        from clacad.verification.checks import plain
 
         found = self.report.to_dict() | {"fabrication": plain(fabrication_dict(self.report))}
         found["budget"] = [list(one) for one in self._budget_numbers()]

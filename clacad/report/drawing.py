@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.report.body_outlines import across_cell, heights, outlines
 from clacad.report.canvas import Canvas
 from clacad.sheet.feasibility import body_range
@@ -43,7 +44,7 @@ def scale_text(pixels_per_mm: float) -> str:
 def assembly(report: Report) -> str:
     """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its bodies."""
     window = report.window
-    mm = 1e3 * window.unit
+    mm = millimetres(window.unit)
     x0, x1, _, _ = whole_extent(window)
     low, high = window.z_range
     left, right = 40.0, 130.0
@@ -103,7 +104,7 @@ def _draw_body(canvas: Canvas, window: Window, body: Body, y: float, at: Callabl
 def plan(report: Report) -> str:
     """The sheet seen along the light, with its axes: which way round it goes."""
     window = report.window
-    mm = 1e3 * window.unit
+    mm = millimetres(window.unit)
     x0, x1, y0, y1 = whole_extent(window)
     scale = 190.0 / (max(x1 - x0, y1 - y0) * mm)
     wide, tall = (x1 - x0) * mm * scale, (y1 - y0) * mm * scale
@@ -137,7 +138,7 @@ def plan(report: Report) -> str:
 def telescopelet(report: Report) -> str:
     """One telescopelet cut along x, light from the left, with separation, thicknesses, pitch and focal plane."""
     window, facts = report.window, report.facts
-    mm = 1e3 * window.unit
+    mm = millimetres(window.unit)
     pitch = window.lattice.pitch[0] * mm
     low, high = window.z_range
     shift = abs(window.shifts[1][0]) * mm
@@ -235,7 +236,7 @@ def _focal_plane(canvas: Canvas, report: Report, at: Callable[..., Floats], midd
         canvas.line([tuple(top), tuple(bottom)], "focus")
         canvas.text(
             (float(top[0]), float(top[1]) - 6),
-            f"focal plane {mm_text(place * 1e3 * window.unit)} from lens 1",
+            f"focal plane {mm_text(place * millimetres(window.unit))} from lens 1",
         )
 
 
@@ -243,7 +244,7 @@ def lens_detail(report: Report, array: int) -> str:
     """One lens over its cell, enlarged, with pitch, sag, thickness and apex radii; light from below."""
     window, lens = report.window, report.facts.lenses[array]
     body = window.bodies[min(array, len(window.bodies) - 1)]
-    mm = 1e3 * window.unit
+    mm = millimetres(window.unit)
     x, y = across_cell(window, array)
     front, back = heights(window, body, x, y)
     pitch = window.lattice.pitch[0] * mm

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.digits import digits
+from clacad.base.units import millimetres
 from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
 from clacad.sheet.window import Window, optical_tile
@@ -53,7 +54,7 @@ class Line:
 def fabrication(report: Report) -> tuple[Line, ...]:
     """Lines of the fabrication table, lengths in millimetres."""
     window, facts = report.window, report.facts
-    mm = 1e3 * window.unit
+    mm = millimetres(window.unit)
     lines = [*_sheet(window, mm)]
     for lens in facts.lenses:
         lines += _lens(lens, mm)
@@ -216,7 +217,7 @@ def fabrication_dict(report: Report) -> dict[str, Any]:
 
 
 def _footprint(window: Window) -> float:
-    mm = 1e3 * window.unit
+    mm = millimetres(window.unit)
     if isinstance(window.outline, Circle):
         return pi * (0.5 * window.outline.diameter * mm) ** 2
     x0, x1, y0, y1 = whole_extent(window)

@@ -70,7 +70,7 @@ def _light(content: Content) -> dict[str, str]:
     report = content.report
     return {
         "transfer": figures.transfer(report), "transmission": figures.transmission(report),
-        "ghosts": plots.ghosts(report, content.evidence), "residual": figures.residual_map(report),
+        "ghosts": plots.ghosts(content.evidence), "residual": figures.residual_map(report),
         "spots": figures.spots(report), "foci": plots.foci(report, content.evidence),
     }  # fmt: skip
 

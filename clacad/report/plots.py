@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.units import millimetres
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, svg
 from clacad.verification.light.error_attribution import NAMES
 
@@ -27,7 +28,7 @@ def foci(report: Report, evidence: Evidence) -> str:
     found = evidence.foci
     if found is None:
         return ""
-    mm = 1e3 * report.window.unit
+    mm = millimetres(report.window.unit)
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(2, 2, width_ratios=(3, 2))
@@ -101,7 +102,7 @@ def _close_up(panel: Any, focus: MeridianFocus, mm: float) -> None:
     panel.locator_params(axis="y", nbins=4)
 
 
-def ghosts(report: Report, evidence: Evidence) -> str:
+def ghosts(evidence: Evidence) -> str:
     """Maps over both incident slopes: through the partner as traced and in closed form, and as ghosts."""
     found = evidence.ghosts
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.units import millimetres
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
 
@@ -59,7 +60,7 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
             scene, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
         )
     eye, behind, high = _distances(window)
-    mm = window.unit * 1e3
+    mm = millimetres(window.unit)
     said = (
         f"a chess knight {high * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
         f"{eye * mm:.4g} mm before it"

@@ -6,19 +6,18 @@ A scene knows its design's file and changes; nothing of optics is computed here.
 
 from __future__ import annotations
 
-from clacad.scene.model import (
+from clacad.scene.model import Scene, load_scene
+from clacad.scene.scene_error import SceneError
+from clacad.scene.sections import (
     Animation,
     Background,
     Camera,
     EffectsSpec,
     Light,
     Move,
-    Scene,
     SceneObject,
     SheetSpec,
 )
-from clacad.scene.read import load_scene
-from clacad.scene.scene_error import SceneError
 
 __all__ = [
     "Animation",

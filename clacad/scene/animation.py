@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from clacad.scene.model import Animation, Move, Scene
+from clacad.base.text import plain
+from clacad.scene.sections import Animation, Move
+
+if TYPE_CHECKING:
+    from clacad.scene.model import Scene
 
 
 def value_at(move: Move, time: float) -> Any:
@@ -19,14 +23,10 @@ def value_at(move: Move, time: float) -> Any:
     share = min(1.0, max(0.0, (time - times[k]) / span))
     here, there = values[k], values[k + 1]
     if share in (0.0, 1.0):  # the written value itself, not one an ulp beside it
-        return _plain(there if share == 1.0 else here)
+        return plain(there if share == 1.0 else here, float)
     if isinstance(here, tuple):
         return [a + (b - a) * share for a, b in zip(here, there, strict=True)]
     return here + (there - here) * share
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value
 
 
 def time_of(animation: Animation, frame: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from clacad.base.text import did_you_mean
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import Refusal, kind_of, shown
@@ -65,7 +66,7 @@ class Reader:
         here = tuple(known) if dot else (*known, *keys.SECTIONS, "object")
         close = keys.nearest(name, here)
         near = dot + close if close else keys.home_of(name)
-        message = f"unknown key {dot}{name}" + (f"; did you mean {near}?" if near else "")
+        message = f"unknown key {dot}{name}" + did_you_mean([near] if near else [], before="; ")
         if not dot and name in SECTIONS:
             message, near = f"unknown key {name}: it belongs in a design file", "sheet.set"
         elif not near and name in keys.OBJECT:

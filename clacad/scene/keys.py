@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, Final
 
+from clacad.base.text import near
 from clacad.base.units import Unit
 from clacad.config.compound_kinds import ListOf, Several, WordOr
 from clacad.config.quantities import Quantity
@@ -264,8 +264,7 @@ def nearest(name: str, known: tuple[str, ...]) -> str:
         return folded
     if SYNONYMS.get(folded) in known:
         return SYNONYMS[folded]
-    close = get_close_matches(folded, known, n=1, cutoff=0.65)
-    return close[0] if close else ""
+    return next(iter(near(folded, known, 0.65)), "")
 
 
 def home_of(name: str) -> str:

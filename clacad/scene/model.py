@@ -1,237 +1,30 @@
-"""The scene: what is looked at, from where, in which light; frozen values in the scene's unit.
+"""The scene: what is looked at, from where, in which light; read and checked.
 
-Lengths are multiples of `Scene.unit_m` metres, wavelengths metres, angles radians (turns in degrees, as
-written, so that 90 degrees stays exact). Axes are the sheet's: right-handed, camera rays towards +z.
+Lengths are multiples of `Scene.unit_m` metres; see `clacad.scene.sections`.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
+
+from clacad.scene.animation import still
+from clacad.scene.named_files import design_of, file_of, folder_of
+from clacad.scene.read import read_changed, read_dict, read_file
+from clacad.scene.sections import (
+    Animation,
+    Background,
+    Camera,
+    EffectsSpec,
+    Light,
+    SceneObject,
+    SheetSpec,
+)
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-Vector = tuple[float, float, float]
-Rgb = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class SheetSpec:
-    """Which sheet stands in the scene, and how exactly rays pass it.
-
-    Parameters
-    ----------
-    design : str
-        File, relative to the scene's folder.
-    set : mapping
-        Dotted design key → value, laid over the file.
-    rung : {"auto", "law", "thin", "surfaces", "mesh"}
-    mesh : str or None
-        Triangles as written, for rung mesh.
-    quads : int
-        Quads a cell side, for rung mesh without a file.
-    surround : {"see-through", "opaque"}
-        What is seen beside the sheet.
-    """
-
-    design: str
-    set: Mapping[str, Any]
-    rung: Literal["auto", "law", "thin", "surfaces", "mesh"]
-    mesh: str | None
-    quads: int
-    surround: Literal["see-through", "opaque"]
-
-
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """Pinhole, or an opening of finite diameter, before the sheet.
-
-    Parameters
-    ----------
-    position, target : (3,) lengths
-        Where it stands (z < 0) and what it looks at.
-    up : (3,)
-        Direction that is up in the picture.
-    frame : float or None, length
-        Width of the picture at the target; None: given by `fov`.
-    fov : float or None, radians
-        Full width of the picture as an angle.
-    pixels : (width, height)
-    samples : int
-        Rays a pixel.
-    noise : float
-        Standard error of a pixel's mean at which sampling stops; 0: always `samples` rays.
-    most_samples : int
-        Rays a pixel at most, where `noise` asks for more.
-    aperture : float, length
-        Diameter of the opening; 0 is a pinhole.
-    focus : float or None, length
-        Distance of the sharp plane; None: the target's.
-    exposure : float
-        Factor on the light when a file is written.
-    mirror : bool
-        Left-handed view, x to the right.
-    encoding : {"srgb", "linear"}
-        Of picture files.
-    """
-
-    position: Vector
-    target: Vector
-    up: Vector
-    frame: float | None
-    fov: float | None
-    pixels: tuple[int, int]
-    samples: int
-    noise: float
-    most_samples: int
-    aperture: float
-    focus: float | None
-    exposure: float
-    mirror: bool
-    encoding: Literal["srgb", "linear"]
-
-
-@dataclass(frozen=True, slots=True)
-class Light:
-    """Light on the objects: radiance = colour · (ambient + key · max(0, n · l)).
-
-    Parameters
-    ----------
-    ambient, key : float
-    direction : (3,)
-        Towards the light, any length > 0.
-    spectrum : "rgb", "D65" or float (metres)
-        Wavelengths rays are traced at.
-    polariser, analyser : float or None, degrees
-        Directions of a polarisation before and behind the sheet, from the x axis.
-    """
-
-    ambient: float
-    key: float
-    direction: Vector
-    spectrum: Literal["rgb", "D65"] | float
-    polariser: float | None
-    analyser: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Background:
-    """Sky, linear in elevation from the second colour (horizon) to the first (zenith), and ground."""
-
-    sky: tuple[Rgb, Rgb]
-    ground: Rgb
-
-
-@dataclass(frozen=True, slots=True)
-class SceneObject:
-    """One thing that is seen; which fields count depends on `kind` (see `clacad.scene.keys.KEYS_OF`).
-
-    Parameters
-    ----------
-    id : str
-        Name for animation.
-    kind : {"checker", "knight", "mesh", "screen", "sphere", "box", "cone", "group"}
-    at : (3,) lengths
-        Centre of sphere, box and screen; middle of the foot of knight, mesh and cone; origin of a group.
-    size : tuple of lengths
-        See `clacad.scene.keys.SIZES`.
-    turn : (3,) degrees
-        About the fixed x, y, z axes through `at`, in this order.
-    colour : (3,) linear rgb
-    height, tile : lengths
-        Of a checker floor.
-    reach : float or None, length
-        How far along a ray a floor is drawn.
-    colours : ((3,), (3,))
-        Odd and even tiles, or the two stripes.
-    file : str or None
-        Mesh or picture, relative to the scene's folder.
-    up : {"y", "z"}
-        Axis of a mesh file that points up.
-    pattern : {"colour", "coordinates", "image", "stripes"}
-        What a screen shows.
-    period : float or None, length
-        Width of a pair of stripes.
-    parts : tuple of SceneObject
-        Of a group, relative to its `at`.
-    """
-
-    id: str
-    kind: str
-    at: Vector
-    size: tuple[float, ...]
-    turn: Vector
-    colour: Rgb
-    height: float
-    tile: float
-    reach: float | None
-    colours: tuple[Rgb, Rgb]
-    file: str | None
-    up: str
-    pattern: str
-    period: float | None
-    parts: tuple[SceneObject, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class EffectsSpec:
-    """Which effects are simulated.
-
-    Parameters
-    ----------
-    mode : {"auto", "list", "none"}
-    list, force, without : tuple of str
-        Mode list: exactly these; mode auto: plus these, minus these.
-    angle : float or None, radians
-        Smallest angle that matters; None: half a pixel, never under 0.15 mrad.
-    radiance : float
-        Smallest relative radiance that matters.
-    coating : {"none", "quarter-wave"}
-    order : int
-        Reflections in a path at most.
-    """
-
-    mode: Literal["auto", "list", "none"]
-    list: tuple[str, ...]
-    force: tuple[str, ...]
-    without: tuple[str, ...]
-    angle: float | None
-    radiance: float
-    coating: Literal["none", "quarter-wave"]
-    order: int
-
-
-@dataclass(frozen=True, slots=True)
-class Move:
-    """One key of the scene that changes with time.
-
-    Parameters
-    ----------
-    key : str
-        "object.<id>.<key>[.index]", "sheet.set.<design key>[.index]" or "camera.<key>[.index]".
-    times : tuple of float
-        0 … 1, rising.
-    values : tuple
-        A number, or a tuple of numbers, for each time; straight lines between them.
-    ease : {"linear", "smooth"}
-        How the time runs: smooth starts and ends at rest (3t² − 2t³).
-    """
-
-    key: str
-    times: tuple[float, ...]
-    values: tuple[Any, ...]
-    ease: Literal["linear", "smooth"]
-
-
-@dataclass(frozen=True, slots=True)
-class Animation:
-    """How many frames there are and what moves in them."""
-
-    frames: int
-    fps: float
-    moves: tuple[Move, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,16 +81,12 @@ class Scene:
         SceneError
             With every mistake.
         """
-        from clacad.scene.read import from_dict
-
-        return from_dict(data, overrides, folder)
+        return Scene(**read_dict(data, overrides, folder))
 
     @property
     def folder(self) -> str:
         """Folder that the scene's files are relative to."""
-        import os
-
-        return os.path.dirname(self.path) or "."
+        return folder_of(self.path)
 
     def design(self) -> Design:
         """Read the sheet's design with the scene's changes.
@@ -307,8 +96,6 @@ class Scene:
         SceneError
             With every mistake of the design file or of the changes.
         """
-        from clacad.scene.named_files import design_of
-
         return design_of(self)
 
     def file(self, name: str) -> str:
@@ -319,8 +106,6 @@ class Scene:
         SceneError
             It lies outside the scene's folder and its parent, or does not exist.
         """
-        from clacad.scene.named_files import file_of
-
         return file_of(self, name)
 
     def replace(self, changes: Mapping[str, Any]) -> Scene:
@@ -336,9 +121,7 @@ class Scene:
         SceneError
             If the result is no scene.
         """
-        from clacad.scene.read import replaced
-
-        return replaced(self, changes)
+        return Scene(**read_changed(self.given, self.path, changes))
 
     def at(self, frame: int) -> Scene:
         """Return the still of one frame of the animation, 0 ≤ frame < frames.
@@ -350,6 +133,26 @@ class Scene:
         ValueError
             There is no such frame.
         """
-        from clacad.scene.animation import still
-
         return still(self, frame)
+
+
+def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : path
+        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
+    overrides : sequence of str
+        "key.path=value" each, as with --set; an object is named by its id ("object.knight.size=0.3").
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        With every mistake, each with path, line and column.
+    """
+    return Scene(**read_file(path, overrides))

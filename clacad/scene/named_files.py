@@ -6,13 +6,19 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from clacad.config.design_error import DesignError
 from clacad.config.key_positions import located
-from clacad.config.mistakes import DesignError, Mistake
-from clacad.scene.model import Scene
+from clacad.config.mistakes import Mistake
 from clacad.scene.scene_error import SceneError
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.scene.model import Scene
+
+
+def folder_of(path: str) -> str:
+    """Folder that the files of a scene at this path are relative to."""
+    return os.path.dirname(path) or "."
 
 
 def outside(folder: str, name: str, levels: int = 1) -> str:

@@ -1,4 +1,4 @@
-"""From a file, a dictionary or a changed scene to a checked `Scene`; every mistake at once."""
+"""From a file, a dictionary or changed keys to the checked sections of a scene; every mistake at once."""
 
 from __future__ import annotations
 
@@ -7,80 +7,65 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clacad.base import units
+from clacad.base.text import DEEPEST, plain
 from clacad.base.units import Unit
 from clacad.config import overrides as override
+from clacad.config.design_error import DesignError
 from clacad.config.key_positions import located, split_key
-from clacad.config.mistakes import DesignError, Mistake, in_order
-from clacad.config.toml_text import DEEPEST, parse, plain, read_text, too_deep
+from clacad.config.mistakes import Mistake, in_order
+from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.keys import REQUIRED, Key
 from clacad.scene import keys
 from clacad.scene.key_table import Reader
-from clacad.scene.model import (
+from clacad.scene.rules import broken
+from clacad.scene.scene_error import SceneError
+from clacad.scene.sections import (
     Animation,
     Background,
     Camera,
     EffectsSpec,
     Light,
     Move,
-    Scene,
+    SceneFields,
     SceneObject,
     SheetSpec,
 )
-from clacad.scene.rules import broken
-from clacad.scene.scene_error import SceneError
 
 
-def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
-    """Read a scene file.
-
-    Parameters
-    ----------
-    path : path
-        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
-    overrides : sequence of str
-        "key.path=value" each, as with --set; an object is named by its id ("object.knight.size=0.3").
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    SceneError
-        With every mistake, each with path, line and column.
-    """
+def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> SceneFields:
+    """Read a scene file; see `load_scene`."""
     name = os.fspath(path)
     try:
         text = read_text(name, "scene")
         data = parse(text, name, "scene")
     except DesignError as error:
         raise SceneError(error.mistakes) from None
-    return _made(data, tuple(overrides), text, name)
+    return _read(data, tuple(overrides), text, name)
 
 
-def from_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> Scene:
+def read_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> SceneFields:
     """Read a scene from nested dictionaries; see `Scene.from_dict`."""
-    given = plain(data)
+    given = plain(data, float)
     if not isinstance(given, dict):
         raise SceneError([Mistake("CL104", f"a scene is a table, not {kind_of(given)}")])
     if too_deep(given):
         raise SceneError([Mistake("CL100", f"nested more than {DEEPEST} deep")])
-    return _made(given, tuple(overrides), None, os.path.join(folder, ""))
+    return _read(given, tuple(overrides), None, os.path.join(folder, ""))
 
 
-def replaced(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """Return a scene with some keys changed; see `Scene.replace`."""
-    data: Any = scene.given
+def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> SceneFields:
+    """Read a scene's keys as written, some of them changed; see `Scene.replace`."""
+    data: Any = given
     mistakes = []
     for key, value in changes.items():
         try:
-            data = put(data, key, plain(value))
+            data = put(data, key, plain(value, float))
         except LookupError as problem:
-            mistakes.append(Mistake("CL118", str(problem.args[0]), key=key, path=scene.path))
+            mistakes.append(Mistake("CL118", str(problem.args[0]), key=key, path=path))
     if mistakes:
         raise SceneError(mistakes)
-    return _made(data, (), None, scene.path)
+    return _read(data, (), None, path)
 
 
 def put(data: Any, key: str, value: Any) -> Any:
@@ -106,7 +91,8 @@ def put(data: Any, key: str, value: Any) -> Any:
     return override.put(data, split_key(".".join(steps)), value)
 
 
-def _made(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> Scene:
+def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> SceneFields:
+    """Lay overrides over the data, check everything, convert it; every mistake at its place."""
     mistakes: list[Mistake] = []
     for text in texts:
         parsed = override.parse(text)
@@ -118,14 +104,15 @@ def _made(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path
         except LookupError as problem:
             mistakes.append(Mistake("CL118", str(problem.args[0]), key=parsed[0], path="--set", source_line=text,
                                     column=1, width=len(parsed[0])))  # fmt: skip
-    scene, found = _checked(data, None if texts else source, path)
+    fields, found = _checked(data, None if texts else source, path)
     mistakes += found
-    if mistakes or scene is None:
+    if mistakes or fields is None:
         raise SceneError(in_order(located(mistakes, None if texts else source, path, ())))
-    return scene
+    return fields
 
 
-def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[Scene | None, list[Mistake]]:
+def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[SceneFields | None, list[Mistake]]:
+    """Converted sections, None if some cannot be read, and every mistake."""
     word = data.get("unit")
     unit = (units.design_unit(word) if isinstance(word, str) else None) or Unit("1", units.LENGTHS["m"])
     reader = Reader(unit)
@@ -141,12 +128,13 @@ def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[Scene
     effects = parts["effects"]
     effects["angle"] = None if effects["angle"] == "auto" else effects["angle"]
     animation = Animation(**parts["animation"], moves=moves) if "animation" in data else None
-    scene = Scene(
-        root["name"], root["unit"], float(unit.metres), SheetSpec(**sheet), Camera(**parts["camera"]),
-        Light(**parts["light"]), Background(**parts["background"]), objects, EffectsSpec(**effects), animation,
-        root["notes"], data, source, path,
-    )  # fmt: skip
-    return scene, broken(scene)
+    fields: SceneFields = {
+        "name": root["name"], "unit": root["unit"], "unit_m": float(unit.metres), "sheet": SheetSpec(**sheet),
+        "camera": Camera(**parts["camera"]), "light": Light(**parts["light"]),
+        "background": Background(**parts["background"]), "objects": objects, "effects": EffectsSpec(**effects),
+        "animation": animation, "notes": root["notes"], "given": data, "source": source, "path": path,
+    }  # fmt: skip
+    return fields, broken(fields)
 
 
 def _section(reader: Reader, data: dict[str, Any], name: str) -> dict[str, Any]:

@@ -6,13 +6,16 @@ import math
 from collections.abc import Iterator
 
 from clacad.config.mistakes import Mistake
-from clacad.scene.model import Camera, Scene, SceneObject
-from clacad.scene.named_files import outside
+from clacad.scene.named_files import folder_of, outside
+from clacad.scene.sections import Camera, EffectsSpec, Light, SceneFields, SceneObject
 
 
-def broken(scene: Scene) -> list[Mistake]:
+def broken(scene: SceneFields) -> list[Mistake]:
     """Return the rules a scene breaks."""
-    return [*_camera(scene.camera), *_light(scene), *_ids(scene), *_files(scene), *_effects(scene)]
+    return [
+        *_camera(scene["camera"]), *_light(scene["light"]), *_ids(scene["objects"]), *_files(scene),
+        *_effects(scene["effects"]),
+    ]  # fmt: skip
 
 
 def _camera(camera: Camera) -> Iterator[Mistake]:
@@ -31,14 +34,14 @@ def _camera(camera: Camera) -> Iterator[Mistake]:
         yield Mistake("CL106", "camera.up points along the line of sight", "camera.up")
 
 
-def _light(scene: Scene) -> Iterator[Mistake]:
-    if not any(scene.light.direction):
+def _light(light: Light) -> Iterator[Mistake]:
+    if not any(light.direction):
         yield Mistake("CL106", "light.direction is zero", "light.direction")
 
 
-def _ids(scene: Scene) -> Iterator[Mistake]:
+def _ids(objects: tuple[SceneObject, ...]) -> Iterator[Mistake]:
     seen: dict[str, int] = {}
-    for k, thing in enumerate(scene.objects):
+    for k, thing in enumerate(objects):
         if thing.id in seen:
             yield Mistake(
                 "CL112",
@@ -48,8 +51,7 @@ def _ids(scene: Scene) -> Iterator[Mistake]:
         seen[thing.id] = k
 
 
-def _effects(scene: Scene) -> Iterator[Mistake]:
-    effects = scene.effects
+def _effects(effects: EffectsSpec) -> Iterator[Mistake]:
     if effects.list and effects.mode != "list":
         yield Mistake("CL113", 'effects.list needs mode = "list"', "effects.list")
     for name in ("force", "without"):
@@ -57,9 +59,11 @@ def _effects(scene: Scene) -> Iterator[Mistake]:
             yield Mistake("CL113", f'effects.{name} needs mode = "auto"', f"effects.{name}")
 
 
-def _files(scene: Scene) -> Iterator[Mistake]:
-    named = [("sheet.design", scene.sheet.design, 1), ("sheet.mesh", scene.sheet.mesh, 2)]
-    for key, thing in _walk(scene.objects, "object"):
+def _files(scene: SceneFields) -> Iterator[Mistake]:
+    """Files that are missing from an object, have no use, or lie outside the scene's folder."""
+    sheet, folder = scene["sheet"], folder_of(scene["path"])
+    named = [("sheet.design", sheet.design, 1), ("sheet.mesh", sheet.mesh, 2)]
+    for key, thing in _walk(scene["objects"], "object"):
         named.append((f"{key}.file", thing.file, 1))
         needs = thing.kind == "mesh" or (thing.kind == "screen" and thing.pattern == "image")
         if needs and thing.file is None:
@@ -72,10 +76,10 @@ def _files(scene: Scene) -> Iterator[Mistake]:
             yield Mistake(
                 "CL106", f"{key}.size is out of range", f"{key}.size", allowed="height > 0, one diameter > 0"
             )
-    if scene.sheet.mesh is not None and scene.sheet.rung != "mesh":
+    if sheet.mesh is not None and sheet.rung != "mesh":
         yield Mistake("CL113", 'sheet.mesh needs rung = "mesh"', "sheet.mesh")
     for key, name, levels in named:
-        why = outside(scene.folder, name, levels) if name else ""
+        why = outside(folder, name, levels) if name else ""
         if why:
             yield Mistake("CL106", f'{key} = "{name}" {why}', key, allowed="a path relative to the scene")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.config.mistakes import DesignError
+from clacad.config.design_error import DesignError
 
 
 class SceneError(DesignError):

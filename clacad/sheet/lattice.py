@@ -19,6 +19,12 @@ from clacad.base.types import Floats, Ints
 
 Kind = Literal["square", "rectangular", "hexagonal"]
 
+Step = tuple[int, int]
+"""Index step (di, dj) from one cell to another."""
+
+NodeCells = tuple[tuple[Step, int], ...]
+"""Cells round a node, counter-clockwise: index step from the first of them, and its tile's corner that lies there."""
+
 
 def polygon_area(points: Floats) -> float:
     """Signed area of a polygon (m, 2), length²; counter-clockwise is positive."""
@@ -267,6 +273,21 @@ class Lattice:
         local_x = _minus_multiple(x, x_low, i + 0.5 * j, p, x0)
         local_y = _minus_multiple(y, y_low, j.astype(np.float64), row, y0)
         return np.stack([i, j], axis=-1), local_x, local_y
+
+
+def node_cells(lattice: Lattice) -> tuple[NodeCells, ...]:
+    """List each class of nodes (where corners of cells meet) as the cells around it.
+
+    Square and rectangular: one class, corner 1 (+x, +y) of its first cell. Hexagonal: two, corner 1 (upper right) and
+    corner 2 (top) of the first cell.
+    """
+    if lattice.hexagonal:
+        # Walking counter-clockwise about a corner, a cell's corner index advances by two.
+        return (
+            (((0, 0), 1), ((1, 0), 3), ((0, 1), 5)),
+            (((0, 0), 2), ((0, 1), 4), ((-1, 1), 0)),
+        )
+    return ((((0, 0), 1), ((1, 0), 2), ((1, 1), 3), ((0, 1), 0)),)
 
 
 _HEX_NORMALS = ((1.0, 0.0), (0.5, 0.5 * sqrt(3.0)), (-0.5, 0.5 * sqrt(3.0)))

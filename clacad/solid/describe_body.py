@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.window import Body, Face, Window
 from clacad.solid.face_pattern import SNAP, Kind
@@ -15,43 +16,11 @@ from clacad.solid.outline_faces import flat_faces, outline_faces
 from clacad.solid.outline_path import outline_path
 from clacad.solid.repeated_cell import Cell, CellFace, make_cell
 from clacad.solid.shells import MERGE, Shells, Writer
+from clacad.solid.tiling_borders import Layer, Surround
 from clacad.solid.tiling_columns import Columns
 from clacad.solid.wall_segments import Column
-from clacad.topology.build_complex import cell_complex
+from clacad.topology.build_complex import cell_complex, one_tiling
 from clacad.topology.cannot_build import CannotBuild
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """Cells of one tiling between two faces: a whole body, or half of a displaced slab.
-
-    Attributes
-    ----------
-    cell : Cell
-    shift : (2,), mm
-    outside : Column or None
-        The land between the cells and the outline.
-    breaks : tuple of (n,) parameters, or None
-        Per class of borders between two cells: where anything changes, from the cell complex.
-    """
-
-    cell: Cell
-    shift: Floats
-    outside: Column | None
-    breaks: tuple[Floats, ...] | None = None
-
-
-def millimetres(window: Window) -> float:
-    """Millimetres per design unit."""
-    return window.unit * 1e3
-
-
-def displaced(window: Window, body: Body) -> bool:
-    """Whether the two faces of a body repeat on grids that do not coincide."""
-    arrays = body.front.array, body.back.array
-    if None in arrays or arrays[0] == arrays[1]:
-        return False
-    return window.shifts[0] != window.shifts[1]
 
 
 def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
@@ -69,13 +38,11 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
     ValueError
         The body cannot be built; see `make_cell`.
     """
-    scale = millimetres(window)
-    if not displaced(window, body):
-        array = body.front.array if body.front.array is not None else body.back.array
-        if array is None:
-            raise ValueError(f"body {body.name!r} has no lenslets")
+    scale = millimetres(window.unit)
+    arrays = one_tiling(window, body)
+    if len(arrays) == 1:
         cell = make_cell(window, body.front, body.back, scale)
-        return (Layer(cell, np.array(window.shifts[array]) * scale, _outside(window, cell)),)
+        return (Layer(cell, np.array(window.shifts[arrays[0]]) * scale, _outside(window, cell)),)
     made = []
     for face, front in ((body.front, True), (body.back, False)):
         assert face.array is not None
@@ -88,6 +55,7 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
 
 
 def _outside(window: Window, cell: Cell) -> Column | None:
+    """The land between the cells and the outline as a column; None without an outline."""
     if window.outline is None:
         return None
     faces, runs = [], []
@@ -135,7 +103,7 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
     parts = tuple(
         replace(part, breaks=breaks) for part, breaks in zip(parts, _breaks(window, body, merge), strict=True)
     )
-    return describe_layers(parts, window.lattice, window.outline, millimetres(window), writer, merge)
+    return describe_layers(parts, window.lattice, window.outline, millimetres(window.unit), writer, merge)
 
 
 _known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ...], ...]]] = (
@@ -145,7 +113,7 @@ _known: WeakKeyDictionary[Body, tuple[tuple[object, ...], tuple[tuple[Floats, ..
 
 def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...], ...]:
     """Where anything changes on the borders of each tiling; kept, for it is the same for any number of cells."""
-    scale = millimetres(window)
+    scale = millimetres(window.unit)
     lattice = window.lattice
     key = (
         lattice.kind,
@@ -157,7 +125,7 @@ def _breaks(window: Window, body: Body, merge: float) -> tuple[tuple[Floats, ...
         merge,
     )
     if body not in _known or _known[body][0] != key:
-        complex_ = cell_complex(window, body, merge / scale, SNAP / scale, rims=False)
+        complex_ = cell_complex(window, body, merge / scale, SNAP / scale)
         found = tuple(tuple(border.breaks for border in tiling.borders) for tiling in complex_.tilings)
         _known[body] = (key, found)
     return _known[body][1]
@@ -174,9 +142,7 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
     for part in parts:
         if path is not None and outline is not None:
             _refuse_beyond(part, lattice, outline, scale, centre)
-        tiling = Columns(
-            shells, part.cell, lattice, scale, part.shift, part.outside, rim, hollow, part.breaks, path
-        )  # fmt: skip
+        tiling = Columns(shells, part, lattice, scale, Surround(path, rim, hollow))
         tiling.describe()
         tilings.append(tiling)
     if path is not None:
@@ -218,7 +184,7 @@ def single(window: Window) -> Lattice:
 
 def middle_plane(body: Body, window: Window) -> float:
     """Height (mm) of the plane at which a displaced slab is cut into two layers of cells."""
-    scale = millimetres(window)
+    scale = millimetres(window.unit)
     return 0.5 * scale * sum(_reference(face) for face in (body.front, body.back))
 
 

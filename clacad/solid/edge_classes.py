@@ -9,7 +9,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.solid.face_pattern import Kind
-from clacad.solid.rational_conics import Arc, Patch, line, ruled_wall
+from clacad.solid.rational_conics import Arc, RationalPatch, line, ruled_wall
 from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import TOLERANCE, Column, SegmentShape, WallShape
 
@@ -23,7 +23,7 @@ class Plane:
     across: Floats
 
 
-Surface = Patch | Plane
+Surface = RationalPatch | Plane
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,6 +131,7 @@ def segment_class(shape: SegmentShape, columns: Sequence[Column | None], start: 
 def _edge(
     shape: SegmentShape, i: int, n: int, first: Post, last: Post, columns: Sequence[Column | None]
 ) -> EdgeClass:
+    """Curve n of piece i of a segment as an edge between vertices of its two posts."""
     curve = shape.pieces[i].curves[n]
     lead = curve.strands[0]
     levels = tuple(_place(post, lead.column, lead.face) for post in (first, last))

@@ -21,7 +21,7 @@ Kind = Literal["lens", "land", "none", "plane", "open"]
 Proud = Callable[[Floats, Floats], NDArray[np.bool_]]
 
 SNAP = 1e-6
-"""Points closer than this (mm) to a corner are the corner: a tenth of what exchange kernels can tell apart."""
+"""Points closer than this (mm) to a corner are the corner: a tenth of what CAD programs can tell apart."""
 
 
 @dataclass(frozen=True, slots=True)

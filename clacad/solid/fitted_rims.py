@@ -39,7 +39,7 @@ DEPTH = 7
 """Halvings of an arc whose highest degree misses the tolerance."""
 
 SLACK = 1e-7
-"""Largest error (mm) of a fitted rim that is stated rather than refused: what kernels take for one point."""
+"""Largest error (mm) of a fitted rim that is stated rather than refused: what CAD programs take for one point."""
 
 _NEWTON = 12
 _NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(41) / 40)
@@ -196,10 +196,9 @@ def _side_roots(gap: Gap, zone: Floats, k: int, noise: float) -> list[float]:
 def _traced(gap: Gap, zone: Floats, roots: list[list[float]], rest: Kind, fan: int, noise: float
             ) -> tuple[Pattern, list[Floats]] | None:  # fmt: skip
     """The pattern a grid finds, with the points of every chain; None where chains and sides disagree."""
-    found = trace_zero(lambda x, y: gap.value(x, y) + noise, zone, lambda x, y: np.zeros(len(x)), fan)
-    open_paths = [arc.points for arc in found if not arc.closed]
-    closed = [arc.points[:-1] if np.array_equal(arc.points[0], arc.points[-1]) else arc.points
-              for arc in found if arc.closed]  # fmt: skip
+    found = trace_zero(lambda x, y: gap.value(x, y) + noise, zone, fan)
+    open_paths = [curve.points for curve in found if not curve.closed]
+    closed = [curve.points[:-1] for curve in found if curve.closed]
     return cut_pattern(zone, roots, gap.proud, rest, open_paths, closed, fan)
 
 

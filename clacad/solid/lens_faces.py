@@ -17,8 +17,8 @@ from clacad.optics.surface import Quadric
 from clacad.sheet.window import Face, lens_height
 from clacad.solid.rational_conics import (
     Arc,
-    Patch,
     PosedQuadric,
+    RationalPatch,
     bernstein,
     line,
     parameter_curve,
@@ -41,7 +41,7 @@ LOOSEST = 10.0
 """Where the highest degree misses the tolerance, an error up to so many times as large is stated, not refused."""
 
 HIGHEST_ARC = 20
-"""Degree of an arc of a fitted patch over a slanting segment; kernels hold up to 25."""
+"""Degree of an arc of a fitted patch over a slanting segment; CAD programs hold up to 25."""
 
 
 class Lens(Protocol):
@@ -57,7 +57,7 @@ class Lens(Protocol):
         """Curve of `arc` in the parameters of `patch`, same parameter."""
 
     @property
-    def patch(self) -> Patch:
+    def patch(self) -> RationalPatch:
         """The surface."""
 
     @property
@@ -94,7 +94,7 @@ class QuadricLens:
         return parameter_curve(self.quadric, arc, self.u, self.v)
 
     @property
-    def patch(self) -> Patch:
+    def patch(self) -> RationalPatch:
         """The exact rational patch, 3×3 unless the lens is steep."""
         patch = quadric_patch(self.quadric, self.u, self.v)
         return patch if self.degree == 2 else patch.elevated(self.degree)
@@ -144,13 +144,13 @@ class FittedLens:
         return Arc(poles, arc.weights)
 
     @property
-    def patch(self) -> Patch:
+    def patch(self) -> RationalPatch:
         """The fitted patch."""
         m, n = self.poles.shape
         x = np.linspace(self.low[0], self.high[0], m)
         y = np.linspace(self.low[1], self.high[1], n)
         grid = np.stack([*np.meshgrid(x, y, indexing="ij"), self.poles], axis=-1)
-        return Patch(grid, np.ones((m, n)))
+        return RationalPatch(grid, np.ones((m, n)))
 
 
 def scaled_face(face: Face, scale: float) -> Face:
@@ -213,16 +213,14 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     zone : (m, 2), mm
         Corners of the optical zone.
     tolerance : float, mm
-        The degree rises until the error measured on a 41 × 41 grid is below it; the best within `LOOSEST` times of it
-        serves where none is.
+        The degree rises until the error on a 41 × 41 grid is below it; else the best within `LOOSEST` times serves.
 
     Raises
     ------
     ValueError
         The surface ends inside the rectangle, or the highest degree does not reach the tolerance.
     """
-    low, high = zone.min(axis=0), zone.max(axis=0)
-    fine = np.linspace(0.0, 1.0, 41)
+    low, high, fine = zone.min(axis=0), zone.max(axis=0), np.linspace(0.0, 1.0, 41)
     true = _heights(face, low, high, fine)
     best: FittedLens | None = None
     for degree in range(4, HIGHEST_DEGREE + 1):
@@ -237,13 +235,14 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
         if error <= tolerance:
             return best
     assert best is not None
-    if best.error <= LOOSEST * tolerance:
-        return best
-    raise CannotBuild(
-        "CL133",
-        f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {best.error:.2g} mm "
-        f"(allowed {LOOSEST * tolerance:.2g} mm); reduce its curvature or conic constant",
-    )
+    allowed = LOOSEST * tolerance
+    if best.error > allowed:
+        raise CannotBuild(
+            "CL133",
+            f"a polynomial patch of degree {HIGHEST_DEGREE} misses the surface by {best.error:.2g} mm "
+            f"(allowed {allowed:.2g} mm); reduce its curvature or conic constant",
+        )
+    return best
 
 
 def _heights(face: Face, low: Floats, high: Floats, t: Floats) -> Floats:

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.units import millimetres
 from clacad.sheet.gap import NoFixture, plane_of
 from clacad.sheet.lattice import Circle
+from clacad.topology.build_complex import one_tiling
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Body, Window
@@ -55,17 +57,13 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
     NoFixture
         The body has no border, or one too narrow for letters.
     """
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     if window.outline is None:
         raise NoFixture(
             f"{body.name} has no border to engrave: give body.border a width, such as '2 mm' (or mark the frame)"
         )
-    array = body.front.array if body.front.array is not None else body.back.array
-    assert array is not None
-    displaced = body.front.array != body.back.array and None not in (body.front.array, body.back.array)
-    centre = (
-        np.zeros(2) if displaced and window.shifts[0] != window.shifts[1] else np.array(window.shifts[array])
-    )
+    arrays = one_tiling(window, body)
+    centre = np.array(window.shifts[arrays[0]]) if len(arrays) == 1 else np.zeros(2)
     lowest = window.lattice.extent()[2]
     for face in (body.front, body.back):
         if face.array is not None:
@@ -121,7 +119,7 @@ class Pocket:
 
 def pockets(window: Window) -> tuple[Pocket, ...]:
     """The room for marks in every body that has one; the same places `mark_place` gives."""
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     found = []
     for body in window.bodies:
         try:
@@ -270,7 +268,7 @@ def _looks_down(face: Any, level: float) -> bool:
 
 
 def _check(part: Any, letters: Any, made: Any) -> None:
-    # The kernel integrates plane faces bounded by letters to some per cent of the letters.
+    # OCCT integrates plane faces bounded by letters to some per cent of the letters.
     apart = abs(part.volume - letters.volume - made.volume) / letters.volume
     if not made.is_valid or apart > 0.1:
         raise RuntimeError(f"the engraved body is not valid, or {apart:.2g} of the letters off in volume")

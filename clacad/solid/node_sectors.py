@@ -14,19 +14,18 @@ from typing import Literal
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice
+from clacad.sheet.lattice import Lattice, NodeCells, Step, node_cells
 from clacad.solid.outline_path import Path
 from clacad.solid.repeated_cell import Cell
-from clacad.solid.shells import Node, Shells
+from clacad.solid.shells import NodeVertices, Shells
 from clacad.solid.vertical_lines import Levels, linked_levels
 from clacad.solid.wall_segments import Column, column_of_side
 
 State = Literal["cell", "outside", "empty", "beyond"]
-Index = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Ring:
+class CornerRing:
     """The cells round one corner of a cell, counter-clockwise from the node's canonical first cell.
 
     Attributes
@@ -39,8 +38,8 @@ class Ring:
         Which of `cells` the cell asked about is.
     """
 
-    cells: tuple[tuple[Index, int], ...]
-    shift: Index
+    cells: NodeCells
+    shift: Step
     sector: int
 
 
@@ -62,13 +61,13 @@ class Touch:
 
     Attributes
     ----------
-    node : Node
+    node : NodeVertices
     position : (side, parameter) on the path
     out, back : rays along the outline, forwards and backwards
     leaving, arriving : sectors inside the outline next to those rays
     """
 
-    node: Node
+    node: NodeVertices
     position: tuple[int, float]
     out: int
     back: int
@@ -80,7 +79,7 @@ class Touch:
 class Corner:
     """A node seen from one of its cells."""
 
-    node: Node
+    node: NodeVertices
     sectors: Sectors
     cell: int
 
@@ -105,30 +104,17 @@ class Corner:
         return (self.last + 1) % len(self.sectors.states)
 
 
-def rings(lattice: Lattice) -> list[Ring]:
-    """Give, for every corner of a tile, the ring of cells that meet there."""
-    tile = lattice.tile()
-    sides = len(tile)
-    near = 1e-6 * lattice.circumradius
-    steps = [(0, 0), *lattice.steps]
-    if not lattice.hexagonal:
-        steps += [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-    found = []
-    for c in range(sides):
-        around: list[tuple[float, Index, int]] = []
-        for step in steps:
-            offset = np.array(lattice.offset(*step))
-            for k in range(sides):
-                if np.hypot(*(offset + tile[k] - tile[c])) < near:
-                    way = offset - tile[c]
-                    around.append((float(np.arctan2(way[1], way[0])), step, k))
-        around.sort()
-        first = min(range(len(around)), key=lambda i: around[i][2])
-        base = around[first][1]
-        order = [around[(first + i) % len(around)] for i in range(len(around))]
-        cells = tuple(((step[0] - base[0], step[1] - base[1]), k) for _, step, k in order)
-        found.append(Ring(cells, base, next(s for s, (_, step, _) in enumerate(order) if step == (0, 0))))
-    return found
+def rings(lattice: Lattice) -> list[CornerRing]:
+    """Give, for every corner of a tile, the ring of cells that meet there; it begins at the least corner."""
+    found: dict[int, CornerRing] = {}
+    for round_node in node_cells(lattice):
+        first = min(range(len(round_node)), key=lambda i: round_node[i][1])
+        order = round_node[first:] + round_node[:first]
+        (i, j), _ = order[0]
+        cells = tuple(((di - i, dj - j), corner) for (di, dj), corner in order)
+        for sector, ((di, dj), corner) in enumerate(cells):
+            found[corner] = CornerRing(cells, (-di, -dj), sector)
+    return [found[corner] for corner in range(len(lattice.steps))]
 
 
 class Nodes:
@@ -147,15 +133,15 @@ class Nodes:
         The outline.
     """
 
-    def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, centre: Callable[[Index], Floats],
-                 state: Callable[[Index], State], outside: Column | None, path: Path | None) -> None:  # fmt: skip
+    def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, centre: Callable[[Step], Floats],
+                 state: Callable[[Step], State], outside: Column | None, path: Path | None) -> None:  # fmt: skip
         self.touches: list[Touch] = []
         self._shells, self._cell, self._rings = shells, cell, rings(lattice)
         self._centre, self._state, self._outside, self._path = centre, state, outside, path
         self._levels: dict[tuple[int, tuple[State, ...]], Levels] = {}
-        self._made: dict[tuple[int, int, int], tuple[Node, Sectors]] = {}
+        self._made: dict[tuple[int, int, int], tuple[NodeVertices, Sectors]] = {}
 
-    def at(self, index: Index, corner: int) -> Corner:
+    def at(self, index: Step, corner: int) -> Corner:
         """The node at a corner of the cell with an index (kept or not)."""
         ring = self._rings[corner]
         first = ring.cells[0][1]
@@ -165,7 +151,7 @@ class Nodes:
         node, sectors = self._made[key]
         return Corner(node, sectors, ring.sector)
 
-    def _make(self, anchor: Index, ring: Ring) -> tuple[Node, Sectors]:
+    def _make(self, anchor: Step, ring: CornerRing) -> tuple[NodeVertices, Sectors]:
         states = tuple(self._state((anchor[0] + a, anchor[1] + b)) for (a, b), _ in ring.cells)
         corners = tuple(corner for _, corner in ring.cells)
         place = self._centre(anchor) + self._cell.tile[corners[0]]
@@ -182,7 +168,7 @@ class Nodes:
         return self._shells.node(origin, self._levels[key]), sectors
 
     def _touch(self, origin: Floats, position: tuple[int, float], states: tuple[State, ...],
-               corners: tuple[int, ...]) -> tuple[Node, Sectors]:  # fmt: skip
+               corners: tuple[int, ...]) -> tuple[NodeVertices, Sectors]:  # fmt: skip
         assert self._path is not None
         sectors = self._cut(states, corners, self._path.rays(*position))
         node = self._shells.node(origin, self._levels_round(sectors))

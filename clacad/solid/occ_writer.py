@@ -1,4 +1,4 @@
-"""A `Writer` that makes solids of the CAD kernel (OCP), and the kernel's own checks. Lengths in mm."""
+"""A `Writer` that makes solids of OCCT (OCP), and OCCT's own checks. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from OCP.TopoDS import TopoDS_Edge, TopoDS_Face, TopoDS_Shell, TopoDS_Solid, Top
 
 from clacad.base.types import Floats
 from clacad.solid.edge_classes import Plane, Surface
-from clacad.solid.rational_conics import Arc, Patch
+from clacad.solid.rational_conics import Arc, RationalPatch
 from clacad.solid.shells import Loop, LoopEdge, Role
 
 PARAMETRIC = 1e-7
-"""Tolerance written with parameter curves (mm): they are exact, the kernel wants a number."""
+"""Tolerance written with parameter curves (mm): they are exact, OCCT wants a number."""
 
 
 @contextmanager
-def unhurried() -> Iterator[None]:
-    """Switch garbage collection off: millions of wrapped kernel objects hold no cycles to look for."""
+def without_garbage_collection() -> Iterator[None]:
+    """Switch garbage collection off: millions of wrapped objects hold no cycles to look for."""
     was = gc.isenabled()
     gc.disable()
     gc.freeze()
@@ -50,8 +50,8 @@ def unhurried() -> Iterator[None]:
             gc.enable()
 
 
-class KernelWriter:
-    """Make topology of the CAD kernel; see `clacad.solid.shells.Writer`."""
+class OccWriter:
+    """Make topology of OCCT; see `clacad.solid.shells.Writer`."""
 
     def __init__(self) -> None:
         self._build = BRep_Builder()
@@ -129,7 +129,7 @@ class KernelWriter:
         return edge.Oriented(TopAbs_FORWARD if forward else TopAbs_REVERSED)
 
     def _prototype(self, key: object, make: Any, end: float = 1.0) -> Any:
-        """The kernel's object for a class of curves or surfaces, made once; `end`: last parameter of a 2-D curve."""
+        """OCCT's object for a class of curves or surfaces, made once; `end`: last parameter of a 2-D curve."""
         found = self._prototypes.get((id(key), end))
         if found is None:
             made = make(key) if end == 1.0 else make(key, end)
@@ -185,7 +185,7 @@ def _curve_2d(arc: Arc, end: float = 1.0) -> Any:
     return Geom2d_BSplineCurve(poles, weights, knots, multiplicities, n - 1)
 
 
-def _patch(patch: Patch) -> Any:
+def _patch(patch: RationalPatch) -> Any:
     m, n = patch.weights.shape
     poles, weights = Array2_gp_Pnt(1, m, 1, n), Array2_double(1, m, 1, n)
     for i in range(m):
@@ -203,23 +203,23 @@ def _plane(plane: Plane) -> Any:
 
 
 def is_valid(shape: Any) -> bool:
-    """Ask the kernel whether a shape is consistent (it cannot see a wrong radius or a bow-tie wall)."""
+    """Ask OCCT whether a shape is consistent (it cannot see a wrong radius or a bow-tie wall)."""
     return bool(BRepCheck_Analyzer(shape).IsValid())
 
 
 QUADRATURE = 1e-12
-"""Relative error asked of the kernel's adaptive quadrature, per face; its fixed one errs by 2e-8 at curved rims."""
+"""Relative error asked of OCCT's adaptive quadrature, per face; its fixed one errs by 2e-8 at curved rims."""
 
 
 def volume(shape: Any) -> float:
-    """Volume by the kernel's adaptive quadrature, mm³."""
+    """Volume by OCCT's adaptive quadrature, mm³."""
     properties = GProp_GProps()
     BRepGProp.VolumeProperties_s(shape, properties, QUADRATURE)
     return float(properties.Mass())
 
 
 def engraved_volume(shape: Any) -> float:
-    """Volume of a solid with engraved faces by the kernel's Gauss-Kronrod quadrature, mm³.
+    """Volume of a solid with engraved faces by OCCT's Gauss-Kronrod quadrature, mm³.
 
     Its adaptive one, faster, is off by 1e-5 and says it is not where a plane is bordered by many splines.
     """
@@ -229,7 +229,7 @@ def engraved_volume(shape: Any) -> float:
 
 
 def surface_area(shape: Any) -> float:
-    """Surface area by the kernel's adaptive quadrature, mm²."""
+    """Surface area by OCCT's adaptive quadrature, mm²."""
     properties = GProp_GProps()
     BRepGProp.SurfaceProperties_s(shape, properties, QUADRATURE)
     return float(properties.Mass())

@@ -96,7 +96,7 @@ class _Stop:
         ]
 
 
-class _Ring:
+class _FaceOutline:
     """The outline of one face: stops and spans in order, from corner 0 round."""
 
     def __init__(self, shells: Shells, path: Path, tiling: Columns, face: int, owner: int) -> None:
@@ -121,6 +121,7 @@ class _Ring:
         self.spans = [self._span(tiling, n) for n in range(len(self.stops))]
 
     def _span(self, tiling: Columns, n: int) -> _Span:
+        """The stretch from stop n to the next: a cell's own border that touches there, or a new edge of the land."""
         stop, after = self.stops[n], self.stops[(n + 1) % len(self.stops)]
         side, u0 = stop.place
         u1 = after.place[1] if after.place[0] == side and after.place[1] > u0 else 1.0
@@ -155,7 +156,7 @@ def outline_faces(shells: Shells, path: Path, tilings: tuple[Columns, ...], owne
     rings = []
     for f in (0, 1):
         tiling = next(t for t in tilings if not t.cell.faces[f].open)
-        rings.append(_Ring(shells, path, tiling, f, owner))
+        rings.append(_FaceOutline(shells, path, tiling, f, owner))
     sides = range(len(path.arcs))
     posts = {side: _post(shells, rings, side, hollow) for side in sides}
     for side in sides:
@@ -179,7 +180,7 @@ def _at(post: int | None, upwards: bool, u: float) -> LoopEdge:
     return LoopEdge(post, upwards, line(np.array([u, 0.0]), np.array([u, 1.0])))
 
 
-def _post(shells: Shells, rings: list[_Ring], side: int, hollow: bool) -> int | None:
+def _post(shells: Shells, rings: list[_FaceOutline], side: int, hollow: bool) -> int | None:
     """The vertical edge at the beginning of a side; None where hollow land ends, which has its own edges there."""
     corners = [ring.corner(side) for ring in rings]
     if hollow and rings[0].stops[corners[0]].touch is not None:
@@ -191,7 +192,7 @@ def _post(shells: Shells, rings: list[_Ring], side: int, hollow: bool) -> int | 
     return shells.edge(ends[0], ends[1], line(np.zeros(3), rise), start)
 
 
-def _height(ring: _Ring, corner: int, face: int) -> float:
+def _height(ring: _FaceOutline, corner: int, face: int) -> float:
     touch = ring.stops[corner].touch
     if touch is None:
         assert ring.level is not None
@@ -201,7 +202,7 @@ def _height(ring: _Ring, corner: int, face: int) -> float:
     return touch.node.levels.z[level]
 
 
-def _chain(ring: _Ring, side: int) -> Loop:
+def _chain(ring: _FaceOutline, side: int) -> Loop:
     """The edges of a side for one face, with the vertical edges where spans of different height meet."""
     numbers = ring.of_side(side)
     loop: Loop = []
@@ -212,7 +213,7 @@ def _chain(ring: _Ring, side: int) -> Loop:
     return loop
 
 
-def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[_Ring, _Ring],
+def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[_FaceOutline, _FaceOutline],
                 posts: dict[int, int | None]) -> None:  # fmt: skip
     """The side faces of hollow land: one for every row of it between two touches."""
     numbers = rings[0].of_side(side)
@@ -231,7 +232,7 @@ def _land_sides(shells: Shells, path: Path, owner: int, side: int, rings: tuple[
         _side_face(shells, path, owner, side, list(rings), [*bottom, *up, *reverse(top), *reverse(down)])
 
 
-def _end(ring: _Ring, n: int, leaving: bool, posts: dict[int, int | None]) -> Loop:
+def _end(ring: _FaceOutline, n: int, leaving: bool, posts: dict[int, int | None]) -> Loop:
     """The vertical edges (upwards) at one end of a row of land."""
     stop = ring.stops[n]
     if stop.touch is None:
@@ -239,7 +240,9 @@ def _end(ring: _Ring, n: int, leaving: bool, posts: dict[int, int | None]) -> Lo
     return stop.wall_end(leaving)
 
 
-def _side_face(shells: Shells, path: Path, owner: int, side: int, rings: list[_Ring], loop: Loop) -> None:
+def _side_face(
+    shells: Shells, path: Path, owner: int, side: int, rings: list[_FaceOutline], loop: Loop
+) -> None:
     """One side face: a plane, or an exact rational quarter of a cylinder."""
     arc = path.arcs[side]
     levels = [ring.level for ring in rings]

@@ -76,7 +76,7 @@ class Arc:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Patch:
+class RationalPatch:
     """A rational tensor-product Bézier patch, parameters 0 … 1.
 
     Attributes
@@ -96,7 +96,7 @@ class Patch:
         basis = along[:, :, None] * across[:, None, :] * self.weights
         return np.asarray(np.einsum("kij,ijc->kc", basis, self.poles) / basis.sum(axis=(1, 2))[:, None])
 
-    def elevated(self, degree: int) -> Patch:
+    def elevated(self, degree: int) -> RationalPatch:
         """Give the same patch written with a higher degree in both directions."""
         poles, weights = self.poles, self.weights
         for _ in range(2):  # columns of the net, then its rows
@@ -104,7 +104,7 @@ class Patch:
                 Arc(p, w).elevated(degree) for p, w in zip(np.moveaxis(poles, 1, 0), weights.T, strict=True)
             ]
             poles, weights = np.stack([arc.poles for arc in arcs]), np.stack([arc.weights for arc in arcs])
-        return Patch(poles, weights)
+        return RationalPatch(poles, weights)
 
 
 def bernstein(degree: int, t: Floats) -> Floats:
@@ -190,7 +190,7 @@ def posed(curvatures: tuple[float, float, float], side: int, rotation: Floats, a
     )
 
 
-def quadric_patch(quadric: PosedQuadric, u: tuple[float, float], v: tuple[float, float]) -> Patch:
+def quadric_patch(quadric: PosedQuadric, u: tuple[float, float], v: tuple[float, float]) -> RationalPatch:
     """Cover a parameter rectangle of a quadric by one exact 3×3 rational patch.
 
     Parameters
@@ -201,7 +201,7 @@ def quadric_patch(quadric: PosedQuadric, u: tuple[float, float], v: tuple[float,
 
     Returns
     -------
-    Patch
+    RationalPatch
         In the sheet frame; parameters 0 … 1 stand for the given ranges.
 
     Notes
@@ -217,7 +217,7 @@ def quadric_patch(quadric: PosedQuadric, u: tuple[float, float], v: tuple[float,
     weights = 1.0 + 0.25 * c * q
     local = np.stack([np.outer(lin_u, one), np.outer(one, lin_v), 0.5 * quadric.side * q], axis=-1)
     local = local / weights[..., None]
-    return Patch(local @ quadric.rotation.T + quadric.apex, weights)
+    return RationalPatch(local @ quadric.rotation.T + quadric.apex, weights)
 
 
 def section_arc(quadric: PosedQuadric, start: Floats, end: Floats, normal: Floats) -> Arc:
@@ -272,7 +272,7 @@ def line(start: Floats, end: Floats) -> Arc:
     return Arc(np.array([start, end], dtype=np.float64), np.ones(2))
 
 
-def ruled_wall(low: Arc, high: Arc) -> Patch:
+def ruled_wall(low: Arc, high: Arc) -> RationalPatch:
     """Rule a wall between two arcs: degree (n, 1), v = 0 is `low` and v = 1 is `high` with their own parameters.
 
     In homogeneous coordinates S(u, v) = (1 − v) low(u) + v high(u); both arcs lie in one vertical plane and so
@@ -280,4 +280,6 @@ def ruled_wall(low: Arc, high: Arc) -> Patch:
     """
     degree = max(low.degree, high.degree)
     low, high = low.elevated(degree), high.elevated(degree)
-    return Patch(np.stack([low.poles, high.poles], axis=1), np.stack([low.weights, high.weights], axis=1))
+    return RationalPatch(
+        np.stack([low.poles, high.poles], axis=1), np.stack([low.weights, high.weights], axis=1)
+    )

@@ -155,6 +155,7 @@ Corners = tuple[tuple[float, float], ...]
 @lru_cache(maxsize=16)  # faces are immutable: forecast, drawing up and every grid of a sheet share their cell
 def _made_cell(front: Face | None, back: Face | None, corners: tuple[Corners, Corners], pitch: float, scale: float,
                levels: tuple[float | None, float | None]) -> Cell:  # fmt: skip
+    """The prototile over (tile, zone), from faces in design units and levels in mm; see `make_cell`."""
     tile, zone = (np.array(polygon) for polygon in corners)
     tolerance = FIT * pitch
     faces = [None if face is None else scaled_face(face, scale) for face in (front, back)]

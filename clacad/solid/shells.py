@@ -2,8 +2,8 @@
 
 Every edge is made once and used by exactly two faces; every vertex of a node is shared by all cells that meet
 there. Nothing is welded by a tolerance and no Boolean is taken. The geometry of each class of cells, borders and
-nodes is computed once; an instance is a translation of it. A *writer* turns the description into a solid of the
-CAD kernel or into text.
+nodes is computed once; an instance is a translation of it. A *writer* turns the description into a solid of
+OCCT or into text.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.solid.edge_classes import SegmentClass, Surface, WallEnd
-from clacad.solid.rational_conics import Arc, Patch, line
+from clacad.solid.rational_conics import Arc, RationalPatch, line
 from clacad.solid.vertical_lines import Levels
 from clacad.solid.wall_segments import TOLERANCE
 
 Role = Literal["lens", "land", "wall", "plane", "side"]
 
 MERGE = 1e-6
-"""Merge height h (mm): ten times the length below which exchange kernels call two points one."""
+"""Merge height h (mm): ten times the length below which CAD programs call two points one."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,7 +62,7 @@ class FlatEdge:
 
 
 class Writer(Protocol):
-    """What receives the description: the CAD kernel or a text file."""
+    """What receives the description: OCCT or a text file."""
 
     def vertex(self, point: Floats, tolerance: float) -> int:
         """Make a vertex."""
@@ -92,7 +92,7 @@ class ShellCounts:
     largest_shift: float = 0.0
 
 
-class Node:
+class NodeVertices:
     """An instance of a node or station: vertices and vertical edges, made when first used."""
 
     __slots__ = ("origin", "levels", "vertices", "verticals")
@@ -108,7 +108,7 @@ class Segment:
 
     __slots__ = ("kind", "nodes", "edges", "owners")
 
-    def __init__(self, kind: SegmentClass, nodes: list[Node], owners: tuple[int, int]) -> None:
+    def __init__(self, kind: SegmentClass, nodes: list[NodeVertices], owners: tuple[int, int]) -> None:
         self.kind, self.nodes, self.owners = kind, nodes, owners
         self.edges: list[list[int]] = []
 
@@ -161,35 +161,16 @@ class Shells:
                 pieces.setdefault(self.root(owner), []).extend(self.faces[owner])
         if self._edges is None:
             return list(pieces.values())
-        return [part for faces in pieces.values() for part in self._by_edges(faces)]
-
-    def _by_edges(self, faces: list[int]) -> list[list[int]]:
-        """Split faces into those that hang together by edges (land in several strips has one owner)."""
-        assert self._edges is not None
-        label = {face: face for face in faces}
-
-        def root(face: int) -> int:
-            while label[face] != face:
-                face = label[face]
-            return face
-
-        first: dict[int, int] = {}
-        for face in faces:
-            for edge in self._edges[face]:
-                label[root(first.setdefault(edge, face))] = root(face)
-        parts: dict[int, list[int]] = {}
-        for face in faces:
-            parts.setdefault(root(face), []).append(face)
-        return list(parts.values())
+        return [part for faces in pieces.values() for part in _parts_by_edges(faces, self._edges)]
 
     # -- small things -----------------------------------------------------------------------------
 
-    def node(self, origin: Floats, levels: Levels) -> Node:
+    def node(self, origin: Floats, levels: Levels) -> NodeVertices:
         """Make an instance of a node."""
         self.counts.saddles += levels.saddles
-        return Node(origin, levels)
+        return NodeVertices(origin, levels)
 
-    def vertex(self, node: Node, level: int) -> int:
+    def vertex(self, node: NodeVertices, level: int) -> int:
         """The vertex of a node at a level, made when first asked for."""
         if node.vertices[level] < 0:
             shift = node.levels.shift[level]
@@ -203,7 +184,7 @@ class Shells:
         self.counts.vertices += 1
         return self.writer.vertex(point, tolerance)
 
-    def vertical(self, node: Node, level: int, ray: int) -> int:
+    def vertical(self, node: NodeVertices, level: int, ray: int) -> int:
         """The vertical edge of a node between a level and the next one, on a ray."""
         key = (level, node.levels.copies[level][ray])
         if key not in node.verticals:
@@ -228,7 +209,7 @@ class Shells:
 
     # -- segments ---------------------------------------------------------------------------------
 
-    def segment(self, kind: SegmentClass, offset: Floats, ends: tuple[Node, Node], owners: tuple[int, int],
+    def segment(self, kind: SegmentClass, offset: Floats, ends: tuple[NodeVertices, NodeVertices], owners: tuple[int, int],
                 bare: bool = False) -> Segment:  # fmt: skip
         """Make the edges and walls of one segment; `bare`: a side face of the outline takes the walls' place."""
         inner = [
@@ -262,9 +243,10 @@ class Shells:
         return made
 
     def _wall(self, made: Segment, i: int, number: int, offset: Floats) -> None:
+        """Make the face of one wall of piece i of a segment: low edge, far side up, high edge back, near side down."""
         piece = made.kind.pieces[i]
         wall = piece.walls[number]
-        ruled = isinstance(wall.surface, Patch)
+        ruled = isinstance(wall.surface, RationalPatch)
         near, far = wall.ends
         self.counts.wedges += (near.low == near.high) or (far.low == far.high)
         loop = [
@@ -284,7 +266,7 @@ class Shells:
             "side" if outer else "wall",
         )
 
-    def _wall_side(self, node: Node, end: WallEnd, upwards: bool, ruled: bool) -> Loop:
+    def _wall_side(self, node: NodeVertices, end: WallEnd, upwards: bool, ruled: bool) -> Loop:
         if end.low == end.high:
             vertex = self.vertex(node, end.low)
             return [LoopEdge(-1, upwards, end.curves[0], vertex)] if ruled else []
@@ -293,6 +275,25 @@ class Shells:
             for n in range(end.high - end.low)
         ]
         return side if upwards else side[::-1]
+
+
+def _parts_by_edges(faces: list[int], edges: dict[int, list[int]]) -> list[list[int]]:
+    """Split faces into those that hang together by edges (land in several strips has one owner); `edges` of each."""
+    label = {face: face for face in faces}
+
+    def root(face: int) -> int:
+        while label[face] != face:
+            face = label[face]
+        return face
+
+    first: dict[int, int] = {}
+    for face in faces:
+        for edge in edges[face]:
+            label[root(first.setdefault(edge, face))] = root(face)
+    parts: dict[int, list[int]] = {}
+    for face in faces:
+        parts.setdefault(root(face), []).append(face)
+    return list(parts.values())
 
 
 V_LOW = line(np.array([0.0, 0.0]), np.array([1.0, 0.0]))

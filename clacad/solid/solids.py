@@ -1,9 +1,4 @@
-"""Exact boundary representation of a window's bodies: rational lens faces, conic edges, no Booleans.
-
-`describe_body` walks a body and tells a writer its vertices, edges and faces (`clacad.solid.occ_writer` makes
-solids of the CAD kernel of them, `clacad.formats.step.shell_text` STEP text); `solids` gives build123d objects.
-Importing this package loads no CAD kernel.
-"""
+"""The bodies of a window as build123d objects, whose exact solids OCCT holds. Lengths in mm."""
 
 from __future__ import annotations
 
@@ -15,7 +10,7 @@ from clacad.solid.shells import MERGE
 if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
-__all__ = ["MERGE", "describe_body", "solids"]
+COLOURS = {"array1": (0.62, 0.78, 0.90), "array2": (0.90, 0.80, 0.62)}
 
 
 def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = MERGE) -> list[Any]:
@@ -40,6 +35,34 @@ def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = 
     ValueError
         A body cannot be built as a solid.
     """
-    from clacad.solid.build123d_parts import body_solids
+    from clacad.solid.occ_writer import OccWriter, without_garbage_collection
 
-    return body_solids(window, cells, merge)
+    if cells is not None:
+        window = window.with_cells(cells)
+    made = []
+    for body in window.bodies:
+        with without_garbage_collection():
+            writer = OccWriter()
+            shells = describe_body(window, body, writer, merge)
+            pieces = [writer.solid(faces) for faces in shells.pieces()]
+        made.append(_part(pieces, body.name))
+    return made
+
+
+def _part(pieces: list[Any], name: str) -> Any:
+    """One build123d object of the solids of a body, labelled and coloured."""
+    from build123d import Color, Compound, Solid
+    from OCP.BRep import BRep_Builder
+    from OCP.TopoDS import TopoDS_Compound
+
+    if len(pieces) == 1:
+        part: Any = Solid(pieces[0])
+    else:
+        builder, compound = BRep_Builder(), TopoDS_Compound()
+        builder.MakeCompound(compound)
+        for piece in pieces:
+            builder.Add(compound, piece)
+        part = Compound(compound)
+    part.label = name
+    part.color = Color(*COLOURS.get(name, COLOURS["array1"]))
+    return part

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.topology.walls import linked, runs_round
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,12 +50,10 @@ def linked_levels(heights: Floats, merge: float) -> Levels:
         Single linkage: heights closer than this to the next one share a vertex, in the middle of their cluster.
     """
     known = sorted((float(z), s, f) for (s, f), z in np.ndenumerate(heights) if np.isfinite(z))
-    clusters: list[list[tuple[float, int, int]]] = []
-    for item in known:
-        if clusters and item[0] - clusters[-1][-1][0] <= merge:
-            clusters[-1].append(item)
-        else:
-            clusters.append([item])
+    group = linked(np.array([item[0] for item in known]), merge).tolist()
+    clusters = [
+        [item for item, of in zip(known, group) if of == n] for n in range(max(group, default=-1) + 1)
+    ]
     z = tuple(0.5 * (cluster[0][0] + cluster[-1][0]) for cluster in clusters)
     shift = tuple(0.5 * (cluster[-1][0] - cluster[0][0]) for cluster in clusters)
     number = {(s, f): n for n, cluster in enumerate(clusters) for _, s, f in cluster}
@@ -72,16 +71,11 @@ def _copies(
         low = -1 if front is None and heights[sector, 0] == -np.inf else front
         high = count if back is None and heights[sector, 1] == np.inf else back
         solid.append(low is not None and high is not None and low <= n < high)
-    k = len(solid)
-    if all(solid) or not any(solid):
+    if all(solid):
         return {}
-    first = next(s for s in range(k) if solid[s] and not solid[s - 1])
-    copies, copy, inside = {}, -1, False
-    for s in range(first, first + k):
-        if solid[s % k] and not inside:
-            copy += 1
-            copies[(s - 1) % k] = copy
-        if inside and not solid[s % k]:
-            copies[(s - 1) % k] = copy
-        inside = solid[s % k]
-    return copies
+    runs = runs_round(solid)
+    return {
+        ray: max(runs[ray], runs[(ray + 1) % len(solid)])
+        for ray in range(len(solid))
+        if solid[ray] != solid[(ray + 1) % len(solid)]
+    }

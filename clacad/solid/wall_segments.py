@@ -18,9 +18,10 @@ from clacad.base.types import Floats
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.rational_conics import Arc
 from clacad.solid.repeated_cell import Cell, CellFace
+from clacad.topology.walls import BorderCurve, solid_strips
 
 TOLERANCE = 1e-7
-"""Length below which exchange kernels call two points one (mm)."""
+"""Length below which CAD programs call two points one (mm)."""
 
 NOISE = 1e-13
 """Rounding of heights of some tens of millimetres (mm)."""
@@ -31,7 +32,7 @@ RULED_BELOW = 0.032
 FLATTEST = 2e-3
 """Slope at which an arc must leave a straight edge for the wall between them to be plane, however narrow it ends.
 
-Kernels find where a line meets an arc by roots, not by polygons, so no nearness deceives them; only the stretch in
+CAD programs find where a line meets an arc by roots, not by polygons, so no nearness deceives them; only the stretch in
 which the two are closer than 1e-10 must be shorter than a vertex's tolerance of 1e-7, which takes a slope of 1e-3.
 """
 
@@ -194,8 +195,7 @@ def segment_shape(
     points = a + t[:, None] * (b - a)
     points[-1] = b
     heights = tuple(_heights_at(columns, points[i], stops, i) for i in range(len(stops)))
-    middles = 0.5 * (t[:-1] + t[1:])
-    runs = tuple(_runs(column, middles) for column in columns)
+    runs = tuple(_runs(column, 0.5 * (t[:-1] + t[1:])) for column in columns)
     return SegmentShape(t, points, heights, pieces, runs, len(stops) - before)
 
 
@@ -243,6 +243,7 @@ def _crossings(a: Floats, b: Floats, columns: Sequence[Column | None], low: floa
 
 def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, high: float, merge: float
            ) -> PieceShape:  # fmt: skip
+    """What stands between the stations at parameters low and high."""
     start, end = a + low * (b - a), (b if high == 1.0 else a + high * (b - a))
     xy = start + _T[:, None] * (end - start)
     middle = 0.5 * (low + high)
@@ -261,18 +262,11 @@ def _piece(a: Floats, b: Floats, columns: Sequence[Column | None], low: float, h
         else:
             groups.append([strand])
     curves = tuple(_curve(group, columns, start, end) for group in groups)
-    solid = [_solid_strips(groups, columns, c, middle) for c in (0, 1)]
+    solid = _solid_strips(groups, columns, middle)
     walls = tuple(
-        _wall(curves, i, 0 if solid[0][i] else 1, merge)
-        for i in range(len(curves) - 1)
-        if solid[0][i] != solid[1][i]
+        _wall(curves, i, 0 if left else 1, merge) for i, (left, right) in enumerate(solid) if left != right
     )
-    joined = (
-        columns[0] is not None
-        and columns[1] is not None
-        and any(both == (True, True) for both in zip(*solid, strict=True))
-    )
-    return PieceShape(curves, walls, joined or _open_join(columns, middle))
+    return PieceShape(curves, walls, (True, True) in solid or _open_join(columns, middle))
 
 
 def _plane_within(strand: Strand, strands: list[Strand]) -> bool:
@@ -287,17 +281,16 @@ def _one(strand: Strand, other: Strand, merge: float) -> bool:
 
 
 def _solid_strips(
-    groups: list[list[Strand]], columns: Sequence[Column | None], c: int, t: float
-) -> list[bool]:
-    """For each strip between consecutive curves: whether column c is solid in it."""
-    column = columns[c]
-    strips = max(0, len(groups) - 1)
-    if column is None or "none" in (column.kind(0, t), column.kind(1, t)):
-        return [False] * strips
-    place = {s.face: i for i, group in enumerate(groups) for s in group if s.column == c}
-    first = place.get(0, -1)
-    last = place.get(1, len(groups))
-    return [first <= i and i + 1 <= last for i in range(strips)]
+    groups: list[list[Strand]], columns: Sequence[Column | None], t: float
+) -> list[tuple[bool, bool]]:
+    """For each strip between consecutive curves: whether the left and the right column are solid in it.
+
+    A column without an edge at its front (a plane that goes on, an open side) is solid from below all curves.
+    """
+    there = [c is not None and "none" not in (c.kind(0, t), c.kind(1, t)) for c in columns]
+    fronts = {s.column for group in groups for s in group if s.face == 0}
+    curves = [[BorderCurve(s.column, s.face == 0) for s in group if there[s.column]] for group in groups]
+    return solid_strips(curves, (there[0] and 0 not in fronts, there[1] and 1 not in fronts))
 
 
 def _open_join(columns: Sequence[Column | None], t: float) -> bool:

@@ -1,4 +1,4 @@
-"""Borders between congruent cells: crossings, pieces, steps and joints, root-exact."""
+"""Borders between congruent cells: crossings, steps and joints, root-exact."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from clacad.base.roots import sign_changes
 from clacad.base.types import Bools, Floats
 from clacad.sheet.window import PLANE, Body, Face, Window
-from clacad.topology.complex_parts import Border, Joint, JointState, Part, Piece, Profile, Side, Step
+from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Part, Side, Stretch
 
 _EPS = float(np.finfo(np.float64).eps)
-_GAUSS = 47  # nodes on a stretch; odd, so that one lies in its middle
+_SAMPLES = 47  # on a stretch, Gauss nodes; odd, so that one lies in its middle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,10 +24,9 @@ class ColumnLine:
     `zone` tells whether the line lies in the cell's optical zone (with a seam, borders do not).
     """
 
-    front: Profile
-    back: Profile
+    front: HeightProfile
+    back: HeightProfile
     zone: bool
-    window: Window
 
     def heights(self, t: Floats) -> tuple[Floats, Floats]:
         """Front and back height (n,) at t; NaN where void."""
@@ -71,12 +70,10 @@ class ColumnLine:
         return found
 
 
-def column_line(
-    window: Window, body: Body, start: Sequence[float], end: Sequence[float], zone: bool
-) -> ColumnLine:
+def column_line(body: Body, start: Sequence[float], end: Sequence[float], zone: bool) -> ColumnLine:
     """Give a body's column over the straight line start → end of the cell frame (lengths)."""
     a, b = (float(start[0]), float(start[1])), (float(end[0]), float(end[1]))
-    return ColumnLine(Profile(body.front, a, b), Profile(body.back, a, b), zone, window)
+    return ColumnLine(HeightProfile(body.front, a, b), HeightProfile(body.back, a, b), zone)
 
 
 def make_border(
@@ -102,11 +99,11 @@ def make_border(
     # the same border in the right cell's frame, met in the same direction
     c, d = tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m]
     zone = window.land.seam == 0.0
-    left = column_line(window, body, a, b, zone)
-    right = column_line(window, body, c, d, zone)
+    left = column_line(body, a, b, zone)
+    right = column_line(body, c, d, zone)
     length = float(np.hypot(*(b - a)))
     if columnar:
-        sides: tuple[Side, ...] = ("front", "back")
+        sides: tuple[Side, ...] = SIDES
     else:
         sides = ("front",) if body.front.array == array else ("back",)
         left, right = _alone(left, sides[0]), _alone(right, sides[0])
@@ -115,19 +112,17 @@ def make_border(
     roots = np.unique(np.concatenate(candidates)) if candidates else np.empty(0)
     breaks = _spaced(roots, spacing / length)
     on = _stretches(left, right, breaks)
-    steps = tuple(_step(getattr(left, side), getattr(right, side), side, on, merge) for side in sides)
-    joint = _joint(on) if columnar else None
-    kept = _kept_breaks(steps, joint, breaks)
-    return Border(
-        k, lattice.steps[k], lattice.offset(*lattice.steps[k]), tuple(a), tuple(b), steps, joint, kept, roots
-    )
+    steps = {side: _step(on, SIDES.index(side), merge) for side in sides}
+    joints = _joints(on) if columnar else None
+    kept = _kept_breaks(steps, joints, breaks)
+    return Border(k, lattice.steps[k], tuple(a), tuple(b), steps, joints, kept, roots)
 
 
 def _alone(line: ColumnLine, side: Side) -> ColumnLine:
     """The same line with the other face so far away that it never matters (two displaced tilings)."""
     far = Face(PLANE, (0.0, 0.0, np.inf if side == "front" else -np.inf))
-    profile: Profile = getattr(line, side)
-    other = Profile(far, profile.start, profile.end)
+    profile: HeightProfile = getattr(line, side)
+    other = HeightProfile(far, profile.start, profile.end)
     return (
         replace(line, front=profile, back=other)
         if side == "front"
@@ -146,11 +141,11 @@ def _candidates(left: ColumnLine, right: ColumnLine, sides: tuple[Side, ...], co
         ]
     elif left.zone:
         for line in (left, right):
-            profile: Profile = getattr(line, sides[0])
+            profile: HeightProfile = getattr(line, sides[0])
             if profile.face.land is not None:
                 functions.append(partial(_above_land, profile))
     for side in sides:
-        pair: tuple[Profile, Profile] = (getattr(left, side), getattr(right, side))
+        pair: tuple[HeightProfile, HeightProfile] = (getattr(left, side), getattr(right, side))
         functions.append(partial(_apart, *pair))
     if not left.zone:
         return []
@@ -184,12 +179,12 @@ def _spaced(t: Floats, spacing: float) -> Floats:
 class _Stretches:
     """Both columns on the stretches between a border's breaks, evaluated once.
 
-    edges : (k + 1,); t : (k, n) parameters, ends just inside; weights : (n,) sum to 1, 0 at the ends
-    left, right : (2, k, n) heights; left_lens, right_lens : (2, k) whether lens in the middle
+    edges : (k + 1,)
+    left, right : (2, k, n) heights at parameters inside, the first and the last just inside
+    left_lens, right_lens : (2, k) whether lens in the middle
     """
 
     edges: Floats
-    weights: Floats
     left: Floats
     right: Floats
     left_lens: Bools
@@ -198,7 +193,7 @@ class _Stretches:
 
 def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretches:
     edges = np.concatenate([[0.0], breaks, [1.0]])
-    nodes, weights = np.polynomial.legendre.leggauss(_GAUSS)
+    nodes, _ = np.polynomial.legendre.leggauss(_SAMPLES)
     # limits from within at the ends: at a rim without a web the height itself may jump
     u = np.concatenate([[1e-12], 0.5 * (nodes + 1.0), [1.0 - 1e-12]])
     t = edges[:-1, None] + np.diff(edges)[:, None] * u
@@ -206,62 +201,42 @@ def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretche
     shape = (2, *t.shape)
     middle = len(u) // 2
     return _Stretches(
-        edges, np.concatenate([[0.0], 0.5 * weights, [0.0]]), z_l.reshape(shape), z_r.reshape(shape),
+        edges, z_l.reshape(shape), z_r.reshape(shape),
         lens_l.reshape(shape)[..., middle], lens_r.reshape(shape)[..., middle],
     )  # fmt: skip
 
 
-def _step(left: Profile, right: Profile, side: Side, on: _Stretches, merge: float) -> Step:
-    """Pieces, crossings and sizes of one face's step."""
-    at = 0 if side == "front" else 1
-    raw: list[Piece] = []
-    area = length = 0.0
+def _step(on: _Stretches, face: int, merge: float) -> tuple[Stretch, ...]:
+    """How the left and right heights of one face (0 front, 1 back) lie to one another, from 0 to 1."""
+    found: list[Stretch] = []
     for n, (start, stop) in enumerate(zip(on.edges[:-1].tolist(), on.edges[1:].tolist())):
-        parts = [
-            _part(z[at, n], bool(lens[at, n]))
+        left, right = (
+            _part(z[face, n], bool(lens[face, n]))
             for z, lens in ((on.left, on.left_lens), (on.right, on.right_lens))
-        ]
-        d = on.left[at, n] - on.right[at, n]
-        if "void" in parts or np.isnan(d[1:-1]).all():
-            raw.append(Piece(start, stop, False, 0, parts[0], parts[1], 0.0, 0.0))
-            continue
-        size = np.abs(d[np.isfinite(d)])
-        largest, least = float(size.max()), float(size.min())
-        area += (stop - start) * float(np.nansum(on.weights * np.abs(d)))
-        length += stop - start
-        flat = largest <= merge
-        inner = d[1:-1]
-        sign = 0 if flat else int(np.sign(inner[np.nanargmax(np.abs(inner))]))
-        raw.append(Piece(start, stop, flat, sign, parts[0], parts[1], largest, least))
-    pieces = _joined_pieces(raw)
-    # Where a merged piece or nothing lies between two signs, the sign still changes, but not at a point.
-    crossings = [a.stop for a, b in zip(pieces[:-1], pieces[1:]) if a.sign * b.sign < 0]
-    largest = max((p.gap_max for p in pieces), default=0.0)
-    mean = float(area / length) if length else 0.0
-    return Step(side, left, right, np.asarray(crossings, dtype=np.float64), tuple(pieces), largest, mean)
+        )
+        d = on.left[face, n] - on.right[face, n]
+        sign = 0
+        if "void" not in (left, right) and not np.isnan(d[1:-1]).all():
+            inner = d[1:-1]
+            merged = float(np.abs(d[np.isfinite(d)]).max()) <= merge
+            sign = 0 if merged else int(np.sign(inner[np.nanargmax(np.abs(inner))]))
+        last = found[-1] if found else None
+        if last and (last.sign, last.left, last.right) == (
+            sign,
+            left,
+            right,
+        ):  # nothing changes for this face
+            start = found.pop().start
+        found.append(Stretch(start, stop, sign, left, right))
+    return tuple(found)
 
 
 def _part(z: Floats, lens: bool) -> Part:
     return "lens" if lens else "void" if np.isnan(z[len(z) // 2]) else "land"
 
 
-def _joined_pieces(raw: list[Piece]) -> list[Piece]:
-    """Join neighbouring pieces between which nothing changes for this face."""
-    out: list[Piece] = []
-    for piece in raw:
-        last = out[-1] if out else None
-        if last and (last.merged, last.sign, last.left, last.right) == (
-            piece.merged, piece.sign, piece.left, piece.right,
-        ):  # fmt: skip
-            out[-1] = Piece(last.start, piece.stop, piece.merged, piece.sign, piece.left, piece.right,
-                            max(last.gap_max, piece.gap_max), min(last.gap_min, piece.gap_min))  # fmt: skip
-        else:
-            out.append(piece)
-    return out
-
-
-def _joint(on: _Stretches) -> Joint:
-    """Where the two columns share material."""
+def _joints(on: _Stretches) -> tuple[tuple[float, float], ...]:
+    """Where the two columns share material, as intervals of the border's parameter."""
     middle = on.left.shape[-1] // 2
     (front_l, back_l), (front_r, back_r) = on.left[..., middle], on.right[..., middle]
     edges = on.edges.tolist()
@@ -273,23 +248,23 @@ def _joint(on: _Stretches) -> Joint:
             intervals[-1] = (intervals[-1][0], float(stop))
         elif yes:
             intervals.append((float(start), float(stop)))
-    state: JointState = "joined" if shared.all() else "partial" if shared.any() else "separate"
-    return Joint(state, tuple(intervals))
+    return tuple(intervals)
 
 
-def _kept_breaks(steps: tuple[Step, ...], joint: Joint | None, breaks: Floats) -> Floats:
+def _kept_breaks(
+    steps: dict[Side, tuple[Stretch, ...]], joints: tuple[tuple[float, float], ...] | None, breaks: Floats
+) -> Floats:
     """Drop the breaks at which nothing visible changes (crossings hidden under land, say)."""
-    kept = {t for step in steps for piece in step.pieces for t in (piece.start, piece.stop)}
-    if joint is not None:
-        kept |= {t for interval in joint.intervals for t in interval}
+    kept = {t for step in steps.values() for stretch in step for t in (stretch.start, stretch.stop)}
+    kept |= {t for interval in joints or () for t in interval}
     return np.asarray([t for t in breaks if float(t) in kept])
 
 
-def _above_land(profile: Profile, t: Floats) -> Floats:
+def _above_land(profile: HeightProfile, t: Floats) -> Floats:
     return np.asarray(profile.lens(t) - _land(profile.face))
 
 
-def _apart(first: Profile, second: Profile, t: Floats) -> Floats:
+def _apart(first: HeightProfile, second: HeightProfile, t: Floats) -> Floats:
     return np.asarray(first.lens(t) - second.lens(t))
 
 

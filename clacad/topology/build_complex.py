@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from clacad.sheet.pieces_and_holes import count_together
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import make_border
-from clacad.topology.complex_parts import CellComplex, Tiling
+from clacad.topology.complex_parts import SIDES, CellComplex, Tiling
 from clacad.topology.nodes import make_nodes
-from clacad.topology.rims import find_rims
 
 
 @lru_cache(maxsize=16)  # windows and bodies are immutable: every grid of a sheet shares its complex
 def cell_complex(
-    window: Window, body: Body, merge: float | None = None, spacing: float | None = None, rims: bool = True
+    window: Window, body: Body, merge: float | None = None, spacing: float | None = None
 ) -> CellComplex:
     """Give the one topology of a body that mesh and B-Rep share.
 
@@ -27,12 +27,6 @@ def cell_complex(
         the uncertainty a STEP file states), at most 1e-3 of the pitch.
     spacing : length, optional
         Crossings closer than this to a node or to one another are dropped. Default: `merge`.
-    rims : bool
-        Trace the rims inside the cell too (they take longer than all the rest).
-
-    Returns
-    -------
-    CellComplex
 
     Raises
     ------
@@ -49,23 +43,26 @@ def cell_complex(
             f"body {body.name!r} has its faces on arrays displaced by {window.shifts[1]}, so their cells have no "
             "common footprint; the window needs an outline (body.border or lattice.outline)"
         )
-    tilings = []
-    for array in arrays:
-        columnar = len(arrays) == 1
-        names = tuple(
-            name
-            for name, face in (("front", body.front), ("back", body.back))
-            if (face.array is not None if columnar else face.array == array)
-        )
-        borders = tuple(
-            make_border(window, body, array, columnar, k, merge, spacing)
-            for k in range(len(window.lattice.steps) // 2)
-        )
-        nodes = make_nodes(window, body, names, merge)
-        shift = window.shifts[array]
-        curves = find_rims(window, body) if columnar and rims else ()
-        tilings.append(Tiling(array, shift, window.lattice.tile(), borders, nodes, curves))
-    return CellComplex(window, body, merge, tuple(tilings))
+    columnar = len(arrays) == 1
+    tilings = tuple(_make_tiling(window, body, array, columnar, merge, spacing) for array in arrays)
+    return CellComplex(window, body, merge, tilings)
+
+
+def _make_tiling(
+    window: Window, body: Body, array: int, columnar: bool, merge: float, spacing: float
+) -> Tiling:
+    """The complex of the faces that repeat on one array; `columnar`: it cuts the whole body into columns."""
+    names = tuple(
+        name
+        for name, face in zip(SIDES, (body.front, body.back))
+        if (face.array is not None if columnar else face.array == array)
+    )
+    borders = tuple(
+        make_border(window, body, array, columnar, k, merge, spacing)
+        for k in range(len(window.lattice.steps) // 2)
+    )
+    nodes = make_nodes(window, body, names, merge)
+    return Tiling(array, window.shifts[array], window.lattice.tile(), borders, nodes)
 
 
 def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
@@ -78,15 +75,10 @@ def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
     return (arrays[0], arrays[1])
 
 
-def pieces(window: Window) -> tuple[int, ...]:
-    """Count the connected pieces of each body in closed form (no mesh)."""
-    from clacad.topology.pieces_and_holes import count_pieces
-
-    return tuple(count_pieces(cell_complex(window, body, rims=False)) for body in window.bodies)
-
-
-def holes(window: Window) -> tuple[int, ...]:
-    """Count the holes through each body in closed form (no mesh)."""
-    from clacad.topology.pieces_and_holes import count_holes
-
-    return tuple(count_holes(cell_complex(window, body, rims=False)) for body in window.bodies)
+def saddle_count(cells: CellComplex) -> int:
+    """Count the inner nodes' saddles (front and back each count)."""
+    total = 0
+    for node in (node for tiling in cells.tilings for node in tiling.nodes):
+        each = int(node.saddle_front) + int(node.saddle_back)
+        total += each * count_together(cells.window.lattice, [step for step, _ in node.cells]) if each else 0
+    return total

@@ -1,4 +1,4 @@
-"""The nouns of the planar cell complex: profiles, borders, nodes, rims.
+"""The nouns of the planar cell complex: profiles, borders, nodes.
 
 Every cell of an array is the same piece, so the complex of a sheet of any size is one prototile:
 m/2 *border classes* (a border and the opposite border of the neighbour are one and the same) and
@@ -22,16 +22,16 @@ from typing import Literal
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.window import Body, Face, Window
+from clacad.sheet.lattice import NodeCells
+from clacad.sheet.window import Body, Face, Window, lens_height
 
 Side = Literal["front", "back"]
+SIDES: tuple[Side, Side] = ("front", "back")
 Part = Literal["lens", "land", "void"]
-JointState = Literal["joined", "partial", "separate"]
-RimKind = Literal["front-back", "front-land", "back-land"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Profile:
+class HeightProfile:
     """The exact height of one lenslet, land plane or plane face along a straight line of the cell frame.
 
     Parameters
@@ -53,8 +53,6 @@ class Profile:
 
     def lens(self, t: Floats) -> Floats:
         """Height of the lenslet (of the plane, for a plane face) at t (n,); NaN where it has no point."""
-        from clacad.sheet.window import lens_height
-
         if self.face.array is None:
             return np.full(np.shape(t), self.face.vertex[2])
         xy = self.points(t)
@@ -62,66 +60,23 @@ class Profile:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """A stretch of a border on which nothing changes.
+class Stretch:
+    """A stretch of a border on which nothing changes for one face.
 
     start, stop : float
         Parameters on the border, 0 … 1.
-    merged : bool
-        The step never exceeds the merge height: ONE shared edge and no wall.
     sign : −1, 0 or +1
-        Sign of d = z_left − z_right on the piece (0 when merged or when a side is void).
+        Sign of d = z_left − z_right; 0 where a side is void, or the step never exceeds the merge height: ONE shared
+        edge and no wall.
     left, right : "lens", "land" or "void"
         What the face is, left and right of the border. Both void: no edge at all.
-    gap_max, gap_min : lengths
-        Largest and smallest |d| on the piece (0 where a side is void).
     """
 
     start: float
     stop: float
-    merged: bool
     sign: int
     left: Part
     right: Part
-    gap_max: float
-    gap_min: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """One face's two heights along one border class, and how they lie to one another.
-
-    side : "front" or "back"
-    left, right : Profile
-        Of the left cell and of the right cell, each in its own cell's frame, same t.
-    crossings : (n,) parameters
-        Where the two heights cross (sign changes of d), root-exact, ascending, ends excluded.
-    pieces : tuple of Piece
-        Cover 0 … 1 without gaps. Breaks at crossings, and where lens, land and void change.
-    largest, mean : lengths
-        Largest and mean |d| over the border where both sides exist.
-    """
-
-    side: Side
-    left: Profile
-    right: Profile
-    crossings: Floats
-    pieces: tuple[Piece, ...]
-    largest: float
-    mean: float
-
-
-@dataclass(frozen=True, slots=True)
-class Joint:
-    """Whether the columns left and right of a border share material.
-
-    state : "joined" (all along), "partial" or "separate"
-    intervals : ((t0, t1), ...)
-        Where min(back) − max(front) > 0. One joint per interval.
-    """
-
-    state: JointState
-    intervals: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,14 +86,13 @@ class Border:
     index : k, 0 … m/2 − 1
     step : (di, dj)
         Index step from the left to the right cell.
-    offset : (2,) lengths
-        Centre of the right cell minus centre of the left cell.
     start, end : (2,) lengths
         In the left cell's frame (t = 0, 1).
-    steps : (Step,) or (Step, Step)
-        Of the faces that repeat on this tiling (front before back).
-    joint : Joint or None
-        None where the body's two faces repeat on different tilings (always joined).
+    steps : side → tuple of Stretch
+        How the two heights of each face that repeats on this tiling lie to one another, from 0 to 1 without gaps.
+    joints : ((t0, t1), ...) or None
+        Stretches on which the two columns share material. None where the body's two faces repeat on different tilings
+        (always joined).
     breaks : (n,) parameters
         Every parameter at which anything on the border changes (crossings of fronts and of backs,
         rims of either cell, ends of joints), ascending, ends excluded. Both cells need a vertex there.
@@ -149,11 +103,10 @@ class Border:
 
     index: int
     step: tuple[int, int]
-    offset: tuple[float, float]
     start: tuple[float, float]
     end: tuple[float, float]
-    steps: tuple[Step, ...]
-    joint: Joint | None
+    steps: dict[Side, tuple[Stretch, ...]]
+    joints: tuple[tuple[float, float], ...] | None
     breaks: Floats
     roots: Floats
 
@@ -162,62 +115,19 @@ class Border:
 class Node:
     """One class of congruent nodes, where the corners of k cells meet.
 
-    index : 0 or 1
     cells : (((di, dj), corner), ...)
         The k cells counter-clockwise: index step from the first cell, and which of its tile's corners
         lies at the node. The first entry is ((0, 0), corner).
-    front, back : (k,) lengths
-        Raw heights of the k cells' faces at the node, NaN where void (or where that face does not
-        repeat on this tiling).
-    front_level, back_level : (k,) lengths
-        After single linkage: heights closer than the merge height share the middle of their cluster.
     saddle_front, saddle_back : bool
         Four walls share one vertical edge: one diagonal pair stands proud of the other.
-    joint : bool
-        All k columns share material at the node (false: a pinhole, or no common height).
+    joined : bool
+        All k columns share material at the node (false: a pinhole, columns that touch in a line, or no common height).
     """
 
-    index: int
-    cells: tuple[tuple[tuple[int, int], int], ...]
-    front: Floats
-    back: Floats
-    front_level: Floats
-    back_level: Floats
+    cells: NodeCells
     saddle_front: bool
     saddle_back: bool
-    joint: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RimArc:
-    """A connected stretch of a rim inside one cell.
-
-    points : (n, 2) lengths
-        Points on the curve in the cell frame, in order (the region with the lens on the left hand).
-    z : (n,) lengths
-    closed : bool
-        A loop inside the cell; otherwise it runs from border to border.
-    start, end : (side, t) or None
-        The side of the tile (0 … m − 1) and the parameter along that side; None when closed.
-    """
-
-    points: Floats
-    z: Floats
-    closed: bool
-    start: tuple[int, float] | None
-    end: tuple[int, float] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rim:
-    """A curve inside the cell where one sheet of surface ends on another.
-
-    kind : "front-back" (front lens meets back lens or plane), "front-land" or "back-land"
-    arcs : tuple of RimArc
-    """
-
-    kind: RimKind
-    arcs: tuple[RimArc, ...]
+    joined: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +140,6 @@ class Tiling:
     tile : (m, 2) lengths
     borders : tuple of Border, m/2 of them
     nodes : tuple of Node, 1 or 2
-    rims : tuple of Rim
     """
 
     array: int
@@ -238,7 +147,6 @@ class Tiling:
     tile: Floats
     borders: tuple[Border, ...]
     nodes: tuple[Node, ...]
-    rims: tuple[Rim, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,8 +171,3 @@ class CellComplex:
     def columnar(self) -> bool:
         """Whether one tiling cuts the whole body into columns."""
         return len(self.tilings) == 1
-
-    def faces_of(self, tiling: Tiling) -> tuple[Face, ...]:
-        """The faces of the body that the tiling cuts (both, for a columnar body)."""
-        faces = (self.body.front, self.body.back)
-        return faces if self.columnar else tuple(face for face in faces if face.array == tiling.array)

@@ -1,64 +1,33 @@
-"""Nodes: where the corners of three or four cells meet, their levels and saddles."""
+"""Nodes: where the corners of three or four cells meet, their saddles."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import Lattice
+from clacad.sheet.lattice import node_cells
 from clacad.sheet.window import Body, Window
 from clacad.topology.borders import column_line
-from clacad.topology.complex_parts import Node
+from clacad.topology.complex_parts import SIDES, Node, Side
+from clacad.topology.walls import linked
 
 
-def node_cells(lattice: Lattice) -> tuple[tuple[tuple[tuple[int, int], int], ...], ...]:
-    """List each node class as the cells around it, counter-clockwise: (index step, tile corner).
-
-    The first cell of a class has step (0, 0). Square and rectangular: corner 1 (+x, +y) of the first
-    cell. Hexagonal: corner 1 (upper right) and corner 2 (top) of the first cell.
-    """
-    if lattice.hexagonal:
-        # Walking counter-clockwise about a corner, a cell's corner index advances by two.
-        return (
-            (((0, 0), 1), ((1, 0), 3), ((0, 1), 5)),
-            (((0, 0), 2), ((0, 1), 4), ((-1, 1), 0)),
-        )
-    return ((((0, 0), 1), ((1, 0), 2), ((1, 1), 3), ((0, 1), 0)),)
-
-
-def make_nodes(window: Window, body: Body, faces: tuple[str, ...], merge: float) -> tuple[Node, ...]:
-    """Build the node classes of a body's tiling; `faces` names those that repeat on it."""
+def make_nodes(window: Window, body: Body, faces: tuple[Side, ...], merge: float) -> tuple[Node, ...]:
+    """Build the node classes of a body's tiling; `faces` names those that repeat on it, `merge` is a length."""
     tile = window.lattice.tile()
     zone = window.land.seam == 0.0
     nodes = []
-    for index, cells in enumerate(node_cells(window.lattice)):
+    for cells in node_cells(window.lattice):
         heights = np.full((2, len(cells)), np.nan)
         for n, (_, corner) in enumerate(cells):
             x, y = tile[corner]
-            line = column_line(window, body, (x, y), (x, y), zone)
+            line = column_line(body, (x, y), (x, y), zone)
             front, back = line.heights(np.zeros(1))
             heights[:, n] = front[0], back[0]
-        shared = bool(np.isfinite(heights).all() and heights[1].min() > heights[0].max())
-        raw = [
-            heights[f] if name in faces else np.full(len(cells), np.nan)
-            for f, name in enumerate(("front", "back"))
-        ]
-        levels = cluster(np.concatenate(raw), merge)
-        front_level, back_level = levels[: len(cells)], levels[len(cells) :]
-        nodes.append(
-            Node(
-                index,
-                cells,
-                raw[0],
-                raw[1],
-                front_level,
-                back_level,
-                _saddle(front_level, proud=-1),
-                _saddle(back_level, proud=1),
-                shared,
-            )  # fmt: skip
-        )
+        joined = bool(np.isfinite(heights).all() and heights[1].min() > heights[0].max())
+        raw = [heights[f] if name in faces else np.full(len(cells), np.nan) for f, name in enumerate(SIDES)]
+        front, back = cluster(np.concatenate(raw), merge).reshape(2, -1)
+        nodes.append(Node(cells, _saddle(front, proud=-1), _saddle(back, proud=1), joined))
     return tuple(nodes)
 
 
@@ -74,7 +43,7 @@ def cluster(heights: Floats, merge: float) -> Floats:
         return out
     order = known[np.argsort(out[known], kind="stable")]
     z = out[order]
-    group = np.concatenate([[0], np.cumsum(np.diff(z) > merge)])
+    group = linked(z, merge)
     first = np.searchsorted(group, group, side="left")
     last = np.searchsorted(group, group, side="right") - 1
     # the middle, written so that a cluster of equal heights keeps its very value
@@ -88,23 +57,3 @@ def _saddle(level: Floats, proud: int) -> bool:
         return False
     z = proud * level
     return bool(min(z[0], z[2]) > max(z[1], z[3]) or min(z[1], z[3]) > max(z[0], z[2]))
-
-
-def node_masks(
-    lattice: Lattice, cells: tuple[tuple[tuple[int, int], int], ...]
-) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Find every node of a class in the finite sheet.
-
-    Returns
-    -------
-    anchor : (n, 2) int64
-        Index of the class's first cell (kept or not).
-    mask : (n,) uint8
-        Bit b set: cell b of the class is kept. 2**k − 1 is an inner node.
-    """
-    kept = lattice.cells()
-    anchors = np.unique(np.concatenate([kept - np.array(step) for step, _ in cells]), axis=0)
-    mask = np.zeros(len(anchors), dtype=np.uint8)
-    for bit, (step, _) in enumerate(cells):
-        mask |= lattice.contains(anchors + np.array(step)).astype(np.uint8) << np.uint8(bit)
-    return anchors, mask

@@ -195,7 +195,7 @@ def _relocate_axis(x: Floats, pitch: float) -> tuple[Ints, Floats]:
 
 
 def less_multiple(x: Floats, k: Floats, step: float) -> Floats:
-    """Give x − k·step with the product unrounded."""
+    """Give x − k·step (n,) with the product unrounded."""
     high, low = two_product(k, step)
     return np.asarray((x - high) - low)
 
@@ -230,6 +230,7 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 
 
 def _plan_body(window: Window, body: Body) -> BodyPlan:
+    """A body as the tracer needs it: bounds from heights sampled over a cell, lengths over its own level."""
     level = body.front.vertex[2]
     x, y, spacing = _sample_points(window)
     zone = in_optical_tile(window, x, y)
@@ -304,6 +305,7 @@ def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 def _plan_face(
     face: Face, level: float, z: Floats, slope: Floats, zone: Bools, solid: Bools, spacing: float
 ) -> FacePlan:
+    """A face over the body's level, with bounds from m sampled heights and slopes, `spacing` apart."""
     land = nan if face.land is None else face.land - level
     seen = zone & solid & np.isfinite(z)
     steepest = SLOPE_MARGIN * float(slope[seen].max(initial=0.0))

@@ -64,12 +64,12 @@ class Ledger:
         )
 
     def launchable(self) -> Rows:
-        """Rays that go forwards at the start; the others are MISSED or INVALID already."""
+        """Rows (k,) of rays that go forwards at the start; the others are MISSED or INVALID already."""
         with np.errstate(invalid="ignore"):
             return np.flatnonzero((self.fate == Fate.MISSED) & (self.direction[:, 2] > 0.0))
 
     def record(self, face: int, rows: Rows, position: Floats, direction: Floats) -> None:
-        """Note where rays met a face and how they went on; later faces repeat it until they are met."""
+        """Note where k rays met a face and how they went on, (k, 3) each; later faces repeat it until they are met."""
         if len(self.hits):
             self.hits[face:, rows] = position
             self.directions[face:, rows] = direction
@@ -83,7 +83,7 @@ class Ledger:
         optical_path: Floats,
         surface: Ints | int,
     ) -> None:
-        """Write the end of rays that crossed or met the sheet."""
+        """Write the end of k rays that crossed or met the sheet: (k,) each, points and directions (k, 3)."""
         self.fate[rows] = fate
         self.position[rows] = position
         self.direction[rows] = direction
@@ -91,7 +91,7 @@ class Ledger:
         self.surface[rows] = surface
 
     def miss(self, rows: Rows) -> None:
-        """Give rays back as launched."""
+        """Give rays (k,) back as launched."""
         if len(self.hits):
             self.hits[:, rows] = self.position[rows]
             self.directions[:, rows] = self.direction[rows]

@@ -65,12 +65,7 @@ def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, st
     ValueError
         Fewer than 4 × 4 samples lie on the lens.
     """
-    here = np.isfinite(samples).all(axis=1) & in_optical_tile(window, samples[:, 0], samples[:, 1])
-    flat = ~(
-        face_height(window, face, samples[:, 0], samples[:, 1])
-        == lens_height(face, samples[:, 0], samples[:, 1])
-    )
-    known = samples[here & ~flat]
+    known = _samples_on_lens(window, face, samples)
     if len(known) < 16:
         raise ValueError(
             f"{len(known)} samples lie on the lens of a cell; 16 and more make a bicubic surface"
@@ -90,6 +85,14 @@ def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, st
     padded[1:-1, 1:-1] = height
     coefficients = np.linalg.solve(columns, np.linalg.solve(rows, padded).T).T
     return SampledFace(face, np.asarray(origin), window, low, np.asarray(step), coefficients)
+
+
+def _samples_on_lens(window: Window, face: Face, samples: Floats) -> Floats:
+    """Those samples (m, 3) that lie in the optical zone of their cell and not on land."""
+    x, y = samples[:, 0], samples[:, 1]
+    here = np.isfinite(samples).all(axis=1) & in_optical_tile(window, x, y)
+    on_lens = here & (face_height(window, face, x, y) == lens_height(face, x, y))
+    return np.asarray(samples[on_lens])
 
 
 def _lens(face: Face, x: Floats, y: Floats) -> Floats:

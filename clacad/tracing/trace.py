@@ -173,7 +173,7 @@ def _through_mesh(
 
 def _by_embree(layout: Layout, tiles: Tiles, rays: Rays, threads: int | None) -> TraceResult:
     """Foreign triangles: what goes straight through by Embree, the rest by the own tree."""
-    from clacad.tracing.triangles.embree_search import trace_straight
+    from clacad.tracing.triangles.embree import trace_straight
 
     result, decided = trace_straight(layout.window, layout, tiles, rays)
     rest = np.flatnonzero(~decided)
@@ -221,7 +221,7 @@ def common_line(rays: Rays) -> float | Literal[False] | None:
 
 
 def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
-    """Rays of one wavelength at a time, with the refractive index of each body there."""
+    """Rows (k,) of rays of one wavelength at a time, with the refractive index of each body there."""
     bodies = layout.window.bodies
     if rays.wavelength is None:
         yield rows, tuple(body.index for body in bodies)

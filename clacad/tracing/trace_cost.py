@@ -23,7 +23,9 @@ PER_BYTE = 4e-7
 """Of a file of triangles: read, sorted into a tree."""
 
 
-def seconds(rays: int, rung: str, effects: Sequence[str] = (), faces: int = 4, mesh_bytes: int = 0) -> float:
+def trace_seconds(
+    rays: int, rung: str, effects: Sequence[str] = (), faces: int = 4, mesh_bytes: int = 0
+) -> float:
     """Processor seconds.
 
     Parameters

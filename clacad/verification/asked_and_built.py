@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from clacad.verification.run import Report
+    from clacad.verification.verification_report import Report
 
 Pair = tuple[float, float]
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.verification.limit_sources import sourced
+from clacad.base.text import plain
+from clacad.verification.limit_sources import OWN_KEY, LimitSource, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -66,8 +67,8 @@ class Check:
         What it means, with numbers, and a way out when it failed.
     required : bool
         Whether "not run" counts against the report.
-    source : str
-        Where the limit comes from.
+    limit_source : LimitSource
+        Where the limit comes from; `source` says it in words.
     subject : str
         File or body it is about; "" for the design.
     detail : mapping
@@ -84,7 +85,7 @@ class Check:
     where: str = "geometry"
     bundle: str = ""
     required: bool = True
-    source: str = "default"
+    limit_source: LimitSource = OWN_KEY
     subject: str = ""
     detail: Mapping[str, Any] = field(default_factory=dict)
 
@@ -92,6 +93,11 @@ class Check:
     def code(self) -> str:
         """Stable code for programs."""
         return CODES[self.id]
+
+    @property
+    def source(self) -> str:
+        """Where the limit comes from, in words."""
+        return str(self.limit_source)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready mapping; numbers that JSON lacks become null."""
@@ -102,19 +108,6 @@ class Check:
             "sentence": self.sentence, "detail": plain(dict(self.detail)),
             **({"alias": alias} if (alias := FORMER.get(self.id)) is not None else {}),
         }  # fmt: skip
-
-
-def plain(value: Any) -> Any:
-    """Value as JSON can hold it: no NaN, no infinity, no numpy, no tuple."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    return value
 
 
 def judge(
@@ -148,7 +141,7 @@ def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
     An allowance is idle if its code is nobody's, or if the checks of that code ran and none of them warned. Checks
     that were marked before stay as they are.
     """
-    found = [check for check in sourced(checks, design) if check.id != "allowance"]
+    found = [check for check in _sourced(checks, design) if check.id != "allowance"]
     reasons = {allowed.code: allowed.reason for allowed in design.check.allow}
     marked = [
         replace(c, sentence=f"{c.sentence}. Accepted in the design: {reasons[c.code]}", detail={**c.detail, "accepted": reasons[c.code]})
@@ -157,6 +150,16 @@ def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
         for c in found
     ]  # fmt: skip
     return (*marked, *(notice for code in reasons if (notice := _idle(code, found)) is not None))
+
+
+def _sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
+    """The same checks; their limits know whether the design file gives the key that they come from."""
+    return tuple(
+        replace(c, limit_source=c.limit_source.known_to(design, c.id))
+        if c.limit is not None or c.state == "not run"
+        else c
+        for c in checks
+    )
 
 
 def _idle(code: str, checks: Iterable[Check]) -> Check | None:
@@ -171,7 +174,8 @@ def _idle(code: str, checks: Iterable[Check]) -> Check | None:
             why = f"the design allows {code}, but a check of that code failed: only warnings can be allowed"
         else:
             why = f"the design allows {code}, but no check of that code warns: the allowance can go"
-    return Check("allowance", "warn", why, code, None, required=False, source="check.allow of the design")
+    source = other("check.allow of the design")
+    return Check("allowance", "warn", why, code, None, required=False, limit_source=source)
 
 
 def passed(checks: Iterable[Check]) -> bool:

@@ -8,9 +8,10 @@ from math import ceil, log2
 from typing import TYPE_CHECKING
 
 from clacad.verification.checks import Check, judge
+from clacad.verification.limit_sources import other
 
 if TYPE_CHECKING:
-    from clacad.verification.run import Report
+    from clacad.verification.verification_report import Report
 
 FEWEST, MOST = 1 << 14, 1 << 20
 """With fewer than the first the fits through a file's triangles have too few rays that get through."""
@@ -54,7 +55,7 @@ def target_checks(checks: Sequence[Check], target: float) -> list[Check]:
             f"{1e3 * target:.4g} mrad asked"
         )
         found.append(
-            judge("file_target", check.value, target, text, unit="rad", source="--target", bundle=check.bundle,
+            judge("file_target", check.value, target, text, unit="rad", limit_source=other("--target"), bundle=check.bundle,
                   where=check.where, subject=check.subject)
         )  # fmt: skip
     return found

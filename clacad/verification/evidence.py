@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import plain
 from clacad.base.types import Progress
 from clacad.verification.accuracy.report_ladder import Ladder, climb
-from clacad.verification.checks import plain
 from clacad.verification.light.caustic import MeridianFocus, foci
 from clacad.verification.light.error_attribution import (
     Attribution,
@@ -19,7 +19,7 @@ from clacad.verification.light.ghost_map import GhostMap, ghost_map
 
 if TYPE_CHECKING:
     from clacad.effects import Plan
-    from clacad.verification.run import Report
+    from clacad.verification.verification_report import Report
 
 
 @dataclass(frozen=True, eq=False)

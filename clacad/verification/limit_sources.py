@@ -1,43 +1,97 @@
-"""Where a limit comes from: the design file, a default, a process profile, or another limit."""
+"""Where a limit comes from, as data: the design file, a default, a process profile, or another limit; and its words."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import Enum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.verification.checks import Check
-
-KEYS = ("law_rms", "law_bias", "eta", "delta", "confocality", "volume", "shape", "file_rms")
-"""Keys of [check] that limits of other checks are made from."""
+    from clacad.design.process_profiles import Profile
 
 
-def sourced(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:
-    """Say of each limit whether the design file gives it, it is a default, or it follows from another one.
+class Origin(Enum):
+    """Kinds of place a limit comes from."""
 
-    A check knows whether its limit is a key of [check] ("default"), or made from one ("law_rms"); whether the
-    design gives that key is known here. Checks that were told before stay as they are.
+    OWN_KEY = "the key of [check] that has the check's name, or its default"
+    OTHER_KEY = "made from another key of [check], or from its default"
+    DESIGN = "the design file gives it"
+    DEFAULT = "this program's own"
+    PROFILE = "a process profile"
+    DERIVED = "made from what was forecast or stated"
+    OTHER = "as its words say"
+
+
+@dataclass(frozen=True, slots=True)
+class LimitSource:
+    """Where a limit comes from.
+
+    origin : Origin
+    what : str
+        Key, name of the profile, or what the limit is made from, in words.
+    basis : str
+        What a process profile is founded on.
+    given : bool
+        Whether the design file gives the key; only known once `known_to` was asked.
     """
-    return tuple(
-        replace(c, source=_source(c, design)) if c.limit is not None or c.state == "not run" else c
-        for c in checks
-    )
+
+    origin: Origin = Origin.OWN_KEY
+    what: str = ""
+    basis: str = ""
+    given: bool = False
+
+    def known_to(self, design: Design, check_id: str) -> LimitSource:
+        """The same, knowing whether the design file gives the key that the limit is, or is made from."""
+        if self.origin not in (Origin.OWN_KEY, Origin.OTHER_KEY):
+            return self
+        key = check_id if self.origin is Origin.OWN_KEY else self.what
+        return replace(self, given=key in design.given.get("check", {}))
+
+    @property
+    def heading(self) -> str:
+        """The words without what a process profile is founded on."""
+        file_or_default = "design file" if self.given else "default"
+        return {
+            Origin.OWN_KEY: file_or_default,
+            Origin.OTHER_KEY: f"derived from {self.what} ({file_or_default})",
+            Origin.DESIGN: "design file",
+            Origin.DEFAULT: f"default: {self.what}" if self.what else "default",
+            Origin.PROFILE: f"process profile {self.what}",
+            Origin.DERIVED: f"derived: {self.what}",
+            Origin.OTHER: self.what,
+        }[self.origin]
+
+    def __str__(self) -> str:
+        """The words for the page and JSON."""
+        return f"{self.heading}: {self.basis}" if self.basis else self.heading
 
 
-def _source(check: Check, design: Design) -> str:
-    name, given = check.source, design.given.get("check", {})
-    if name.startswith(f"{design.check.process}: "):
-        return f"process profile {name}"
-    if check.id == "field":  # its limit is a fact; the key of that name is the cone of the test rays
-        return "derived from pitch, separation and law"
-    if name == "default":
-        # a Fresnel number below 1 voids the ray picture, whatever the design allows
-        own = check.id in given and not (check.id == "fresnel_number" and check.limit == 1.0)
-        return "design file" if own else "default"
-    if name in KEYS:
-        return f"derived from {name} ({'design file' if name in given else 'default'})"
-    if any(word in name for word in ("forecast", "stated", "as their size")) and "derived" not in name:
-        return f"derived: {name}"
-    return f"default: {name}" if name.startswith("1e-") else name
+OWN_KEY = LimitSource()
+DESIGN_FILE = LimitSource(Origin.DESIGN)
+DEFAULT = LimitSource(Origin.DEFAULT)
+
+
+def from_key(name: str) -> LimitSource:
+    """Source of a limit that is made from another key of [check]."""
+    return LimitSource(Origin.OTHER_KEY, name)
+
+
+def from_profile(rules: Profile) -> LimitSource:
+    """Source of a limit of a process profile."""
+    return LimitSource(Origin.PROFILE, rules.name, rules.source)
+
+
+def default(words: str) -> LimitSource:
+    """Source of a limit that is this program's own."""
+    return LimitSource(Origin.DEFAULT, words)
+
+
+def derived(words: str) -> LimitSource:
+    """Source of a limit that is made from what was forecast or stated."""
+    return LimitSource(Origin.DERIVED, words)
+
+
+def other(words: str) -> LimitSource:
+    """Source of a limit that is none of these."""
+    return LimitSource(Origin.OTHER, words)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from clacad import load, prescribe
-from clacad.effects import Setting, lit, trace_with
+from clacad.effects import Setting, light_reaching_camera, trace_with
 from clacad.effects.engine.probe_rays import cone
 from clacad.optics.rays import Rays
 from clacad.tracing.trace import trace
@@ -43,7 +43,7 @@ def factors(count: int, path: str) -> dict[str, float]:
            ("ghosts", "walls", "fresnel", "absorption", "tir_paths", "diffraction", "scatter", "polarisation")},
         "fresnel + absorption": lambda: trace_with(window, rays, "surfaces", ("fresnel", "absorption"),
                                                    setting=SETTING, **options),
-        "reflections": lambda: lit(window, rays, "surfaces", ("reflections",), SETTING, **options),
+        "reflections": lambda: light_reaching_camera(window, rays, "surfaces", ("reflections",), SETTING, **options),
     }  # fmt: skip
     return {name: ratio(lambda: trace(window, rays, **options), job) for name, job in jobs.items()}
 

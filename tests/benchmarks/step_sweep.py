@@ -54,14 +54,14 @@ def member(family: str, angle: float) -> Window:
 def swept(family: str, number: int, pcurves: bool) -> str:
     """One line of the table: a family at `number` angles."""
     from clacad.formats.step.step_files import read_step, write_step
-    from clacad.solid.occ_writer import KernelWriter, is_valid
-    from clacad.solid.solids import describe_body
+    from clacad.solid.describe_body import describe_body
+    from clacad.solid.occ_writer import OccWriter, is_valid
 
     built = read = same = walls = ruled = merged = 0
     shift = 0.0
     for angle in np.geomspace(1e-9, 20.0, number):
         window = member(family, float(angle))
-        writer = KernelWriter()
+        writer = OccWriter()
         shells = describe_body(window, window.bodies[0], writer)
         built += all(is_valid(writer.solid(faces)) for faces in shells.pieces())
         with tempfile.TemporaryDirectory() as folder:

@@ -69,7 +69,7 @@ def main(samples: int = 100) -> None:
         f"| design | {' | '.join(LINEAR)} |", "|--|" + "--|" * len(LINEAR), *(row for _, row in rows), "",
         "For tolerances a hundred times smaller the difference is below 5e-3 of the largest (a default test). A run that is",
         "killed twenty times and resumed has the bytes of an unbroken one, and a Dask cluster finds the same tables",
-        "(`pytest -m long tests/test_tolerance.py tests/test_sweep.py`).", "",
+        "(`pytest -m long tests/verification/test_tolerance.py tests/verification/test_sweep.py`).", "",
     ]  # fmt: skip
     (HERE / "tolerances.md").write_text("\n".join(text), encoding="utf-8")
     print("\n".join(text))

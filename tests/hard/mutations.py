@@ -34,13 +34,17 @@ class Mutation:
     file: str
     stable: str
     textbook: str
-    tests: str = "tests/test_hard_table.py -k stored_case"
+    tests: str = "tests/hard/test_hard_table.py -k stored_case"
 
 
-STORED = "tests/test_hard_table.py -k stored_case"
-HARD, SURFACE, LAW = "tests/test_hard_kernels.py", "tests/test_surface.py", "tests/test_law.py"
+STORED = "tests/hard/test_hard_table.py -k stored_case"
+HARD, SURFACE, LAW = (
+    "tests/hard/test_hard_kernels.py",
+    "tests/optics/test_surface.py",
+    "tests/optics/test_law.py",
+)
 NORMAL, TANGENT, STEP = (f"{SURFACE} -k {word}" for word in ("normal", "nearly_tangent", "small_index_step"))
-KERNELS, LATTICE = f"{HARD} -k 'compiled_surfaces or kernel_tells'", "tests/test_lattice.py"
+KERNELS, LATTICE = f"{HARD} -k 'compiled_surfaces or kernel_tells'", "tests/sheet/test_lattice.py"
 SHEETS = f"{HARD} -k 'sheet and numpy'"
 SHAPE, QUADRIC, MEETING, BICONIC = (
     f"clacad/optics/surface/{n}.py" for n in ("sag_and_normal", "quadric", "intersection", "biconic")
@@ -101,7 +105,7 @@ MUTATIONS = [
     Mutation("law: hemisphere of the lens not asked", MODEL, "x, y, z = _times(r.T, x, y, z)\n        answered &= z > 0.0", "x, y, z = _times(r.T, x, y, z)"),
     Mutation("law: exit not judged", MODEL, "x, y, z = _times(r, x, y, z)\n    answered &= z > 0.0", "x, y, z = _times(r, x, y, z)"),
     Mutation("rotation: cos 90° = 6e-17", TURN, "if angle in (turns * (pi / 2), radians(90.0 * turns)):", "if angle == 0.0:", LAW),
-    Mutation("rotation: φ and ψ turned one by one at θ = 0", TURN, "if st == 0.0:", "if False:", "tests/test_hard.py -k turns_that_cancel"),
+    Mutation("rotation: φ and ψ turned one by one at θ = 0", TURN, "if st == 0.0:", "if False:", "tests/hard/test_hard.py -k turns_that_cancel"),
     Mutation("angle: acos of the scalar product", EXACT, "angle = np.arctan2(sine, np.sum(p * q, axis=1))",
              "angle = np.arccos(np.clip(np.sum(p * q, axis=1) / np.sqrt(np.sum(p * p, axis=1) * np.sum(q * q, axis=1)), -1.0, 1.0))"),
     Mutation("angle: cross product rounded", EXACT, "difference_of_products(p[:, i], q[:, j], p[:, j], q[:, i])", "p[:, i] * q[:, j] - p[:, j] * q[:, i]"),

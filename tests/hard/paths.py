@@ -119,7 +119,7 @@ def page():
         + "\n".join([*why, *rim])
         + f"\n\nThe {len(HARD)} rays through single surfaces (`rays.py`) have no mesh: facets are made of a window's cells, not of\n"
         "explicit surfaces. There the numpy and the compiled surfaces are held to the oracle\n"
-        "(`tests/test_hard_kernels.py`). Laws, heights, cells, angles and views have one implementation each.\n"
+        "(`tests/hard/test_hard_kernels.py`). Laws, heights, cells, angles and views have one implementation each.\n"
     )
 
 

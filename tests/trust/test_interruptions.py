@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from trust.running import environment
 
-from clacad.cli.interrupts import SENTENCE, Ending
+from clacad.cli.interrupts import SENTENCE, InterruptHandler
 
 HANG = 30.0
 """Seconds after which a command that was interrupted is held to hang: many times what any takes."""
@@ -161,11 +161,11 @@ def test_an_ignored_signal_stays_ignored(design: Path) -> None:
 
 def test_the_sentence_is_said_once_whoever_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "numba", raising=False)  # with it the process would be ended at once
-    ending, said = Ending(), []
+    handler, said = InterruptHandler(), []
     with pytest.raises(KeyboardInterrupt):
-        ending.heard(signal.SIGINT, None)
-    ending.heard(signal.SIGINT, None)
-    threads = [threading.Thread(target=ending.tell, args=(said.append,)) for _ in range(8)]
+        handler.handle(signal.SIGINT, None)
+    handler.handle(signal.SIGINT, None)
+    threads = [threading.Thread(target=handler.tell, args=(said.append,)) for _ in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -15,7 +15,7 @@ from clacad.sheet.window import Body, Window
 
 
 @dataclass(frozen=True, eq=False)
-class Crossing:
+class FaceCrossing:
     """One face and the rays of a block that went through it.
 
     Attributes
@@ -34,7 +34,7 @@ class Crossing:
 
 
 @dataclass(eq=False)
-class Block:
+class RayBlock:
     """A block of traced rays under the passes: columns are changed in place.
 
     Attributes
@@ -66,7 +66,7 @@ class Block:
         return body.index_at(self.wavelength)
 
     def emerging(self) -> Bools:
-        """Rays that go on behind the sheet."""
+        """Which rays (n,) go on behind the sheet."""
         return np.asarray(self.result.fate <= Fate.LAND)
 
     @property
@@ -89,7 +89,7 @@ class Block:
         return wavelength
 
 
-def crossings(block: Block) -> Iterator[Crossing]:
+def crossings(block: RayBlock) -> Iterator[FaceCrossing]:
     """Every face the block's rays went through, in the order of the light.
 
     On rungs surfaces and mesh these are the faces. Law and thin have none: there each lens stands as a plane
@@ -108,12 +108,12 @@ def crossings(block: Block) -> Iterator[Crossing]:
         index = block.index(bodies[face // 2])
         n1, n2 = (1.0, index) if face % 2 == 0 else (index, 1.0)
         through = None if everywhere else crossed(result, face, point)
-        yield Crossing(before, after, n1, n2, through)
+        yield FaceCrossing(before, after, n1, n2, through)
         before, point = after, result.hits[face]
 
 
 def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
-    """Which rays went through a face: they met it, at another place than the one before, and did not end there."""
+    """Which rays (n,) went through a face at `point` (n, 3): they met it, elsewhere than the last, and did not end there."""
     assert result.hits is not None
     ended = (result.fate >= Fate.TIR) & (result.surface == face)
     met = (result.surface >= face) & (result.fate < Fate.MISSED)
@@ -121,7 +121,7 @@ def crossed(result: TraceResult, face: int, point: Floats) -> Bools:
     return np.asarray(met & moved & ~ended)
 
 
-def plate_crossings(block: Block) -> Iterator[Crossing]:
+def plate_crossings(block: RayBlock) -> Iterator[FaceCrossing]:
     """Crossings of the plates that stand for the lenses on rungs law and thin."""
     result = block.result
     through = None if bool((result.fate <= Fate.GHOST).all()) else block.emerging()
@@ -129,25 +129,26 @@ def plate_crossings(block: Block) -> Iterator[Crossing]:
     axis = block.window.thin.rotation[:, 2]
     first, last = block.window.bodies[0], block.window.bodies[-1]
     if first is last:
-        inside, index = inside_of(first, block, start, axis), block.index(first)
-        outside = inside_of(first, block, end, axis)
-        yield Crossing(start, inside, 1.0, index, through)
-        yield Crossing(inside, outside, index, index, through)
-        yield Crossing(outside, end, index, 1.0, through)
+        index = block.index(first)
+        inside, outside = inside_plate(start, axis, index), inside_plate(end, axis, index)
+        yield FaceCrossing(start, inside, 1.0, index, through)
+        yield FaceCrossing(inside, outside, index, index, through)
+        yield FaceCrossing(outside, end, index, 1.0, through)
         return
     for body, ray in ((first, start), (last, end)):
-        inside, index = inside_of(body, block, ray, axis), block.index(body)
+        index = block.index(body)
+        inside = inside_plate(ray, axis, index)
         if body is last:
-            yield Crossing(start, end, 1.0, 1.0, through)  # the lenses' turn costs nothing
-        yield Crossing(ray, inside, 1.0, index, through)
-        yield Crossing(inside, ray, index, 1.0, through)
+            yield FaceCrossing(start, end, 1.0, 1.0, through)  # the lenses' turn costs nothing
+        yield FaceCrossing(ray, inside, 1.0, index, through)
+        yield FaceCrossing(inside, ray, index, 1.0, through)
 
 
-def inside_of(body: Body, block: Block, ray: Floats, axis: Floats) -> Floats:
-    """Directions inside the plate that stands for a body's lens."""
-    from clacad.optics.surface.fresnel_coefficients import inside_plate
+def inside_plate(direction: Floats, axis: Floats, index: float) -> Floats:
+    """Unit directions (m, 3) inside a plane plate of the given normal (3,) and index, light coming from air."""
+    from clacad.optics.surface import refract
 
-    return inside_plate(ray, axis, block.index(body))
+    return refract(direction, np.broadcast_to(axis, direction.shape), direction @ axis, 1.0, index)[0]
 
 
 def unit_rows(direction: Floats) -> Floats:
@@ -158,15 +159,15 @@ def unit_rows(direction: Floats) -> Floats:
         return unit(direction)[0]
 
 
-def lens_slopes(block: Block) -> tuple[Floats, Floats]:
+def lens_slopes(block: RayBlock) -> tuple[Floats, Floats]:
     """Exit slopes (m, 2) in the lens frame, and the lens-frame directions (m, 3) themselves."""
     turned = block.result.direction @ block.window.thin.rotation
     with np.errstate(invalid="ignore", divide="ignore"):
         return turned[:, :2] / turned[:, 2:], turned
 
 
-def bend(block: Block, slopes: Floats, rows: Bools) -> None:
-    """Set the exit direction of some rays from their lens-frame slopes; those turned back keep theirs."""
+def bend(block: RayBlock, slopes: Floats, rows: Bools) -> None:
+    """Set the exit direction of some rays (n,) from lens-frame slopes (n, 2); those turned back keep theirs."""
     out = np.column_stack([slopes[rows], np.ones(int(rows.sum()))]) @ block.window.thin.rotation.T
     out /= np.sqrt((out * out).sum(axis=1))[:, None]
     chosen = np.flatnonzero(rows)

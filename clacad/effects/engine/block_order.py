@@ -27,7 +27,7 @@ def around(indices: Sequence[float]) -> list[float]:
     return [1.0, *(n for index in indices for n in (index, 1.0))]
 
 
-class Gathered:
+class OrderedResult:
     """Results of blocks on their way back into the order of launch."""
 
     def __init__(self, count: int, window: Window, direct: bool | None) -> None:
@@ -96,7 +96,7 @@ class Gathered:
         return ledger.closed()
 
     def lent(self, name: str, faces: int, count: int) -> Floats:
-        """Room for one block's hits, used again by the thread's next block: fresh pages cost as much as a pass."""
+        """Room (faces, count, 3) for one block's hits, used again by the thread's next: fresh pages cost as much as a pass."""
         size = faces * count * 3
         room: Floats | None = getattr(_ROOM, name, None)
         if room is None or len(room) < size:

@@ -93,7 +93,7 @@ class Situation:
 
     @cached_property
     def met(self) -> NDArray[np.intp]:
-        """Probe rays that meet the sheet."""
+        """Rows (m,) of the probe rays that meet the sheet."""
         return np.flatnonzero(self.probe.fate < Fate.MISSED)
 
     def share(self, *fates: Fate) -> float:

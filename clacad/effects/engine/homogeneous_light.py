@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.effects.engine.camera_light import Light, joined
+from clacad.effects.engine.light_rays import LightRays, join_light
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import ThinCells, ghost_step, thin_cells
@@ -23,7 +23,7 @@ FAINT = 1e-6
 """Shares below this are not listed."""
 
 
-def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> Light:
+def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> LightRays:
     """Light of the rays that cross the sheet on rung law."""
     rows = np.flatnonzero(result.fate == Fate.ALIVE)
     cells = thin_cells(window)
@@ -31,13 +31,14 @@ def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> 
     parts = [_order(window, cells, result, rows, slopes, (0, 0))]
     if ghosts and window.baffle is None:
         parts += [_order(window, cells, result, rows, slopes, order) for order in orders(cells, slopes)]
-    return joined(*parts)
+    return join_light(*parts)
 
 
 def _order(
     window: Window, cells: ThinCells, result: TraceResult, rows: NDArray[np.intp], slopes: Floats,
     order: tuple[int, int],
-) -> Light:  # fmt: skip
+) -> LightRays:  # fmt: skip
+    """Light of the rays `rows` (k,), of lens-frame slopes (k, 2), that goes into one order."""
     flux = result.flux[rows] * shares(cells, slopes, order)
     kept = np.flatnonzero(flux > FAINT)  # most rays reach but a few of the orders that some ray reaches
     rows, flux = rows[kept], flux[kept]
@@ -52,11 +53,11 @@ def _order(
         direction = (out / np.sqrt((out * out).sum(axis=1))[:, None]) @ rotation.T
         ahead = direction[:, 2] > 0.0
         rows, flux, direction = rows[ahead], flux[ahead], direction[ahead]
-    return Light(rows, result.position[rows], direction, flux)
+    return LightRays(rows, result.position[rows], direction, flux)
 
 
 def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
-    """Ghost orders that light of these slopes can reach."""
+    """Ghost orders that light of these lens-frame slopes (m, 2) can reach."""
     if not len(slopes):
         return []
     reach = cells.separation * slopes

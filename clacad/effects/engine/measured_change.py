@@ -8,8 +8,10 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.effects.engine.bounds import Situation
-from clacad.effects.engine.camera_light import Light, lit
+from clacad.effects.engine.camera_light import light_reaching_camera
+from clacad.effects.engine.light_rays import LightRays
 from clacad.effects.engine.passes import trace_with
+from clacad.optics.law.angle import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.tracing.trace import trace
 
@@ -41,20 +43,24 @@ def measure(situation: Situation, name: str) -> tuple[float, float]:
 
 
 def _radiance(situation: Situation, name: str) -> float:
-    base, _ = lit(situation.window, situation.rays, "surfaces", (), situation.setting)
-    more, _ = lit(situation.window, situation.rays, "surfaces", (name,), situation.setting)
+    base, _ = light_reaching_camera(situation.window, situation.rays, "surfaces", (), situation.setting)
+    more, _ = light_reaching_camera(situation.window, situation.rays, "surfaces", (name,), situation.setting)
     return _flux_change(situation, base, more)
 
 
-def _flux_change(situation: Situation, base: Light, more: Light) -> float:
+def _flux_change(situation: Situation, base: LightRays, more: LightRays) -> float:
     n = len(situation.rays)
     before, after = (np.bincount(light.parent, weights=light.flux, minlength=n) for light in (base, more))
     return float(np.abs(after - before)[situation.met].mean())
 
 
 def _reflections(situation: Situation) -> tuple[float, float]:
-    extra, _ = lit(situation.window, situation.rays, "surfaces", ("reflections",), situation.setting)
-    own, _ = lit(situation.window, situation.rays, "surfaces", ("fresnel",), situation.setting)
+    extra, _ = light_reaching_camera(
+        situation.window, situation.rays, "surfaces", ("reflections",), situation.setting
+    )
+    own, _ = light_reaching_camera(
+        situation.window, situation.rays, "surfaces", ("fresnel",), situation.setting
+    )
     n = max(len(situation.met), 1)
     back = extra.direction[:, 2] < 0.0
     front = float(extra.flux[back].sum()) / n
@@ -101,6 +107,7 @@ def _facets(situation: Situation) -> tuple[float, float]:
 
 
 def _depth(situation: Situation) -> tuple[float, float]:
+    """Largest angle (radians) by which a camera's opening blurs what is nearest and farthest; no change of radiance."""
     from clacad.effects.depth_of_field import effect
 
     setting, rays = situation.setting, situation.rays
@@ -128,8 +135,6 @@ def _turned(situation: Situation, name: str) -> Floats:
 
 
 def angles(a: TraceResult, b: TraceResult, last: Fate) -> Floats:
-    """Angles between the exit directions of rays that both traces let pass with the same fate and order."""
+    """Angles (k,), radians, between exit directions of rays that both traces let pass with the same fate and order."""
     same = (a.fate <= last) & (a.fate == b.fate) & (a.order == b.order).all(axis=1)
-    across = np.cross(a.direction[same], b.direction[same])
-    along = (a.direction[same] * b.direction[same]).sum(axis=1)
-    return np.asarray(np.arctan2(np.sqrt((across * across).sum(axis=1)), along))
+    return angle_between(a.direction[same], b.direction[same])

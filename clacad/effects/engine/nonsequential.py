@@ -16,6 +16,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.effects.engine.mirrored_window import mirrored
 from clacad.optics.rays import Rays
+from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, sheet_position
@@ -106,7 +107,7 @@ class Packet:
     astray: Ints
 
     def take(self, chosen: Rows | Bools) -> Packet:
-        """The chosen rays."""
+        """The chosen rays: row numbers, or which (m,)."""
         return Packet(self.beam.take(chosen), *(getattr(self, f.name)[chosen] for f in fields(self)[1:]))
 
     def __len__(self) -> int:
@@ -118,7 +119,7 @@ CAUSES: tuple[Cause, ...] = ("forward", "front", "wall", "total", "opaque", "asi
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class NonsequentialLight:
     """Where the light went.
 
     Attributes
@@ -147,7 +148,7 @@ class Followed:
     share: dict[str, Floats]
 
 
-def follow(window: Window, rays: Rays, rows: Rows, rules: Rules) -> Followed:
+def trace_nonsequential(window: Window, rays: Rays, rows: Rows, rules: Rules) -> NonsequentialLight:
     """Follow the light of some rays until it has left the sheet or ended.
 
     Parameters
@@ -157,20 +158,20 @@ def follow(window: Window, rays: Rays, rows: Rows, rules: Rules) -> Followed:
     rules : Rules
         Its `indices` are one refractive index a body.
     """
-    walk = _Walk(window, rays, rules)
+    walk = _Packets(window, rays, rules)
     with np.errstate(all="ignore"):
         walk.launch(rows)
         walk.run()
     return walk.result()
 
 
-class _Walk:
-    """Packets under way and light that has left. One use, inside `follow`."""
+class _Packets:
+    """Packets under way and light that has left. One use, inside `trace_nonsequential`."""
 
     def __init__(self, window: Window, rays: Rays, rules: Rules) -> None:
         self.rules = rules
         self.rays = rays
-        self.up, self.down = lay_out(window), lay_out(mirrored(window))
+        self.layouts = {True: lay_out(window), False: lay_out(mirrored(window))}
         self.waiting: dict[State, list[Packet]] = {}
         self.out: list[tuple[Packet, bool]] = []
         self.share = {cause: np.zeros(len(rays)) for cause in CAUSES}
@@ -179,9 +180,10 @@ class _Walk:
     # -- start and end
 
     def launch(self, rows: Rows) -> None:
-        body = self.up.bodies[0]
-        beam, carried = launch(self.up, body, self.rays.position, self.rays.direction, rows)
-        beam = to_array(self.up, beam, body.arrays[0])
+        """Put the launched rays `rows` (k,) before the first body; those beside it have ended."""
+        body = self.layouts[True].bodies[0]
+        beam, carried = launch(self.layouts[True], body, self.rays.position, self.rays.direction, rows)
+        beam = to_array(self.layouts[True], beam, body.arrays[0])
         m = len(beam)
         zero, none = np.zeros(m, dtype=np.int64), np.zeros((m, 2), dtype=np.int64)
         packet = Packet(
@@ -193,18 +195,21 @@ class _Walk:
         self.put((True, 0, False), packet)
 
     def put(self, state: State, packet: Packet) -> None:
+        """Let a packet wait for its step, in the cells of its body's first array."""
         if not len(packet):
             return
-        layout = self.layout(state[0])
+        layout = self.layouts[state[0]]
         array = layout.bodies[state[1]].arrays[0]
         if packet.beam.array != array:
             packet = replace(packet, beam=to_array(layout, packet.beam, array))
         self.waiting.setdefault(state, []).append(packet)
 
     def end(self, cause: Cause, packet: Packet, flux: Floats | None = None) -> None:
+        """Count the light of a packet, or `flux` (m,) of it, as ended."""
         np.add.at(self.share[cause], packet.beam.rows, packet.flux if flux is None else flux)
 
     def run(self) -> None:
+        """Step packets until none waits."""
         while self.waiting:
             state = min(self.waiting)
             packet = _joined(self.waiting.pop(state))
@@ -215,14 +220,15 @@ class _Walk:
             if len(packet):
                 self.step(state, packet)
 
-    def result(self) -> Followed:
+    def result(self) -> NonsequentialLight:
+        """The light that has left, and what became of the rest."""
         packets = [packet for packet, _ in self.out]
         empty = np.zeros((0, 3))
 
         def column(values: Sequence[Floats], nothing: Floats) -> Floats:
             return np.concatenate(values) if values else nothing
 
-        return Followed(
+        return NonsequentialLight(
             parent=np.concatenate([p.beam.rows for p in packets]) if packets else np.zeros(0, dtype=np.intp),
             position=column([p.position for p in packets], empty),
             direction=column([p.beam.direction * (1.0, 1.0, 1.0 if u else -1.0) for p, u in self.out], empty),
@@ -235,12 +241,10 @@ class _Walk:
 
     # -- one step
 
-    def layout(self, up: bool) -> Layout:
-        return self.up if up else self.down
-
     def step(self, state: State, packet: Packet) -> None:
+        """Carry a packet to what it meets first in its body, or out of it."""
         up, number, inside = state
-        layout = self.layout(up)
+        layout = self.layouts[up]
         body = layout.bodies[number]
         event = first_change(layout, body, packet.beam, inside)
         if not inside and layout.window.baffle is not None:
@@ -258,9 +262,10 @@ class _Walk:
             self.meet(state, packet.take(met), event.take(met))
 
     def absorbed(self, up: bool, number: int, packet: Packet, length: Floats) -> Packet:
+        """The packet after lengths (m,) inside a body."""
         if not self.rules.attenuation:
             return packet
-        rate = self.rules.attenuation[number if up else len(self.up.bodies) - 1 - number]
+        rate = self.rules.attenuation[number if up else len(self.layouts[True].bodies) - 1 - number]
         flux = packet.flux * np.exp(-rate * length)
         self.end("absorbed", packet, packet.flux - flux)
         return replace(packet, flux=flux)
@@ -277,7 +282,7 @@ class _Walk:
 
     def leave(self, up: bool, number: int, packet: Packet) -> None:
         """From the space over a body to the next body, or out of the sheet."""
-        layout = self.layout(up)
+        layout = self.layouts[up]
         if number + 1 == len(layout.bodies):
             self.end("forward" if up else "front", packet)
             self.out.append((packet, up))
@@ -305,7 +310,7 @@ class _Walk:
     def meet(self, state: State, packet: Packet, event: Event) -> None:
         """End what may not go on here; carry the rest to the interface and divide it."""
         up, number, inside = state
-        layout = self.layout(up)
+        layout = self.layouts[up]
         land = np.isin(event.kind, (FRONT_LAND, BACK_LAND))
         if layout.window.land.opaque and land.any():
             self.end("opaque", packet.take(land))
@@ -317,8 +322,9 @@ class _Walk:
             packet, event, astray = packet.take(~astray), event.take(~astray), astray[~astray]
         if not len(packet):
             return
-        normal = self.normals(layout, layout.bodies[number], packet, event)
-        packet = self.arrive(state, packet, event)
+        body = layout.bodies[number]
+        normal = normals_met(layout, body, packet, event)
+        packet = arrived(layout, body, packet, event, up, self.index(up, number) if inside else 1.0)
         was = packet.astray
         packet = replace(packet, faces=packet.faces + 1, astray=np.where((was > 0) | astray, was + 1, 0))
         bad = ~np.isfinite(normal[:, 2])
@@ -328,58 +334,18 @@ class _Walk:
         nudge = np.where((event.kind == WALL)[:, None], NUDGE * layout.halves.max() * normal[:, :2], 0.0)
         self.divide(state, packet, normal, astray, nudge)
 
-    def normals(self, layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> Floats:
-        """Unit normals (m, 3) of what rays meet, on the side the rays go to."""
-        ray = packet.beam.direction
-        step = event.distance[:, None] * ray
-        points = {array: start + step[:, :2] for array, start in event.starts.items()}
-        z = packet.beam.z + step[:, 2]
-        normal = np.zeros((len(packet), 3))
-        normal[:, 2] = 1.0
-        for kind, face in ((FRONT, body.front), (BACK, body.back)):
-            on = event.kind == kind
-            if face.array is not None and on.any():
-                normal[on] = lens_normals(face, points[face.array][on], z[on])
-        at_wall = event.kind == WALL
-        if at_wall.any():
-            xy = sheet_xy(layout, packet.beam) + step[:, :2]
-            chosen = {array: point[at_wall] for array, point in points.items()}
-            normal[at_wall, :2] = wall_normals(layout, body, ray[at_wall], chosen, xy[at_wall])
-            normal[at_wall, 2] = 0.0
-        backwards = (ray * normal).sum(axis=1) < 0.0
-        return np.where(backwards[:, None], -normal, normal)
-
-    def arrive(self, state: State, packet: Packet, event: Event) -> Packet:
-        """Rays at what they met, in the cells of the body's first array."""
-        up, number, inside = state
-        layout = self.layout(up)
-        body = layout.bodies[number]
-        array, beam = body.arrays[0], packet.beam
-        local = event.starts[array] + event.distance[:, None] * beam.direction[:, :2]
-        z = beam.z + event.distance * beam.direction[:, 2]
-        for kind, face in ((FRONT_LAND, body.front), (BACK_LAND, body.back)):
-            z = np.where(event.kind == kind, face.land, z)
-        at = Beam(beam.rows, array, event.cells[array], local, z, beam.direction)
-        position = sheet_position(layout, array, at.cell, local, z + body.level)
-        position[:, 2] *= 1.0 if up else -1.0
-        path = packet.path + (self.index(up, number) if inside else 1.0) * event.distance
-        gated = np.zeros(len(packet), dtype=bool)
-        return replace(packet, beam=at, path=path, position=position, gated=gated)
-
     def index(self, up: bool, number: int) -> float:
         """Refractive index of a body counted in the order in which the packet meets it."""
-        return self.rules.indices[number if up else len(self.up.bodies) - 1 - number]
+        return self.rules.indices[number if up else len(self.layouts[True].bodies) - 1 - number]
 
     def divide(self, state: State, packet: Packet, normal: Floats, astray: Bools, nudge: Floats) -> None:
-        """Send on what passes the interface and what is reflected."""
+        """Send on what passes the interface of unit normals (m, 3) and what is reflected; `nudge` (m, 2) over a wall."""
         up, number, inside = state
         n1, n2 = (self.index(up, number), 1.0) if inside else (1.0, self.index(up, number))
-        ray, mu = packet.beam.direction, n1 / n2
+        ray = packet.beam.direction
         cos = np.maximum((ray * normal).sum(axis=1), 0.0)
-        square = 1.0 - mu * mu * (1.0 - cos) * (1.0 + cos)
-        total = square < 0.0
-        q = np.sqrt(np.maximum(square, 0.0))
-        through = mu * ray + (q - mu * cos)[:, None] * normal
+        through, _ = refract(ray, normal, cos, n1, n2)
+        total = np.isnan(through[:, 0])
         back = ray - 2.0 * cos[:, None] * normal
         lost = np.zeros(len(packet))
         if self.rules.losses:
@@ -402,7 +368,7 @@ class _Walk:
             self.send(state, child.take(kept), back[passing][kept], -nudge[passing][kept])
 
     def send(self, state: State, packet: Packet, direction: Floats, nudge: Floats) -> None:
-        """Put rays under way with new directions, in the window that they see upright."""
+        """Put rays under way with new directions (m, 3), in the window that they see upright."""
         if not len(packet):
             return
         up, number, inside = state
@@ -412,14 +378,51 @@ class _Walk:
         climbs = direction[:, 2] > 0.0
         self.put(state, packet.take(climbs))
         falls = packet.take(~climbs)
-        other = len(self.up.bodies) - 1 - number
-        here, there = self.layout(up).bodies[number].level, self.layout(not up).bodies[other].level
+        other = len(self.layouts[True].bodies) - 1 - number
+        here, there = self.layouts[up].bodies[number].level, self.layouts[not up].bodies[other].level
         turned = replace(
             falls.beam,
             z=-(falls.beam.z + here) - there,
             direction=falls.beam.direction * (1.0, 1.0, -1.0),
         )
         self.put((not up, other, inside), replace(falls, beam=turned))
+
+
+def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> Floats:
+    """Unit normals (m, 3) of what rays meet, on the side the rays go to."""
+    ray = packet.beam.direction
+    step = event.distance[:, None] * ray
+    points = {array: start + step[:, :2] for array, start in event.starts.items()}
+    z = packet.beam.z + step[:, 2]
+    normal = np.zeros((len(packet), 3))
+    normal[:, 2] = 1.0
+    for kind, face in ((FRONT, body.front), (BACK, body.back)):
+        on = event.kind == kind
+        if face.array is not None and on.any():
+            normal[on] = lens_normals(face, points[face.array][on], z[on])
+    at_wall = event.kind == WALL
+    if at_wall.any():
+        xy = sheet_xy(layout, packet.beam) + step[:, :2]
+        chosen = {array: point[at_wall] for array, point in points.items()}
+        normal[at_wall, :2] = wall_normals(layout, body, ray[at_wall], chosen, xy[at_wall])
+        normal[at_wall, 2] = 0.0
+    backwards = (ray * normal).sum(axis=1) < 0.0
+    return np.where(backwards[:, None], -normal, normal)
+
+
+def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bool, index: float) -> Packet:
+    """Rays at what they met, in the cells of the body's first array, having come through a refractive index."""
+    array, beam = body.arrays[0], packet.beam
+    local = event.starts[array] + event.distance[:, None] * beam.direction[:, :2]
+    z = beam.z + event.distance * beam.direction[:, 2]
+    for kind, face in ((FRONT_LAND, body.front), (BACK_LAND, body.back)):
+        z = np.where(event.kind == kind, face.land, z)
+    at = Beam(beam.rows, array, event.cells[array], local, z, beam.direction)
+    position = sheet_position(layout, array, at.cell, local, z + body.level)
+    position[:, 2] *= 1.0 if up else -1.0
+    path = packet.path + index * event.distance
+    gated = np.zeros(len(packet), dtype=bool)
+    return replace(packet, beam=at, path=path, position=position, gated=gated)
 
 
 def lens_normals(face: FacePlan, local: Floats, z: Floats) -> Floats:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.effects.engine.block import Block
-from clacad.effects.engine.nonsequential import Rules, follow
+from clacad.effects.engine.block import RayBlock
+from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
@@ -36,13 +36,15 @@ def rules_for(window: Window, setting: Setting, wavelength: float | None, order:
     )
 
 
-def carry_on(block: Block, setting: Setting, fate: Fate) -> None:
+def trace_ended_rays(block: RayBlock, setting: Setting, fate: Fate) -> None:
     """Follow the block's rays of one fate to where they leave; those that do not leave get flux 0."""
     result = block.result
     rows = np.flatnonzero(result.fate == fate)
     if not len(rows) or block.rung in ("law", "thin"):
         return
-    out = follow(block.window, block.rays, rows, rules_for(block.window, setting, block.wavelength))
+    out = trace_nonsequential(
+        block.window, block.rays, rows, rules_for(block.window, setting, block.wavelength)
+    )
     result.flux[rows] = 0.0
     result.flux[out.parent] = out.flux
     result.position[out.parent] = out.position

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from clacad.base.types import Rung
-from clacad.effects.engine.block import Block, Crossing, crossings
-from clacad.effects.engine.block_order import Chosen, Gathered
+from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings
+from clacad.effects.engine.block_order import Chosen, OrderedResult
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.window import Window
@@ -41,7 +41,7 @@ LIGHT_BLOCK = 65536
 """The same where hits are kept of few rays only."""
 
 
-class Stage(Enum):
+class When(Enum):
     """When a pass runs."""
 
     LAUNCH = 0  # on the rays, before the trace
@@ -52,7 +52,10 @@ class Stage(Enum):
 Losses = tuple[bool, tuple[float, ...]]
 """Light lost on the way: whether bare faces reflect, and the attenuation of each body (1/length; empty: none)."""
 
-Pass = Callable[[Block, Crossing | None], None]
+Place = tuple[Chosen, float | None]
+"""Rows of a block, and the wavelength (metres) of all its rays or None."""
+
+Pass = Callable[[RayBlock, FaceCrossing | None], None]
 Launch = Callable[[Window, Rays], Rays]
 
 
@@ -63,7 +66,7 @@ class Effect:
     Attributes
     ----------
     name : str
-    stage : Stage
+    when : When
     needs : tuple of str
         Channels: "hits" (points and directions at every face).
     apply : callable
@@ -85,11 +88,11 @@ class Effect:
     """
 
     name: str
-    stage: Stage
+    when: When
     needs: tuple[str, ...] = ()
     apply: Pass | None = None
-    finish: Callable[[Block], None] | None = None
-    compiled: Callable[[Block], None] | None = None
+    finish: Callable[[RayBlock], None] | None = None
+    compiled: Callable[[RayBlock], None] | None = None
     launch: Launch | None = None
     rung: Rung | None = None
     options: dict[str, Any] = field(default_factory=dict)
@@ -127,7 +130,7 @@ def resolve(names: Sequence[str | Effect], window: Window, setting: Setting | No
         found.pop("fresnel", None)  # they hold it
     if "polarisation" in found:
         found.pop("reflections", None)  # its losses on the straight path
-    return sorted(found.values(), key=lambda e: (e.stage.value, e.name in FOLLOWED, NAMES.index(e.name)))
+    return sorted(found.values(), key=lambda e: (e.when.value, e.name in FOLLOWED, NAMES.index(e.name)))
 
 
 def module_of(name: str) -> EffectModule:
@@ -169,53 +172,101 @@ def trace_with(
     """
     from clacad.tracing.trace import trace
 
-    passes = resolve(effects, window, setting)
-    for effect in passes:
+    resolved = resolve(effects, window, setting)
+    for effect in resolved:
         if effect.rung is not None and rung != "mesh":
             rung, options = effect.rung, {**options, **effect.options}
         if effect.launch is not None:
             rays = effect.launch(window, rays)
-    passes = [effect for effect in passes if effect.apply is not None]
+    passes = [effect for effect in resolved if effect.apply is not None]
     if not passes:
         return trace(window, rays, rung, record=record, **options)
-    keep = record or any("hits" in effect.needs for effect in passes)
-    by_colour = not passes or any(effect.colours for effect in passes)
     threads, options["path"] = _workers(window, rays, rung, options)
-    fast = options["path"] == "numba" and rung == "surfaces"
-    lossy = [effect for effect in passes if effect.losses is not None]
-    others = [effect for effect in passes if effect.losses is None]
-    if not fast or record or any("hits" in effect.needs for effect in others):
-        lossy, others = [], passes
-    places = list(blocks(rays, by_colour, LIGHT_BLOCK if lossy else BLOCK))
-    gathered = Gathered(len(rays), window, record if fast else None)
+    run_block = _BlockRun.of(window, rays, rung, passes, record, options)
+    places = list(blocks(rays, any(effect.colours for effect in passes), run_block.size))
+    _run_on_threads(run_block, places, threads)
+    return run_block.gathered.closed()
 
-    def one(place: tuple[Chosen, float | None]) -> None:
-        rows, wavelength = place
-        part = take_rays(rays, rows)
-        if lossy and isinstance(rows, slice):
-            result = gathered.traced_with_losses(rows, part, wavelength, lossy)
-            run(others, Block(window, part, result, rung, wavelength, compiled=True))
-            return
-        if fast and isinstance(rows, slice):
-            result = gathered.traced_in_place(rows, part, wavelength, keep)
-            run(passes, Block(window, part, result, rung, wavelength, compiled=True))
-            return
-        result = trace(window, part, rung, record=keep, threads=1, **options)
-        if not result.flux.flags.writeable:
-            result = replace(result, flux=result.flux.copy())
-        run(passes, Block(window, part, result, rung, wavelength, options["path"] == "numba"))
-        gathered.enter(rows, result, record)
 
-    one(places[0])  # its columns say what the others' look like
+def _run_on_threads(run_block: _BlockRun, places: list[Place], threads: int) -> None:
+    """Run the blocks at these places; on one thread where little is to do."""
+    run_block(places[0])  # its columns say what the others' look like
     if threads == 1 or len(places) <= 2:
         for place in places[1:]:
-            one(place)
-    else:
-        from concurrent.futures import ThreadPoolExecutor
+            run_block(place)
+        return
+    from concurrent.futures import ThreadPoolExecutor
 
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(one, places[1:]))
-    return gathered.closed()
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(run_block, places[1:]))
+
+
+@dataclass(frozen=True, eq=False)
+class _BlockRun:
+    """How each block of a trace is traced and put through the passes.
+
+    passes : those that change columns; `lossy` of them are counted by the compiled tracer on the way, then `others` run
+    keep : whether hits are kept while a block is under way; `record`: also in the result
+    fast : whether compiled code writes slices of the whole
+    options : of `trace`
+    """
+
+    window: Window
+    rays: Rays
+    rung: Rung
+    passes: list[Effect]
+    lossy: list[Effect]
+    others: list[Effect]
+    record: bool
+    keep: bool
+    fast: bool
+    options: dict[str, Any]
+    gathered: OrderedResult
+
+    @classmethod
+    def of(
+        cls,
+        window: Window,
+        rays: Rays,
+        rung: Rung,
+        passes: list[Effect],
+        record: bool,
+        options: dict[str, Any],
+    ) -> _BlockRun:
+        """Choose how; `options["path"]` is "numba" or "numpy"."""
+        fast = options["path"] == "numba" and rung == "surfaces"
+        lossy = [effect for effect in passes if effect.losses is not None]
+        others = [effect for effect in passes if effect.losses is None]
+        if not fast or record or any("hits" in effect.needs for effect in others):
+            lossy, others = [], passes
+        keep = record or any("hits" in effect.needs for effect in passes)
+        gathered = OrderedResult(len(rays), window, record if fast else None)
+        return cls(window, rays, rung, passes, lossy, others, record, keep, fast, options, gathered)
+
+    @property
+    def size(self) -> int:
+        """Rays of a block."""
+        return LIGHT_BLOCK if self.lossy else BLOCK
+
+    def __call__(self, place: Place) -> None:
+        """Trace the block at these rows, of one wavelength or none, and write its columns."""
+        rows, wavelength = place
+        window, part = self.window, take_rays(self.rays, rows)
+        if self.fast and isinstance(rows, slice):
+            if self.lossy:
+                result = self.gathered.traced_with_losses(rows, part, wavelength, self.lossy)
+            else:
+                result = self.gathered.traced_in_place(rows, part, wavelength, self.keep)
+            run(self.others, RayBlock(window, part, result, self.rung, wavelength, compiled=True))
+            return
+        from clacad.tracing.trace import trace
+
+        result = trace(window, part, self.rung, record=self.keep, threads=1, **self.options)
+        if not result.flux.flags.writeable:
+            result = replace(result, flux=result.flux.copy())
+        compiled = self.options["path"] == "numba"
+        run(self.passes, RayBlock(window, part, result, self.rung, wavelength, compiled))
+        self.gathered.enter(rows, result, self.record)
 
 
 def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) -> tuple[int, str]:
@@ -234,9 +285,9 @@ def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) ->
     return thread_count(threads), path
 
 
-def run(passes: Sequence[Effect], block: Block) -> None:
+def run(passes: Sequence[Effect], block: RayBlock) -> None:
     """Run the passes over one block."""
-    at_hits = [e for e in passes if e.stage is Stage.HIT]
+    at_hits = [e for e in passes if e.when is When.HIT]
     fast = [e.compiled for e in at_hits if block.compiled and e.compiled is not None]
     slow = [
         e.apply for e in at_hits if e.apply is not None and not (block.compiled and e.compiled is not None)
@@ -250,11 +301,11 @@ def run(passes: Sequence[Effect], block: Block) -> None:
     for effect in passes:
         if effect.finish is not None:
             effect.finish(block)
-        if effect.stage is Stage.EXIT and effect.apply is not None:
+        if effect.when is When.EXIT and effect.apply is not None:
             effect.apply(block, None)
 
 
-def blocks(rays: Rays, by_colour: bool, size: int = BLOCK) -> Iterator[tuple[Chosen, float | None]]:
+def blocks(rays: Rays, by_colour: bool, size: int = BLOCK) -> Iterator[Place]:
     """Rows of rays a block at a time, each of one wavelength where that matters."""
     if rays.wavelength is None or not by_colour or len(rays) == 0:
         for first in range(0, max(len(rays), 1), size):

@@ -22,7 +22,7 @@ from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.effects.engine.camera_light import Light
+    from clacad.effects.engine.light_rays import LightRays
     from clacad.scene import Scene
 
 State = Literal["on", "off", "forced", "without", "unknown"]
@@ -33,7 +33,7 @@ EXACT_MARGIN = 1.25
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class PlanRow:
     """One effect in a plan.
 
     Attributes
@@ -74,7 +74,7 @@ class Plan:
 
     Attributes
     ----------
-    rows : tuple of Row, one an effect
+    rows : tuple of PlanRow, one an effect
     rung : "law", "thin", "surfaces" or "mesh"
     rung_why : str
     angle, radiance : float
@@ -82,7 +82,7 @@ class Plan:
     setting : Setting
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[PlanRow, ...]
     rung: Rung
     rung_why: str
     angle: float
@@ -106,7 +106,7 @@ class Plan:
         others = (row for row in self.rows if row.on and row.effect not in ("dispersion", "facets"))
         return lines * (1.0 + sum(row.cost - 1.0 for row in others))
 
-    def row(self, effect: str) -> Row:
+    def row(self, effect: str) -> PlanRow:
         """The row of an effect.
 
         Raises
@@ -123,11 +123,11 @@ class Plan:
         """Effects that run on camera rays: the camera itself sees to its opening and to the lines."""
         return tuple(name for name in self.names if name not in ("depth_of_field", "dispersion", "facets"))
 
-    def light(self, window: Window, rays: Rays, **options: Any) -> tuple[Light, TraceResult]:
-        """Trace rays as planned and give the light they see; see `clacad.effects.lit`."""
-        from clacad.effects.engine.camera_light import lit
+    def light(self, window: Window, rays: Rays, **options: Any) -> tuple[LightRays, TraceResult]:
+        """Trace rays as planned and give the light they see; see `clacad.effects.light_reaching_camera`."""
+        from clacad.effects.engine.camera_light import light_reaching_camera
 
-        return lit(window, rays, self.rung, self.traced(), self.setting, **options)
+        return light_reaching_camera(window, rays, self.rung, self.traced(), self.setting, **options)
 
     def left_out(self) -> tuple[float, float]:
         """Largest angle, and the sum of radiances, of all that is left out."""
@@ -188,10 +188,6 @@ def plan_effects(
     chosen, force, without : names
         Mode list: exactly these; mode auto: plus these, minus these. Added to the scene's.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     ValueError
@@ -199,17 +195,9 @@ def plan_effects(
     """
     situation, wishes, asked = _look_at(target)
     wishes = wishes.with_(mode, chosen, force, without)
-    if tolerance is not None:
-        angle, radiance = tolerance if isinstance(tolerance, tuple) else (tolerance, situation.radiance)
-        situation = replace(situation, angle=angle, radiance=radiance)
-    bounds = {name: module_of(name).bound(situation) for name in NAMES}
+    situation = _within(situation, tolerance)
     rung, why = choose_rung(situation, asked)
-    if exact:
-        for name in NAMES:
-            if name != "facets" or rung == "mesh":  # else a mesh would be made to judge what is not simulated
-                bounds[name] = _measured(situation, name, bounds[name])
-    if rung == "mesh":
-        bounds = {name: _smooth(name, bound) for name, bound in bounds.items()}
+    bounds = _bounds(situation, rung, exact)
     rows = tuple(
         _row(name, bound, _state(name, bound, situation, wishes, rung), exact)
         for name, bound in bounds.items()
@@ -251,17 +239,38 @@ def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wi
     if isinstance(target, Situation):
         return target, Wishes(), "auto"
     if isinstance(target, Window):
-        return probe_rays.of_window(target), Wishes(), "surfaces"
+        return probe_rays.situation_of_window(target), Wishes(), "surfaces"
     from clacad.design import Design
 
     if isinstance(target, Design):
-        return probe_rays.of_design(target), Wishes(), "surfaces"
+        return probe_rays.situation_of_design(target), Wishes(), "surfaces"
     effects = target.effects
     wishes = Wishes(effects.mode, tuple(effects.list), tuple(effects.force), tuple(effects.without))
-    return probe_rays.of_scene(target), wishes, target.sheet.rung
+    return probe_rays.situation_of_scene(target), wishes, target.sheet.rung
+
+
+def _within(situation: Situation, tolerance: float | tuple[float, float] | None) -> Situation:
+    """The situation with the asked smallest angle, or angle and radiance, that matter."""
+    if tolerance is None:
+        return situation
+    angle, radiance = tolerance if isinstance(tolerance, tuple) else (tolerance, situation.radiance)
+    return replace(situation, angle=angle, radiance=radiance)
+
+
+def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
+    """Bound of every effect on a rung, measured by traces if `exact`."""
+    bounds = {name: module_of(name).bound(situation) for name in NAMES}
+    if exact:
+        for name in NAMES:
+            if name != "facets" or rung == "mesh":  # else a mesh would be made to judge what is not simulated
+                bounds[name] = _measured(situation, name, bounds[name])
+    if rung == "mesh":
+        bounds = {name: _smooth(name, bound) for name, bound in bounds.items()}
+    return bounds
 
 
 def _state(name: str, bound: Bound, situation: Situation, wishes: Wishes, rung: Rung) -> State:
+    """Whether an effect is simulated and who decided it."""
     if name == "facets":  # the rung decides
         return "on" if rung == "mesh" else "off"
     if name == "depth_of_field" and situation.setting.aperture > 0.0 and name not in wishes.without:
@@ -285,9 +294,9 @@ def _matters(bound: Bound, situation: Situation) -> bool:
     return bound.angle > situation.angle or bound.radiance > situation.radiance
 
 
-def _row(name: str, bound: Bound, state: State, measured: bool) -> Row:
+def _row(name: str, bound: Bound, state: State, measured: bool) -> PlanRow:
     measured = measured and bound.known
-    return Row(name, state, bound.why, bound.angle, bound.radiance, bound.cost, measured, bound.known)
+    return PlanRow(name, state, bound.why, bound.angle, bound.radiance, bound.cost, measured, bound.known)
 
 
 def _smooth(name: str, bound: Bound) -> Bound:

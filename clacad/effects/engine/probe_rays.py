@@ -32,7 +32,7 @@ FIELD = pi / 180.0
 """Half angle of the bundle sent through a bare window, radians."""
 
 
-def of_window(
+def situation_of_window(
     window: Window,
     setting: Setting | None = None,
     angle: float = 1e-3,
@@ -80,13 +80,13 @@ def middle_cells(window: Window) -> NDArray[np.int64]:
     return np.asarray(window.lattice.cells()[near])
 
 
-def of_design(design: Design, angle: float | None = None, radiance: float = RADIANCE) -> Situation:
+def situation_of_design(design: Design, angle: float | None = None, radiance: float = RADIANCE) -> Situation:
     """The bundle by which the design is judged; angles that matter: its `law_rms`."""
     from clacad.prescription.prescribe import prescribe
 
     window = prescribe(design)
     tolerance = design.check.law_rms if angle is None else angle
-    return of_window(window, design_setting(design), tolerance, radiance, design.check.field)
+    return situation_of_window(window, design_setting(design), tolerance, radiance, design.check.field)
 
 
 def design_setting(design: Design) -> Setting:
@@ -94,7 +94,7 @@ def design_setting(design: Design) -> Setting:
     return Setting(roughness=design.body.roughness * design.unit_m, slope_rms=design.body.slope_rms)
 
 
-def of_scene(scene: Scene, window: Window | None = None) -> Situation:
+def situation_of_scene(scene: Scene, window: Window | None = None) -> Situation:
     """The camera's own rays on the sheet."""
     from clacad.prescription.prescribe import prescribe
 
@@ -102,31 +102,13 @@ def of_scene(scene: Scene, window: Window | None = None) -> Situation:
     window = prescribe(design) if window is None else window
     scale = scene.unit_m / window.unit
     camera, effects = scene.camera, scene.effects
-    position, target = np.array(camera.position), np.array(camera.target)
-    distance = float(np.linalg.norm(target - position))
+    distance = float(np.linalg.norm(np.array(camera.target) - np.array(camera.position)))
     pixel = picture_width(camera, distance) / camera.pixels[0] / distance
-    lines = LINES[scene.light.spectrum] if isinstance(scene.light.spectrum, str) else (scene.light.spectrum,)
-    polariser, analyser = (
-        None if degrees is None else radians(degrees)
-        for degrees in (scene.light.polariser, scene.light.analyser)
-    )
-    setting = replace(
-        design_setting(design),
-        coating=effects.coating,
-        order=effects.order,
-        wavelengths=lines,
-        polariser=polariser,
-        analyser=analyser,
-        aperture=camera.aperture * scale,
-        focus=(distance if camera.focus is None else camera.focus) * scale,
-        axis=tuple((target - position) / distance),
-        quads=scene.sheet.quads,
-    )
     contrast, front = brightness(scene)
     near, far = depths(scene)
     return Situation(
         window=window,
-        setting=setting,
+        setting=scene_setting(scene, design, scale),
         rays=camera_rays(scene, window),
         angle=max(FINEST, 0.5 * pixel) if effects.angle is None else effects.angle,
         radiance=effects.radiance,
@@ -134,8 +116,30 @@ def of_scene(scene: Scene, window: Window | None = None) -> Situation:
         front=front,
         near=near * scale,
         far=far * scale,
-        sheet_distance=abs(position[2]) * scale,
+        sheet_distance=abs(camera.position[2]) * scale,
         pixel=pixel,
+    )
+
+
+def scene_setting(scene: Scene, design: Design, scale: float) -> Setting:
+    """Parameters of the effects that a scene and its design state; `scale`: window lengths in one scene length."""
+    camera, light = scene.camera, scene.light
+    position, target = np.array(camera.position), np.array(camera.target)
+    distance = float(np.linalg.norm(target - position))
+    polariser, analyser = (
+        None if degrees is None else radians(degrees) for degrees in (light.polariser, light.analyser)
+    )
+    return replace(
+        design_setting(design),
+        coating=scene.effects.coating,
+        order=scene.effects.order,
+        wavelengths=LINES[light.spectrum] if isinstance(light.spectrum, str) else (light.spectrum,),
+        polariser=polariser,
+        analyser=analyser,
+        aperture=camera.aperture * scale,
+        focus=(distance if camera.focus is None else camera.focus) * scale,
+        axis=tuple((target - position) / distance),
+        quads=scene.sheet.quads,
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from math import ceil, sqrt
 from pathlib import Path
 
@@ -306,13 +307,7 @@ def check_points(window: Window, face: Face, path: Path, scale: float, count: in
     FileDisagrees, UnreadableFile
     """
     assert face.array is not None
-    lines = _picked_lines(path, count)
-    try:
-        table = np.array([[float(w) for w in line.split()] for line in lines])
-    except ValueError as error:
-        raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
-    if table.ndim != 2 or table.shape[1] != 6:
-        raise UnreadableFile(f"{path.name}: a line that is not six numbers")
+    table = _six_numbers(path, _picked_lines(path, count))
     _, u, v = _located(window, face, table[:, 0] / scale, table[:, 1] / scale)
     z = face_height(window, face, u, v) * scale
     if not (np.abs(table[:, 2] - z) <= 2e-9 + 1e-8 * abs(window.lattice.pitch[0] * scale)).all():
@@ -336,6 +331,30 @@ def _picked_lines(path: Path, count: int) -> list[str]:
     if seen != count:
         raise FileDisagrees(f"{path.name}: {seen} points were read back, {count} were written")
     return picked
+
+
+def read_points(path: Path) -> Iterator[Floats]:
+    """Read a point file in blocks: tables (k ≤ 65536, 6) of x y z (millimetres) and outward unit normal.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    with path.open(encoding="ascii", errors="replace") as stream:
+        lines = (line for line in stream if not line.startswith("#"))
+        while block := list(islice(lines, 1 << 16)):
+            yield _six_numbers(path, block)
+
+
+def _six_numbers(path: Path, lines: list[str]) -> Floats:
+    """Lines of a point file as a table (k, 6)."""
+    try:
+        table = np.array([[float(w) for w in line.split()] for line in lines])
+    except ValueError as error:
+        raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
+    if table.ndim != 2 or table.shape[1] != 6:
+        raise UnreadableFile(f"{path.name}: a line that is not six numbers")
+    return table
 
 
 def write_grid_sag(window: Window, face: Face, per_cell: int, path: Path, scale: float) -> None:

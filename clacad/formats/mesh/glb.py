@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints
+from clacad.base.units import MILLIMETRE
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
 from clacad.storage.errors import FileDisagrees, UnreadableFile
@@ -25,7 +26,6 @@ _LONGEST_JSON = 1 << 28
 _MOST_NODES = 2_000_000
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-MILLIMETRE = 1e-3
 INSTANCING = "EXT_mesh_gpu_instancing"
 
 

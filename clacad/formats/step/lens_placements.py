@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.units import millimetres
 from clacad.formats.step.placements import applied, inverse, product
 from clacad.sheet.window import WALL, Window, lens_height_and_normal
 
@@ -97,7 +98,7 @@ def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, F
     face : (n,)
         Number of that lens face in `Window.faces`, −1 where there is none.
     """
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     best, angle = np.full(len(place), np.inf), np.full(len(place), np.inf)
     which = np.full(len(place), -1, dtype=np.int64)
     for number, face in enumerate(window.faces):
@@ -167,7 +168,7 @@ def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured
     face = np.where(upright > WALL, face.reshape(many, -1)[:, first], -1)
     counts = np.bincount(lenses.patch, minlength=patches)
     middle = np.stack([np.add.reduceat(place[..., k], first, axis=1) for k in (0, 1)], axis=-1)
-    middle /= counts[:, None] * window.unit * 1e3
+    middle /= counts[:, None] * millimetres(window.unit)
     cell = np.zeros((many, patches, 2), dtype=np.int64)
     for number, one in enumerate(window.faces):
         if one.array is not None:
@@ -198,7 +199,7 @@ class _Board:
 
     def __init__(self, window: Window) -> None:
         self._window = window
-        self._scale = window.unit * 1e3
+        self._scale = millimetres(window.unit)
         self._cells = window.lattice.cells()
         self._low = self._cells.min(axis=0)
         self._table = np.full(tuple(np.ptp(self._cells, axis=0) + 1), -1, dtype=np.int64)

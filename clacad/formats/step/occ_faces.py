@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.step.lens_placements import LensPoints, on_lenses
 from clacad.formats.step.placements import applied
 from clacad.formats.step.shape_parts import ShapePart, boxes_of, moved
@@ -20,7 +21,7 @@ def engraved_in(several: list[ShapePart], window: Window) -> float:
     from clacad.solid.marks import pockets
     from clacad.solid.occ_writer import surface_area
 
-    scale = window.unit * 1e3
+    scale = millimetres(window.unit)
     room = pockets(window)
     if not room:
         return 0.0

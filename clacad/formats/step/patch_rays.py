@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.step.placements import applied
 from clacad.formats.step.ray_paths import RayPaths, media_of
 from clacad.formats.step.text_health import Scan, patches_of
@@ -56,7 +57,7 @@ class Cells:
 
     def of(self, place: Floats) -> NDArray[np.int64]:
         """Cells (n, 2) of points (n, 2), mm."""
-        at = place / (self.window.unit * 1e3) - np.asarray(self.window.shifts[self.array])
+        at = place / millimetres(self.window.unit) - np.asarray(self.window.shifts[self.array])
         return self.window.lattice.locate(at[:, 0], at[:, 1])[0]
 
 
@@ -181,7 +182,7 @@ def follow_patches(
     for step, number in enumerate(faces):
         face = window.faces[number]
         if face.array is None:
-            distance, normal = plane_hits(face, window.unit * 1e3, place[live], way[live])
+            distance, normal = plane_hits(face, millimetres(window.unit), place[live], way[live])
         else:
             cells = Cells(window, face.array)
             distance, normal = first_hits(patches, cells, place[live], way[live], step % 2 == 0)

@@ -14,7 +14,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.formats.step.part21 import Part21, quoted, real, weight
 from clacad.solid.edge_classes import Plane, Surface
-from clacad.solid.rational_conics import Arc, Patch
+from clacad.solid.rational_conics import Arc, RationalPatch
 from clacad.solid.shells import Loop, Role
 
 _KEPT = 200_000
@@ -115,7 +115,7 @@ class SharedGeometry:
         place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{normal},#{across})")
         return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
 
-    def patch(self, patch: Patch, offset: Floats) -> int:
+    def patch(self, patch: RationalPatch, offset: Floats) -> int:
         """A patch displaced by `offset` (3,), mm."""
         part = self.part
         m, n = patch.weights.shape

@@ -16,21 +16,20 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.step.part21 import Part21, StepColour
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
 from clacad.sheet.window import Body, Window
 from clacad.solid.describe_body import (
-    Layer,
     describe_body,
     describe_layers,
-    displaced,
     layers,
     middle_plane,
-    millimetres,
     single,
 )
 from clacad.solid.shells import MERGE, ShellCounts, Shells
+from clacad.solid.tiling_borders import Layer
 
 __all__ = ["StepBodyFacts", "chosen_mode", "read_step", "step_text_length", "write_step"]
 
@@ -116,7 +115,7 @@ def step_text_length(window: Window, mode: Literal["fused", "instanced"], pcurve
 def _write(
     window: Window, stream: IO[str], mode: str, schema: str, pcurves: bool, merge: float
 ) -> dict[str, Any]:
-    pitch = min(window.lattice.pitch) * millimetres(window)
+    pitch = min(window.lattice.pitch) * millimetres(window.unit)
     part = Part21(stream, schema, window.name, PROGRAM, pitch)
     bodies = (_write_fused if mode == "fused" else _write_instanced)(window, part, pcurves, merge)
     part.close()
@@ -237,8 +236,8 @@ def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, mer
     A slab whose arrays are displaced has no common cell: it is cut at a plane half way into cells of the front
     array and cells of the back array, which touch there and together are exactly the slab.
     """
-    scale = millimetres(window)
-    parts = layers(window, body, middle_plane(body, window) if displaced(window, body) else None)
+    scale = millimetres(window.unit)
+    parts = layers(window, body, middle_plane(body, window))
     placed: list[tuple[Part, Floats, str]] = []
     counts, solids, styles = ShellCounts(), 0, []
     for n, layer in enumerate(parts):

@@ -4,30 +4,55 @@ from __future__ import annotations
 
 from itertools import combinations
 from math import atan2, cos, pi, sin
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between
-from clacad.optics.law.law import Law
-from clacad.optics.law.orientation import euler_angles
+from clacad.optics.law.orientation import Axes, euler_angles, rotation
+
+if TYPE_CHECKING:
+    from clacad.optics.law.law import Law
 
 _ROUNDING = 1e-12  # of |A₁||A₂|: far above the rounding of two matrices, far below any design's intent
 _ACROSS = 1e-6  # cosine of an axis that lies across the light's way, with its rounding
 _EDGE = 1e-9  # radians; φ = 45° is common in designs, so the edge of the range of φ lies just beside it
 
 
-class Decomposition(NamedTuple):
-    """A Law read from a matrix for one supposed optical axis, and how badly the axis fits."""
+class LawParameters(NamedTuple):
+    """What a `Law` is made of: η and δ (numbers), φ, θ, ψ (radians) and their convention."""
 
-    law: Law
+    eta_x: float
+    eta_y: float
+    delta_x: float
+    delta_y: float
+    phi: float
+    theta: float
+    psi: float
+    axes: Axes = "fixed"
+
+    @property
+    def rotation(self) -> Floats:
+        """(3, 3) rotation, lens frame → sheet frame; its last column is the optical axis."""
+        return rotation(self.phi, self.theta, self.psi, self.axes)
+
+
+class Decomposition(NamedTuple):
+    """A law read from a matrix for one supposed optical axis, and how badly the axis fits."""
+
+    law: LawParameters
     axis_residual: float
     asymmetry: float
 
+    @property
+    def optical_axis(self) -> Floats:
+        """(3,) unit vector along the law's optical axis, sheet frame."""
+        return self.law.rotation[:, 2]
+
 
 def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
-    """Read a Law with the given optical axis from a matrix, d' ∝ A d.
+    """Read a law with the given optical axis from a matrix, d' ∝ A d.
 
     Parameters
     ----------
@@ -49,10 +74,7 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     residual = float(np.linalg.norm(n @ matrix - k * n))
 
     # Principal axes: eigenvectors of the symmetric 2 × 2 block across n.
-    helper = np.eye(3)[np.argmin(np.abs(n))]
-    e1 = np.cross(helper, n)
-    e1 /= np.linalg.norm(e1)
-    across = np.stack([e1, np.cross(n, e1)], axis=1)
+    across = _across(n)
     block = across.T @ matrix @ across / k
     asymmetry = float(abs(block[0, 1] - block[1, 0])) * k
     values, vectors = np.linalg.eigh((block + block.T) / 2)
@@ -64,8 +86,18 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     offset = frame.T @ matrix @ n / k  # −δ_i/η_i along u and v
     phi, theta, psi = euler_angles(frame)
     eta = 1.0 / values
-    law = Law(eta[0], eta[1], -offset[0] * eta[0], -offset[1] * eta[1], phi, theta, psi)
+    numbers = [float(v) for v in (*eta, -offset[0] * eta[0], -offset[1] * eta[1])]
+    if not np.isfinite(numbers).all():
+        return None
+    law = LawParameters(numbers[0], numbers[1], numbers[2], numbers[3], phi, theta, psi)
     return Decomposition(canonical(law), residual, asymmetry)
+
+
+def _across(n: Floats) -> Floats:
+    """Two unit vectors across a unit vector n (3,) and each other, as the columns of (3, 2)."""
+    e1 = np.cross(np.eye(3)[np.argmin(np.abs(n))], n)
+    e1 /= np.linalg.norm(e1)
+    return np.stack([e1, np.cross(n, e1)], axis=1)
 
 
 def candidate_axes(matrix: Floats) -> list[Floats]:
@@ -92,10 +124,10 @@ def candidate_axes(matrix: Floats) -> list[Floats]:
     return [n for n in (*span, *mixed) if n.any()]
 
 
-def compose(first: Law, second: Law) -> Law:
-    """`Law.then`: the Law with matrix ∝ A₂A₁, or ValueError."""
+def compose(first: Law, second: Law) -> LawParameters:
+    """`Law.then`: parameters of the law with matrix ∝ A₂A₁, or ValueError."""
     if np.array_equal(first.rotation, second.rotation):
-        return Law(
+        return LawParameters(
             first.eta_x * second.eta_x,
             first.eta_y * second.eta_y,
             first.delta_x + first.eta_x * second.delta_x,
@@ -111,10 +143,10 @@ def compose(first: Law, second: Law) -> Law:
     n1, n2 = first.optical_axis, second.optical_axis
     found = [d for n in (n1, n2, *candidate_axes(matrix)) if (d := decompose(matrix, n)) is not None]
     # An axis across the light's way can keep the product symmetric too, but would refuse half the light.
-    forward = [d for d in found if min(d.law.optical_axis @ n1, d.law.optical_axis @ n2) > _ACROSS]
+    forward = [d for d in found if min(d.optical_axis @ n1, d.optical_axis @ n2) > _ACROSS]
     laws = [d for d in forward if max(d.axis_residual, d.asymmetry) <= allowed]
     if laws:
-        return max(laws, key=lambda d: float(d.law.optical_axis @ (n1 + n2))).law
+        return max(laws, key=lambda d: float(d.optical_axis @ (n1 + n2))).law
     raise ValueError(_why_not(n1, n2, min((d.asymmetry for d in forward), default=np.inf), matrix))
 
 
@@ -133,7 +165,7 @@ def _why_not(n1: Floats, n2: Floats, asymmetry: float, matrix: Floats) -> str:
     )
 
 
-def canonical(law: Law) -> Law:
+def canonical(law: Law | LawParameters) -> LawParameters:
     """`Law.canonical`: one parameter set for each law, by exact identities only."""
     phi, theta, psi = law.phi, law.theta, law.psi
     if law.axes == "moving":  # fixed(φ, θ, ψ) = moving(ψ, θ, φ)
@@ -151,7 +183,7 @@ def canonical(law: Law) -> Law:
     turns = int(np.ceil((phi - pi / 4 - _EDGE) / (pi / 2)))
     for _ in range(turns % 4):  # (η_x, η_y, δ_x, δ_y, φ + 90°) ≡ (η_y, η_x, −δ_y, δ_x, φ)
         eta_x, eta_y, delta_x, delta_y = eta_y, eta_x, -delta_y, delta_x
-    return Law(eta_x, eta_y, delta_x, delta_y, phi - turns * (pi / 2), theta, _wrapped(psi))
+    return LawParameters(eta_x, eta_y, delta_x, delta_y, phi - turns * (pi / 2), theta, _wrapped(psi))
 
 
 def _wrapped(angle: float) -> float:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between, is_direction, power_of_two_scaled
-from clacad.optics.law.compose import candidate_axes, decompose
-from clacad.optics.law.law import Law
-from clacad.optics.law.orientation import Axes
+from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
+
+if TYPE_CHECKING:
+    from clacad.optics.law.law import Law
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
+_NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
 _STARTS = 6  # valleys looked into
 _START_RAYS = 1024  # enough rays to find the valley; all rays find its floor
 _LEAST_DAMPING = 1e-14  # of the largest singular value squared
@@ -67,47 +70,43 @@ class Fit:
         return tuple(name for name, deviation in self.sigma.items() if np.isinf(deviation))
 
 
-def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: Law | None = None, aperture: float | None = None) -> Fit:
+def fit_law(
+    law: type[Law], d_in: ArrayLike, d_out: ArrayLike, axes: Law | None = None, aperture: float | None = None
+) -> Fit:
     """Fit d_out ∝ A d_in.
 
     Parameters
     ----------
+    law : class Law
+        What the found parameters are given back as.
     d_in, d_out : (n, 3) arrays, any length > 0
         Directions before and behind the sheet; rows that are not finite are left out.
     axes : Law or None
         Hold φ, θ, ψ of this law and fit η and δ (4 parameters, well conditioned); None fits all seven.
         From a narrow bundle θ and δ act alike, and the covariance says so.
     aperture : float or None, length
-        Carried into the result.
-
-    Returns
-    -------
-    Fit
 
     Raises
     ------
     ValueError
-        If fewer than 2 (axes held) or 4 usable rays are given, shapes differ, or the exit directions do
-        not depend on the incoming ones along an axis (η would be infinite).
+        Fewer than 2 (axes held) or 4 usable rays, shapes that differ, or exit directions that do not depend on
+        the incoming ones along an axis (η would be infinite).
 
     Notes
     -----
-    A linear start (with free axes a direct linear transform: Hartley & Zisserman, Multiple View Geometry,
-    ch. 4), then Gauss–Newton on the directions, in 1/η, δ/η and a small turn of the lens frame, which stay
-    regular where Euler angles do not. Least squares in angle, all rays of weight 1.
+    A linear start (free axes: direct linear transform, Hartley & Zisserman, Multiple View Geometry, ch. 4), then
+    Gauss–Newton in 1/η, δ/η and a small turn of the lens frame, which stay regular where Euler angles do not.
     """
-    a, b = _usable_rays(d_in, d_out, 2 if axes is not None else 4)
-    law = _held_fit(a, b, axes) if axes is not None else _free_fit(a, b)
-    free = NAMES[:4] if axes is not None else NAMES
-    covariance, rank = _covariance(law, a, b, len(free))
-    middle = a.mean(axis=0)
+    a, b = _usable_rays(d_in, d_out, 4 if axes is None else 2)
+    found, free = (_free_fit(a, b), NAMES) if axes is None else (_held_fit(a, b, axes), NAMES[:4])
+    covariance, rank = _covariance(found, a, b, len(free))
     return Fit(
-        law=law,
-        rms=float(np.sqrt(np.mean(angle_between(_exit(law, a), b) ** 2))),
+        law=law(*found),
+        rms=float(np.sqrt(np.mean(angle_between(_exit(found, a), b) ** 2))),
         covariance=covariance,
         rank=rank,
         free=free,
-        field=float(angle_between(a, middle).max()),
+        field=float(angle_between(a, a.mean(axis=0)).max()),
         rays=len(a),
         aperture=aperture,
     )
@@ -128,7 +127,7 @@ def _usable_rays(d_in: ArrayLike, d_out: ArrayLike, least: int) -> tuple[Floats,
 # ------------------------------------------------------------------------------ starting points
 
 
-def _held_fit(a: Floats, b: Floats, axes: Law) -> Law:
+def _held_fit(a: Floats, b: Floats, axes: Law) -> LawParameters:
     """η and δ with the orientation held: linear in 1/η and δ/η, then polished in angle."""
     r = axes.rotation
     m, w = a @ r, b @ r
@@ -137,10 +136,13 @@ def _held_fit(a: Floats, b: Floats, axes: Law) -> Law:
         columns = np.stack([w[:, 2] * m[:, i], -w[:, 2] * m[:, 2]], axis=1)
         power[i], offset[i] = np.linalg.lstsq(columns, w[:, i] * m[:, 2], rcond=1e-13)[0]
     power, offset, _ = _gauss_newton(power, offset, r, a, b, turn=False)
-    return _law(power, offset, axes.phi, axes.theta, axes.psi, axes.axes)
+    if not np.all(power != 0.0):
+        raise ValueError(_NO_POWER)
+    (eta_x, eta_y), (delta_x, delta_y) = (1.0 / power).tolist(), (offset * (1.0 / power)).tolist()
+    return LawParameters(eta_x, eta_y, delta_x, delta_y, axes.phi, axes.theta, axes.psi, axes.axes)
 
 
-def _free_fit(a: Floats, b: Floats) -> Law:
+def _free_fit(a: Floats, b: Floats) -> LawParameters:
     """All seven parameters: the best of several starts, polished on all rays."""
     some = slice(None, None, max(1, len(a) // _START_RAYS))
     best, least = None, np.inf
@@ -157,13 +159,11 @@ def _free_fit(a: Floats, b: Floats) -> Law:
     matrix = r @ np.array([[power[0], 0, -offset[0]], [0, power[1], -offset[1]], [0, 0, 1]]) @ r.T
     found = decompose(matrix, r[:, 2])
     if found is None:
-        raise ValueError(
-            "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
-        )
+        raise ValueError(_NO_POWER)
     return found.law
 
 
-def _starts(a: Floats, b: Floats) -> list[Law]:
+def _starts(a: Floats, b: Floats) -> list[LawParameters]:
     """Laws read from the homography that fits best: the most promising of several supposed optical axes."""
     matrix = _homography(a, b)
     axes = [np.array([0.0, 0.0, 1.0]), *candidate_axes(matrix)]
@@ -204,7 +204,7 @@ def _normaliser(d: Floats) -> Floats:
 State = tuple[Floats, Floats, Floats]  # 1/η (2,), δ/η (2,), rotation (3, 3)
 
 
-def _state(law: Law) -> State:
+def _state(law: LawParameters) -> State:
     eta = np.array([law.eta_x, law.eta_y])
     return 1.0 / eta, np.array([law.delta_x, law.delta_y]) / eta, law.rotation
 
@@ -297,21 +297,13 @@ def _step(residual: Floats, values: Floats, modes: Floats, scale: Floats, dampin
 # ------------------------------------------------------------------------------------ judgement
 
 
-def _law(power: Floats, offset: Floats, phi: float, theta: float, psi: float, axes: Axes) -> Law:
-    if not np.all(power != 0.0):
-        raise ValueError(
-            "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
-        )
-    eta = 1.0 / power
-    return Law(eta[0], eta[1], offset[0] * eta[0], offset[1] * eta[1], phi, theta, psi, axes)
-
-
-def _exit(law: Law, a: Floats) -> Floats:
+def _exit(law: LawParameters, a: Floats) -> Floats:
+    """Unit exit directions (n, 3), sheet frame."""
     state = _state(law)
     return _unit_exit(state, a @ state[2])[0] @ state[2].T
 
 
-def _covariance(law: Law, a: Floats, b: Floats, count: int) -> tuple[Floats, int]:
+def _covariance(law: LawParameters, a: Floats, b: Floats, count: int) -> tuple[Floats, int]:
     """Covariance (7, 7) of the parameters and the rank of the fit, from the Jacobian at its end."""
     state = _state(law)
     jacobian, unit = _jacobian(state, a, turn=True)
@@ -334,7 +326,7 @@ def _covariance(law: Law, a: Floats, b: Floats, count: int) -> tuple[Floats, int
     return covariance, rank
 
 
-def _chain(law: Law) -> Floats:
+def _chain(law: LawParameters) -> Floats:
     """∂(1/η, δ/η, turn in the lens frame)/∂(η, δ, φ, θ, ψ), (7, 7)."""
     chain = np.zeros((7, 7))
     for i, (eta, delta) in enumerate(((law.eta_x, law.delta_x), (law.eta_y, law.delta_y))):

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import frexp, isfinite, ldexp
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Cells, Floats
+from clacad.optics.law.compose import canonical, compose
+from clacad.optics.law.fitting import Fit, fit_law
 from clacad.optics.law.orientation import Axes, rotation
-
-if TYPE_CHECKING:
-    from clacad.optics.law.fitting import Fit
-
 
 _HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny components stay representable
 _BLOCK = 8192  # rows at a time: the temporaries stay in the cache
@@ -224,9 +221,7 @@ class Law:
         A Law judges only what enters and what leaves: a ray turned back between two sheets is refused by
         the pair and may be answered by their composition.
         """
-        from clacad.optics.law.compose import compose
-
-        return compose(self, other)
+        return Law(*compose(self, other))
 
     def canonical(self) -> Law:
         """The same law in the parameters to print: fixed axes, θ ≥ 0, −45° < φ ≤ 45°.
@@ -236,9 +231,7 @@ class Law:
         Law
             ψ = 0 where θ = 0; φ = 0 where η_x = η_y.
         """
-        from clacad.optics.law.compose import canonical
-
-        return canonical(self)
+        return Law(*canonical(self))
 
     def same_as(self, other: Law, tol: float = 1e-12) -> bool:
         """Whether both laws do the same to every direction, whatever their parameters say.
@@ -255,9 +248,7 @@ class Law:
     @staticmethod
     def fit(d_in: ArrayLike, d_out: ArrayLike, axes: Law | None = None, aperture: float | None = None) -> Fit:
         """The Law that best explains measured directions, see `clacad.optics.law.fitting.fit_law`."""
-        from clacad.optics.law.fitting import fit_law
-
-        return fit_law(d_in, d_out, axes, aperture)
+        return fit_law(Law, d_in, d_out, axes, aperture)
 
 
 def _refract_rows(law: Law, r: Floats, directions: Floats) -> Floats:

@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from clacad.base.text import did_you_mean, near
 from clacad.optics.material.dispersion_formulas import Formula
 from clacad.optics.material.material import Material
 
@@ -68,6 +69,7 @@ def folder() -> Path:
 
 @cache
 def _read(place: Path, parts: tuple[str, ...], name: str) -> Material:
+    """The material of shelf, book and page in the database's folder."""
     where = _catalogue(place).get(parts)
     if where is None:
         raise ValueError(f"unknown page {name!r}; {_nearest(place, parts)}")
@@ -105,16 +107,10 @@ def _catalogue(place: Path) -> dict[tuple[str, ...], str]:
 
 
 def _nearest(place: Path, parts: tuple[str, ...]) -> str:
-    from difflib import get_close_matches
-
     pages = ["/".join(key) for key in _catalogue(place)]
     book = [one for one in pages if one.startswith("/".join(parts[:2]) + "/")]
-    near = get_close_matches("/".join(parts), book or pages, n=3, cutoff=0.0 if book else 0.6)
-    return (
-        f"did you mean {' or '.join(PREFIX + one for one in near)}?"
-        if near
-        else "see the database's catalogue"
-    )
+    found = near("/".join(parts), book or pages, 0.0 if book else 0.6, most=3)
+    return did_you_mean([PREFIX + one for one in found]) or "see the database's catalogue"
 
 
 def _yaml(path: Path) -> Any:

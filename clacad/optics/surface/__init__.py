@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clacad.optics.surface.intersection import Meeting, fresnel, meet, meet_at, refract
+from clacad.optics.surface.intersection import Meeting, meet, meet_at, refract
 from clacad.optics.surface.quadric import upright_sag
 from clacad.optics.surface.sag_and_normal import (
     ULP,
@@ -25,7 +25,6 @@ __all__ = [
     "Surface",
     "as_quadric",
     "conic_constants",
-    "fresnel",
     "gradient",
     "meet",
     "meet_at",

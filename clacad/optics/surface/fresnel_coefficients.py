@@ -60,13 +60,6 @@ def normal_loss(index: float) -> float:
     return ((index - 1.0) / (index + 1.0)) ** 2
 
 
-def inside_plate(direction: Floats, axis: Floats, index: float) -> Floats:
-    """Unit directions (m, 3) inside a plane plate of the given normal and index, light coming from air."""
-    along = direction @ axis
-    across = np.sqrt(np.maximum(index * index - 1.0 + along * along, 0.0))
-    return np.asarray((direction + (across - along)[:, None] * axis) / index)
-
-
 def coated(turn: Floats, n1: float, n2: float, ratio: float) -> tuple[Floats, Floats]:
     """Reflected shares (R_s, R_p) of an interface under a quarter-wave layer of index sqrt(n1 n2).
 
@@ -85,11 +78,10 @@ def coated(turn: Floats, n1: float, n2: float, ratio: float) -> tuple[Floats, Fl
     """
     if n1 == n2:
         return np.zeros_like(turn), np.zeros_like(turn)
-    layer = np.sqrt(n1 * n2)
-    c = 1.0 - turn
-    size = np.sqrt((n2 - n1) ** 2 + 2.0 * n1 * n2 * turn)
-    cos1, cos2 = np.abs(n2 * c - n1) / size, np.abs(n2 - n1 * c) / size
-    cos = np.sqrt(np.maximum(1.0 - (n1 / layer) ** 2 * (1.0 - cos1 * cos1), 0.0))
+    layer, step = np.sqrt(n1 * n2), n2 - n1
+    size = np.sqrt(step * step + 2.0 * n1 * n2 * turn)
+    cos1, cos2 = np.abs(step - n2 * turn) / size, np.abs(step + n1 * turn) / size
+    cos = np.sqrt(np.maximum((step + n1 * cos1 * cos1) / n2, 0.0))
     twice = np.cos(np.pi * ratio * cos)
     shares = []
     for a1, a, a2 in ((n1 * cos1, layer * cos, n2 * cos2), (cos1 / n1, cos / layer, cos2 / n2)):

@@ -112,20 +112,6 @@ def refract(
     return out, q
 
 
-def fresnel(root: Floats, q: Floats, mu: ArrayLike) -> tuple[Floats, Floats]:
-    """Amplitude reflection coefficients (r_s, r_p) from what `meet` and `refract` return; no square root.
-
-    Parameters
-    ----------
-    root, q : (n,) arrays
-        |G| cos(incidence) and |G| cos(refraction).
-    mu : float or (n,) array
-        n1/n2.
-    """
-    mu = np.asarray(mu, dtype=np.float64)
-    return (mu * root - q) / (mu * root + q), (root - mu * q) / (root + mu * q)
-
-
 def _judge(
     surface: Surface, distance: Floats, root: Floats, point: Columns, ray: Columns
 ) -> tuple[Meeting, Floats]:

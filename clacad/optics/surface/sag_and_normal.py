@@ -160,7 +160,7 @@ def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
     Notes
     -----
     side q/(1 + sqrt(1 − κ q)), never R − sqrt(R² − r²); near the equator the radicand is formed in pairs.
-    Largest error seen 2 ulp relative, tests/test_surface.py.
+    Largest error seen 2 ulp relative, tests/optics/test_surface.py.
     """
     x, y = _plane_point(x, y)
     return np.asarray(surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y)))

@@ -20,13 +20,13 @@ from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.atlas.figure1_section import parallel_bundle
 from clacad.rendering.atlas.figure1_solids import sheet_triangles
-from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 
 
-def section_findings(scene: Scene) -> Iterator[Finding]:
+def section_findings(scene: Scene) -> Iterator[AtlasFinding]:
     """What a parallel bundle through one telescopelet of ideal lenses does: eqs. (1) to (6) of the paper."""
     window = prescribe(scene.design()).with_cells((1, 1))
     start, direction = parallel_bundle(window)
@@ -38,30 +38,32 @@ def section_findings(scene: Scene) -> Iterator[Finding]:
     share = (f1 - first @ axis) / ((second - first) @ axis)  # where each ray crosses the focal plane
     crossing = (first + share[:, None] * (second - first)) @ across
     incident = float(direction[0] @ across / (direction[0] @ axis))
-    yield Finding(
+    yield AtlasFinding(
         "section: rays of the bundle that pass both lenses",
         float(np.count_nonzero(result.fate == Fate.ALIVE)),
         len(start),
         0.0,
     )
-    yield Finding(
+    yield AtlasFinding(
         "section: spread of the rays in the common focal plane, over s",
         float(np.ptp(crossing)) / s,
         0.0,
         1e-12,
     )
-    yield Finding(
+    yield AtlasFinding(
         "section: point F over f1 against tan(alpha1 - theta)", float(crossing.mean()) / f1, incident, 1e-12
     )
     out = np.linalg.norm(np.cross(result.direction, result.direction[0]), axis=1).max()
-    yield Finding("section: spread of the outgoing directions, rad", float(out), 0.0, 1e-12)
+    yield AtlasFinding("section: spread of the outgoing directions, rad", float(out), 0.0, 1e-12)
     slope = (result.direction @ across) / (result.direction @ axis)
     eta, delta = -f2 / f1, float(np.array(window.thin.offset) @ across) / f1
     off = np.abs(incident - delta - eta * slope).max()
-    yield Finding("section: tan(a1 - theta) - delta - eta tan(a2 - theta), largest", float(off), 0.0, 1e-12)
+    yield AtlasFinding(
+        "section: tan(a1 - theta) - delta - eta tan(a2 - theta), largest", float(off), 0.0, 1e-12
+    )
 
 
-def solid_findings(scene: Scene) -> Iterator[Finding]:
+def solid_findings(scene: Scene) -> Iterator[AtlasFinding]:
     """What the drawn triangles of both arrays are: closed, one piece, apart, alike, placed and turned as set."""
     design = scene.design()
     window = prescribe(design)
@@ -70,34 +72,36 @@ def solid_findings(scene: Scene) -> Iterator[Finding]:
     for k, (body, lenses) in enumerate(zip(mesh.bodies, arrays, strict=True)):
         health = check_closed((body.vertices, body.triangles))
         name = f"array {k + 1}"
-        yield Finding(f"{name}: watertight (1)", float(health.closed), 1.0, 0.0)
-        yield Finding(f"{name}: pieces", float(health.pieces or 0), 1.0, 0.0)
-        yield Finding(f"{name}: lenses", float(len(lenses.centre)), float(np.prod(window.lattice.count)), 0.0)
+        yield AtlasFinding(f"{name}: watertight (1)", float(health.closed), 1.0, 0.0)
+        yield AtlasFinding(f"{name}: pieces", float(health.pieces or 0), 1.0, 0.0)
+        yield AtlasFinding(
+            f"{name}: lenses", float(len(lenses.centre)), float(np.prod(window.lattice.count)), 0.0
+        )
         unlike = float(np.abs(lenses.radii / lenses.radii[0] - 1.0).max())
-        yield Finding(f"{name}: largest difference of its lenses' radii, relative", unlike, 0.0, 1e-6)
+        yield AtlasFinding(f"{name}: largest difference of its lenses' radii, relative", unlike, 0.0, 1e-6)
         for label, found, asked, slack in zip(
             ("phi", "theta", "psi"), lenses.euler(), design.law_spec.euler, (0.5, 0.01, 0.5), strict=True
         ):
             worst = math.degrees(found[np.argmax(np.abs(found - asked))])
-            yield Finding(
+            yield AtlasFinding(
                 f"{name}: {label} of the lens farthest off, degrees", worst, math.degrees(asked), slack
             )
         f_x, f_y = window.thin.focal_length[k]
         ratio = float(lenses.radii[0, 0] / lenses.radii[0, 1])
-        yield Finding(f"{name}: radius in x over radius in y", ratio, f_x / f_y, 0.05 * f_x / f_y)
+        yield AtlasFinding(f"{name}: radius in x over radius in y", ratio, f_x / f_y, 0.05 * f_x / f_y)
     s = window.thin.separation  # as asked: centre to centre
     apart = (arrays[1].centre - arrays[0].centre) @ window.thin.rotation / s
     for axis, asked in enumerate((0.0, 0.0, 1.0)):
         worst = float(apart[np.argmax(np.abs(apart[:, axis] - asked)), axis])
-        yield Finding(
+        yield AtlasFinding(
             f"lens 2 from lens 1 along lens {'xyz'[axis]}, over s, farthest off", worst, asked, 1e-4
         )
     gap = float(mesh.bodies[1].vertices[:, 2].min() - mesh.bodies[0].vertices[:, 2].max())
-    yield Finding("a plane lies between the arrays (1)", float(gap > 0.0), 1.0, 0.0)
+    yield AtlasFinding("a plane lies between the arrays (1)", float(gap > 0.0), 1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Lenses:
+class MeasuredLenses:
     """The lenses of an array as measured on its triangles, in order of their cells.
 
     Attributes
@@ -122,13 +126,13 @@ class Lenses:
         return np.arctan2(x, y) % math.pi, theta, psi
 
 
-def measured_lenses(window: Window, array: int, body: BodyMesh) -> Lenses:
+def measured_lenses(window: Window, array: int, body: BodyMesh) -> MeasuredLenses:
     """Fit both faces of every lens of an array of ellipsoid lenses to the corners of its triangles."""
     fronts, backs = (_face_corners(body, kind) for kind in (FRONT, BACK))
     f_x, f_y = window.thin.focal_length[array]
     vertex, frame, radii = quadrics(fronts, flatter_x=f_x > f_y)
     other, _, _ = quadrics(backs, flatter_x=f_x > f_y)
-    return Lenses(0.5 * (vertex + other), frame, radii)
+    return MeasuredLenses(0.5 * (vertex + other), frame, radii)
 
 
 def _face_corners(body: BodyMesh, kind: int) -> Floats:
@@ -159,7 +163,7 @@ def quadrics(points: Floats, flatter_x: bool) -> tuple[Floats, Floats, Floats]:
     vertex : (n, 3) lengths
         End of the axis in the middle of the cap.
     frame : (n, 3, 3)
-        Columns x, y, z as in `Lenses`.
+        Columns x, y, z as in `MeasuredLenses`.
     radii : (n, 2) lengths
         At the vertex, along x and y.
     """

@@ -142,6 +142,7 @@ def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
 
 
 def _labels(canvas: _Canvas, window: Window, focus: Floats, plane: Floats, half: float) -> list[str]:
+    """SVG of the measures and names: focus and plane (3,), half width of the section, lengths."""
     rotation = window.thin.rotation
     axis, across = rotation[:, 2], rotation[:, 0]
     (f1, _), (f2, _) = window.thin.focal_length
@@ -220,6 +221,7 @@ class _Canvas:
         ]
 
     def svg(self, parts: list[str]) -> str:
+        """The whole drawing of these parts."""
         style = (
             "text{font:15px system-ui,sans-serif;fill:#333;paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}.caption{font-size:13px}polyline{fill:none}"
             ".lens{fill:#bcd9ee;fill-opacity:.75;stroke:#3b6f9c}.ray{stroke:#c4483a;stroke-width:1.4}"

@@ -17,10 +17,10 @@ from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.compiled.scene_hits import look_all
 from clacad.rendering.compiled.scene_tables import Tables, tables
 from clacad.rendering.picture_files import encode
-from clacad.rendering.reference.triangle_tree import grow
 from clacad.rendering.scene_arrays import MESH, Primitive, set_stage, stage_of
 from clacad.scene import Scene
 from clacad.sheet.window import Window
+from clacad.tracing.triangles.median_tree import grow
 
 TINT = (0.42, 0.60, 0.86)
 """Linear colour of the glass."""

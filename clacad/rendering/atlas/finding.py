@@ -7,7 +7,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class AtlasFinding:
     """One measured number beside the expected one."""
 
     what: str

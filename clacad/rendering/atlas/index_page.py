@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 
-from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.paper_figures import Figure
 
 POLICY = "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
@@ -27,7 +27,7 @@ td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #ddd }
 
 
 def page_of(
-    figures: Sequence[Figure], findings: Mapping[str, tuple[Finding, ...]], movies: Sequence[tuple[str, str]],
+    figures: Sequence[Figure], findings: Mapping[str, tuple[AtlasFinding, ...]], movies: Sequence[tuple[str, str]],
     names: Sequence[str],
 ) -> str:  # fmt: skip
     """The page of some figures.
@@ -71,7 +71,7 @@ def _img(name: str, label: str) -> str:
     return f'<figure><img src="{html.escape(name)}" alt="{text}"><figcaption>{text}</figcaption></figure>'
 
 
-def _table(findings: Sequence[Finding]) -> str:
+def _table(findings: Sequence[AtlasFinding]) -> str:
     rows = "".join(
         f"<tr><td>{html.escape(one.what)}</td><td>{one.measured:.4g}</td><td>{one.expected:.4g}</td>"
         f"<td>{one.tolerance:.2g}</td><td{'' if one.passed else ' class=fail'}>{'pass' if one.passed else 'FAIL'}</td></tr>"

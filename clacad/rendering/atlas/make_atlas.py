@@ -11,11 +11,11 @@ from typing import Any
 from clacad.base.types import Bytes
 from clacad.design.law_in_words import law_words
 from clacad.rendering.atlas.figure1 import section_findings, solid_findings
-from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
 from clacad.rendering.atlas.paper_figures import FIGURES, MOVIES, Figure
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
-from clacad.rendering.picture_files import animate, facts, label_lines, labelled, pixels_of, save
+from clacad.rendering.picture_files import animate, label_lines, labelled, metadata_of, pixels_of, save
 from clacad.scene import Scene, load_scene
 from clacad.storage.atomic import Stage, canonical_json, file_hash
 
@@ -32,7 +32,7 @@ class Atlas:
     """
 
     folder: Path
-    findings: dict[str, tuple[Finding, ...]]
+    findings: dict[str, tuple[AtlasFinding, ...]]
     files: tuple[str, ...]
 
     @property
@@ -162,7 +162,7 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
     CannotWrite, ExportRefused
     """
     tell = progress or (lambda stage, share: None)
-    findings: dict[str, tuple[Finding, ...]] = {}
+    findings: dict[str, tuple[AtlasFinding, ...]] = {}
     with Stage(job.request.out, overwrite=job.request.overwrite) as stage:
         if job.first is not None:
             tell("F1", None)
@@ -172,7 +172,7 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
                 tell(f"{figure.row}: {label}", None)
                 picture = view_through(job.stills[stem], compiled=True)
                 text = f"{figure.row}: {parameters(job.stills[stem])}"
-                save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), facts(picture))
+                save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), metadata_of(picture))
             if job.request.measured:
                 tell(f"{figure.row}: measuring", None)
                 findings[figure.row] = tuple(figure.check(job.load))
@@ -217,13 +217,13 @@ def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]
         tell(f"movie {movie.title}", k / len(movie.frames))
         picture: Picture = view_through(still, compiled=True)
         pixels.append(labelled(pixels_of(picture), labels[k], lines))
-        notes = facts(picture)
+        notes = metadata_of(picture)
     animate(stage.path(f"{movie.stem}.webp"), iter(pixels), movie.fps, notes)
 
 
 def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
-) -> dict[str, tuple[Finding, ...]]:
+) -> dict[str, tuple[AtlasFinding, ...]]:
     """Figure 1: the section with rays as SVG, and the sheet itself as a picture; what both measure."""
     from clacad.rendering.atlas.figure1_section import section_svg
     from clacad.rendering.atlas.figure1_solids import solid_picture
@@ -256,7 +256,7 @@ def manifest_of(stage: Stage, kind: str) -> dict[str, Any]:
     return {"format": 1, "kind": kind, "files": files}
 
 
-def _record(findings: dict[str, tuple[Finding, ...]]) -> dict[str, Any]:
+def _record(findings: dict[str, tuple[AtlasFinding, ...]]) -> dict[str, Any]:
     passed = all(one.passed for found in findings.values() for one in found)
     return {
         "passed": passed,

@@ -1,4 +1,4 @@
-"""Triangles in a tree of boxes, compiled: the twin of `reference.triangle_tree.nearest_triangle`, one ray at a time."""
+"""Triangles in a tree of boxes, compiled: the twin of `tracing.triangles.median_tree.nearest_triangle`, one ray at a time."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.rendering.reference.embree_triangles import first_triangle
 from clacad.rendering.scene_arrays import (
     BOX,
     CHECKER,
@@ -23,6 +22,7 @@ from clacad.rendering.scene_arrays import (
     STRIPES,
     Stage,
 )
+from clacad.tracing.triangles.embree import first_triangle
 
 UNTURNED = np.eye(3)
 
@@ -67,6 +67,7 @@ def nearest(
 def _nearest(
     stage: Stage, origin: Floats, direction: Floats, limit: Floats | float
 ) -> tuple[Floats, Ints, Ints]:
+    """As `nearest`, with the warnings of divisions."""
     distance = np.full(len(origin), limit) if np.isscalar(limit) else np.array(limit, dtype=np.float64)
     which = np.full(len(origin), -1, dtype=np.int64)
     triangle = np.full(len(origin), -1, dtype=np.int64)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.optics.aperture import equivalent_widths, first_zeros
-from clacad.sheet.feasibility.as_rows import Row, describe
-from clacad.sheet.feasibility.bodies import body_facts, body_range, components, connectedness
+from clacad.sheet.feasibility.as_rows import FactRow, describe
+from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness
 from clacad.sheet.feasibility.facts import (
     DEFAULT_WAVELENGTH,
     VIEWING_DISTANCE,
@@ -25,7 +25,7 @@ from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, ha
 from clacad.sheet.window import Window
 
 __all__ = [
-    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "Row", "body_facts", "body_of", "body_range", "components",
+    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "FactRow", "body_facts", "body_of", "body_range",
     "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
 ]  # fmt: skip
 

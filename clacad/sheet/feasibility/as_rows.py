@@ -16,7 +16,7 @@ LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"))
 """Metres and name of the units a length is shown in, largest first."""
 
 
-class Row(NamedTuple):
+class FactRow(NamedTuple):
     """One line of the table of derived numbers: what it is about, its name, value and unit as text, and what it means.
 
     means : str
@@ -35,7 +35,7 @@ def length_unit(metres: float) -> tuple[float, str]:
     return next((pair for pair in LENGTHS if pair[0] <= metres * (1.0 + 1e-9)), LENGTHS[-1])
 
 
-def describe(window: Window, facts: Feasibility) -> tuple[Row, ...]:
+def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
     """Rows of all derived numbers, lengths in a common unit near the design's own."""
     size, name = length_unit(window.unit)
     scale = window.unit / size
@@ -48,57 +48,59 @@ def describe(window: Window, facts: Feasibility) -> tuple[Row, ...]:
     rows += [row for body in facts.bodies for row in _body_rows(body, of_length, name)]
     if isfinite(facts.clearance):
         means = "lowest point of body 2 less highest of body 1"
-        rows.append(Row("assembly", "clearance", of_length(facts.clearance), name, means))
+        rows.append(FactRow("assembly", "clearance", of_length(facts.clearance), name, means))
     means = "between the thin lenses that the pair stands for, f1 + f2"
-    rows.append(Row("assembly", "separation (in air)", of_length(facts.separation), name, means))
+    rows.append(FactRow("assembly", "separation (in air)", of_length(facts.separation), name, means))
     return (*rows, *_view_rows(facts, of_length, name))
 
 
-def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name: str) -> list[Row]:
+def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+    """Rows of what is seen through the sheet; `of_length` writes lengths in the unit `name`."""
     wave = f"λ = {digits(1e9 * facts.wavelength)} nm"
     return [
-        Row("view", "middle of the field, x, y", _angles(facts.aperture), "deg",
+        FactRow("view", "middle of the field, x, y", _angles(facts.aperture), "deg",
             "from the sheet's normal to the line from a cell's middle to its partner's"),
-        Row("view", "half field, lens x, y", _angles(facts.half_field), "deg",
+        FactRow("view", "half field, lens x, y", _angles(facts.half_field), "deg",
             "off the middle of the field; beyond it no light meets the partner"),
-        Row("view", "first ghosts off the middle, lens x, y", _angles(facts.ghost_onset), "deg",
+        FactRow("view", "first ghosts off the middle, lens x, y", _angles(facts.ghost_onset), "deg",
             "from there on some light meets a wrong lenslet"),
-        Row("view", "undeviated direction, x, y", _angles(facts.undeviated), "deg", "through both lens centres"),
-        Row("view", "ray offset on the sheet, lens x, y", of_length(facts.offset_blur), name,
+        FactRow("view", "undeviated direction, x, y", _angles(facts.undeviated), "deg", "through both lens centres"),
+        FactRow("view", "ray offset on the sheet, lens x, y", of_length(facts.offset_blur), name,
             "range over a cell of where light leaves less where it came"),
-        Row("view", "diffraction, lens x, y", _mrad(facts.diffraction_blur), "mrad",
+        FactRow("view", "diffraction, lens x, y", _mrad(facts.diffraction_blur), "mrad",
             f"λ/w for the light that leaves lens 2, {wave}; w = √12 × rms distance, along that axis, of what is lit of a cell "
             "from its middle: the slit whose pattern has the same core (a square's own side, however it is turned)"),
-        Row("view", "diffraction, first zero, lens x, y", _mrad(facts.first_zero), "mrad",
+        FactRow("view", "diffraction, first zero, lens x, y", _mrad(facts.first_zero), "mrad",
             "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis"),
-        Row("view", "Fresnel number", digits(facts.fresnel_number), "",
+        FactRow("view", "Fresnel number", digits(facts.fresnel_number), "",
             f"(w/2)²/(λ f2), the smaller of x and y, {wave}, the same w"),
-        Row("view", f"best pitch seen from {VIEWING_DISTANCE:g} m", of_length(facts.pixel), name,
+        FactRow("view", f"best pitch seen from {VIEWING_DISTANCE:g} m", of_length(facts.pixel), name,
             f"√(λD/min(1, 1/|η|)), D = {VIEWING_DISTANCE:g} m, {wave}: a pixel of this pitch looks as large as the diffraction "
             "of light that comes back from it to the viewer before array 1"),
     ]  # fmt: skip
 
 
-def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: str) -> list[Row]:
+def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+    """Rows of one lens; `of_length` writes lengths in the unit `name`."""
     about = f"lens {lens.array + 1}"
     rows = [
-        Row(about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"),
-        Row(about, "focal length as built x, y", of_length(lens.built_focal_length), name,
+        FactRow(about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"),
+        FactRow(about, "focal length as built x, y", of_length(lens.built_focal_length), name,
             "of the lens as made, in air, about its own axis"),
-        Row(about, "apex radius x, y", of_length(lens.radius), name, "negative: concave"),
-        Row(about, "conic constant x, y", ", ".join("-" if k is None else digits(k) for k in lens.conic), "",
+        FactRow(about, "apex radius x, y", of_length(lens.radius), name, "negative: concave"),
+        FactRow(about, "conic constant x, y", ", ".join("-" if k is None else digits(k) for k in lens.conic), "",
             "0: circle, -1: parabola"),
-        Row(about, "centre thickness", of_length(lens.thickness), name, "from apex to apex, or to the plane face"),
-        Row(about, "sag", of_length(lens.sag), name, "height range of the face over the optical zone of its cell"),
-        Row(about, "rim half width x, y", of_length(lens.rim), name, "where the lens would end were it not cut to its cell"),
-        Row(about, "cover", digits(lens.cover), "", "share of the optical zone where the lens exists"),
-        Row(about, "least normal z", digits(lens.least_normal_z), "", "cosine of the steepest slope against the sheet"),
-        Row(about, "F-number x, y", ", ".join(digits(v) for v in lens.f_number), "",
+        FactRow(about, "centre thickness", of_length(lens.thickness), name, "from apex to apex, or to the plane face"),
+        FactRow(about, "sag", of_length(lens.sag), name, "height range of the face over the optical zone of its cell"),
+        FactRow(about, "rim half width x, y", of_length(lens.rim), name, "where the lens would end were it not cut to its cell"),
+        FactRow(about, "cover", digits(lens.cover), "", "share of the optical zone where the lens exists"),
+        FactRow(about, "least normal z", digits(lens.least_normal_z), "", "cosine of the steepest slope against the sheet"),
+        FactRow(about, "F-number x, y", ", ".join(digits(v) for v in lens.f_number), "",
             "focal length over the full width of the optical zone along that lens axis"),
     ]  # fmt: skip
     if isfinite(lens.corner):
         rows.append(
-            Row(
+            FactRow(
                 about,
                 "least thickness over the cell",
                 of_length(lens.corner),
@@ -108,21 +110,21 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: s
         )
     if lens.least_thickness > 0.0:
         rows.append(
-            Row(about, "centre thickness that covers the cell", of_length(lens.least_thickness), name, "at these radii")
+            FactRow(about, "centre thickness that covers the cell", of_length(lens.least_thickness), name, "at these radii")
         )  # fmt: skip
     return rows
 
 
-def _body_rows(body: BodyFacts, of_length: Callable[[float | Two], str], name: str) -> list[Row]:
+def _body_rows(body: BodyFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
     rows = [
-        Row(body.name, "edge thickness", of_length(body.edge), name, "least along the outer side"),
-        Row(body.name, "greatest step", of_length(body.step), name, "of a face across a border of cells"),
-        Row(body.name, "height range", of_length((body.low, body.high)), name, "lowest and highest z"),
-        Row(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
+        FactRow(body.name, "edge thickness", of_length(body.edge), name, "least along the outer side"),
+        FactRow(body.name, "greatest step", of_length(body.step), name, "of a face across a border of cells"),
+        FactRow(body.name, "height range", of_length((body.low, body.high)), name, "lowest and highest z"),
+        FactRow(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
     ]
     if isfinite(body.neck):
         rows.insert(
-            1, Row(body.name, "neck", of_length(body.neck), name, "least thickness that joins neighbours")
+            1, FactRow(body.name, "neck", of_length(body.neck), name, "least thickness that joins neighbours")
         )
     return rows
 

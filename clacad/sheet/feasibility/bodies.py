@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.sheet.feasibility.convex_extremes import Heights, border, least
 from clacad.sheet.feasibility.facts import BodyFacts, BorderFacts, two
 from clacad.sheet.feasibility.lenses import thickness_over_cell
-from clacad.sheet.lattice import Lattice
+from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes
 from clacad.sheet.window import Body, Window, column, face_height, lens_height
 
 
@@ -110,80 +109,8 @@ def _edge(window: Window, body: Body) -> float:
 
 
 def connectedness(window: Window, body: Body, borders: tuple[BorderFacts, ...]) -> tuple[int, int]:
-    """Count connected pieces of a body and the holes through it, in closed form.
-
-    Every cell is one disc. Two neighbours that share height along part of their border are glued there; a
-    node is filled if the borders that end in it are glued up to it. Then discs − glued borders + filled
-    nodes = pieces − holes (Euler), and pieces follow from which directions are glued.
-    """
+    """Count connected pieces of a body and the holes through it."""
     plate = body.front.land is not None and body.back.land is not None
     if plate or window.form == "slab":
         return 1, 0  # one plate under all cells
-    kept = _kept(window.lattice)
-    glued = [b for b in borders if b.joint > 0.0]
-    edges = sum(b.joints * int(_together(kept, [(0, 0), b.step]).sum()) for b in glued)
-    pieces = _pieces(kept, [b.step for b in glued], window.lattice)
-    euler = int(kept.sum()) - edges + _filled_nodes(kept, borders)
-    return pieces, pieces - euler
-
-
-def _kept(lattice: Lattice) -> NDArray[np.bool_]:
-    """Kept cells as a (rows i, columns j) mask with one empty line all round."""
-    n1, n2 = lattice.count
-    if not lattice.hexagonal and lattice.outline is None:
-        return np.pad(np.ones((n1, n2), dtype=bool), 1)
-    first = -(n2 // 2) if lattice.hexagonal else 0
-    i, j = np.meshgrid(np.arange(first, n1), np.arange(n2), indexing="ij")
-    return np.pad(lattice.contains(np.stack([i, j], axis=-1)), 1)
-
-
-def _together(kept: NDArray[np.bool_], cells: list[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Where all of a cell's relatives (index steps, the cell itself being (0, 0)) are kept."""
-    everywhere = np.ones_like(kept)
-    for di, dj in cells:
-        everywhere &= np.roll(kept, (-di, -dj), axis=(0, 1))
-    return everywhere
-
-
-def _filled_nodes(kept: NDArray[np.bool_], borders: tuple[BorderFacts, ...]) -> int:
-    """Inner nodes at which all borders that end there are glued; START and END of a border as it runs."""
-    if len(borders) == 2:
-        whole = all(borders[0].corners) and all(borders[1].corners)
-        return int(_together(kept, [(0, 0), (1, 0), (0, 1), (1, 1)]).sum()) if whole else 0
-    (right_start, right_end), (up_start, up_end), (left_start, left_end) = (b.corners for b in borders)
-    found = 0
-    if right_end and up_start and left_end:  # corner 1 of the cell
-        found += int(_together(kept, [(0, 0), (1, 0), (0, 1)]).sum())
-    if up_end and left_start and right_start:  # corner 2
-        found += int(_together(kept, [(0, 0), (0, 1), (-1, 1)]).sum())
-    return found
-
-
-def _pieces(kept: NDArray[np.bool_], steps: list[tuple[int, int]], lattice: Lattice) -> int:
-    """Connected pieces of the kept cells when neighbours along `steps` are joined."""
-    if not steps:
-        return int(kept.sum())
-    if lattice.outline is None and (1, 0) in steps and len(steps) > 1:
-        return 1  # whole rows, joined to one another
-    number = np.cumsum(kept.ravel()).reshape(kept.shape) - 1
-    pairs = []
-    for step in steps:
-        both = _together(kept, [(0, 0), step])
-        other = np.roll(number, (-step[0], -step[1]), axis=(0, 1))
-        pairs.append(np.stack([number[both], other[both]]))
-    first, second = np.concatenate(pairs, axis=1)
-    return components(int(kept.sum()), first, second)
-
-
-def components(count: int, first: NDArray[np.int64], second: NDArray[np.int64]) -> int:
-    """Number of connected components of `count` things of which first[k] and second[k] are joined."""
-    root = np.arange(count)
-    while True:
-        a, b = root[first], root[second]
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        apart = low < high
-        if not apart.any():
-            return int((root == np.arange(count)).sum())
-        np.minimum.at(root, high[apart], low[apart])
-        while (root[root] != root).any():  # follow to the root: path lengths halve each time
-            root = root[root]
+    return count_pieces_and_holes(window.lattice, [BorderJoint(b.step, b.joints, b.corners) for b in borders])

@@ -120,6 +120,7 @@ def _edge_of_seam(window: Window, face: Face) -> float:
 
 
 def _rounded(window: Window, name: str, face: Face, radius: float) -> Named:
+    """Greatest share of a cell's width that a tool's nose leaves rounded on one face; see `groove`."""
     concave = [abs(r) for r in principal_radii(face.surface) if r < 0.0]
     if concave and min(concave) < radius:
         return Named(1.0, f"{name}, whose hollows are smaller than the tool")

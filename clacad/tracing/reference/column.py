@@ -45,7 +45,7 @@ class Event:
     starts: dict[int, Floats]
 
     def take(self, rows: NDArray[np.intp] | Bools) -> Event:
-        """The events of chosen rays."""
+        """The events of chosen rays: row numbers, or which (m,)."""
         return Event(
             self.kind[rows],
             self.distance[rows],
@@ -84,9 +84,8 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
         Whether the rays are in the material at the start. Rays in air are followed until they have risen
         past the body's highest point.
     """
-    m = len(beam)
+    m, xy = len(beam), sheet_xy(layout, beam)
     grids = [_grid(layout, beam, array) for array in body.arrays]
-    xy = sheet_xy(layout, beam)
     aside = np.maximum(box_span(layout, body, xy, beam.direction)[1], 0.0)
     above = np.full(m, np.inf) if inside else (body.high - beam.z) / beam.direction[:, 2]
     kind = np.full(m, ASIDE, dtype=np.int8)
@@ -100,13 +99,13 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
         piece = _piece(layout, grids, beam, xy, active)
         border, across = _next_border(layout, piece)
         end = np.minimum(border, limit[active])
-        lo, why, changed = _scan(layout, body, piece, since[active], cause[active], end, inside)
-        since[active], cause[active] = lo, why
+        since[active], cause[active], changed = _scan(
+            layout, body, piece, since[active], cause[active], end, inside
+        )
         risen = ~changed & (above[active] <= end)
         gone = ~changed & ~risen & (aside[active] <= end)
-        kind[active[changed]] = why[changed]
-        kind[active[risen]] = ABOVE
-        since[active[risen]] = above[active[risen]]
+        kind[active[changed]] = cause[active[changed]]
+        kind[active[risen]], since[active[risen]] = ABOVE, above[active[risen]]
         since[active[gone]] = aside[active[gone]]
         on = ~(changed | risen | gone)
         active = active[on]
@@ -153,6 +152,7 @@ def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
 
 
 def along_normal(layout: Layout, n: int, rows: Floats) -> Floats:
+    """Component (k,) of vectors (k, ≥ 2) along the normal of border n of a cell."""
     return np.asarray(layout.normals[n, 0] * rows[:, 0] + layout.normals[n, 1] * rows[:, 1])
 
 

@@ -36,7 +36,7 @@ class Hit:
 
 
 def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float) -> Hit:
-    """Meet a lens face from its −z side and refract."""
+    """Meet a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's level."""
     vx, vy, vz = face.vertex
     start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
     ray = to_surface(face.rotation, direction)
@@ -59,7 +59,7 @@ def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float
 def cross_at(
     face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float
 ) -> Hit:
-    """Refract at a crossing that was found already, to be polished: `meet` gives the other one where a ray falls
+    """Refract at crossings (m,) that were found already, to be polished: `meet` gives the other one where a ray falls
     in the lens's frame while it rises in the sheet's.
     """
     vx, vy, vz = face.vertex
@@ -96,13 +96,13 @@ def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
 
 
 def cross_land(direction: Floats, n1: float, n2: float) -> Floats:
-    """Directions behind a plane parallel to the sheet; NaN at total internal reflection."""
+    """Directions (m, 3) behind a plane parallel to the sheet; NaN at total internal reflection."""
     gradient = np.broadcast_to(np.array([0.0, 0.0, 1.0]), direction.shape)
     return refract(direction, gradient, direction[:, 2], n1, n2)[0]
 
 
 def height(face: FacePlan, local: Floats) -> Floats:
-    """Height of the lens over the body's level above points of the cell frame; NaN where there is none."""
+    """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN where there is none."""
     if face.array is None:
         return np.full(len(local), face.vertex[2])
     lens = Face(face.surface, face.vertex) if face.rotation is None else Face(
@@ -112,7 +112,7 @@ def height(face: FacePlan, local: Floats) -> Floats:
 
 
 def in_zone(layout: Layout, local: Floats, margin: float) -> Bools:
-    """Which points of the cell frame lie at least `margin` inside their cell's borders."""
+    """Which points (m, 2) of the cell frame lie at least `margin` inside their cell's borders."""
     inside = np.ones(len(local), dtype=bool)
     with np.errstate(invalid="ignore"):
         for (ux, uy), half in zip(layout.normals, layout.halves, strict=True):
@@ -121,7 +121,7 @@ def in_zone(layout: Layout, local: Floats, margin: float) -> Bools:
 
 
 def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
-    """Which sheet points lie over the body, given which lie over a kept cell of its array."""
+    """Which sheet points (m, 2) lie over the body, given which (m,) lie over a kept cell of its array."""
     shape, half_x, half_y = body.outline
     if shape == "none":
         return kept
@@ -132,7 +132,7 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
 
 
 def lens_roots(face: FacePlan, local: Floats, z: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """Both distances at which rays cross the whole of a lens's surface; +inf where they do not.
+    """Both distances (m,) at which rays cross the whole of a lens's surface; +inf where they do not.
 
     They only divide the ray into stretches; what each stretch is, is asked of the heights. So a root of
     the half beyond the equator does no harm.

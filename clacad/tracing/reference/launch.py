@@ -63,7 +63,7 @@ class Beam:
         return len(self.rows)
 
     def take(self, chosen: NDArray[np.intp] | Bools) -> Beam:
-        """The chosen rays."""
+        """The chosen rays: row numbers, or which (m,)."""
         return Beam(
             self.rows[chosen], self.array, self.cell[chosen], self.local[chosen], self.z[chosen],
             self.direction[chosen],
@@ -181,7 +181,7 @@ def to_array(layout: Layout, beam: Beam, array: int) -> Beam:
 
 
 def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> tuple[Ints, Floats, Ints]:
-    """Steps, local coordinates and cell in `array` of points given relative to cells of array `of`."""
+    """Steps, local coordinates and cell, (m, 2) each, in `array` of points given relative to cells of array `of`."""
     away = np.zeros(2, dtype=np.int64)
     if array != of:
         sign = 1 if array > of else -1
@@ -192,7 +192,7 @@ def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> t
 
 
 def on_to(layout: Layout, beam: Beam, left: BodyPlan, entered: BodyPlan) -> tuple[Beam, Floats]:
-    """Carry rays from one body to the reference plane of the next, and the distance that takes."""
+    """Carry m rays from one body to the reference plane of the next, and the distance (m,) that takes."""
     z = beam.z - (entered.level - left.level)
     distance = (entered.low - z) / beam.direction[:, 2]
     local = beam.local + distance[:, None] * beam.direction[:, :2]

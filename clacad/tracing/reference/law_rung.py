@@ -24,7 +24,7 @@ class SheetPlane:
 
 
 def trace_law(layout: Layout, ledger: Ledger, rows: Rows) -> None:
-    """Write the rows of rays that cross a kept cell's footprint in z = 0.
+    """Write the rows (k,) of rays that cross a kept cell's footprint in z = 0.
 
     ALIVE where the law has an answer, BACKWARD where it has none; the rest stay MISSED.
     """

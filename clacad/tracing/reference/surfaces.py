@@ -31,7 +31,7 @@ BEHIND = 8 * ULP
 
 
 def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence[float]) -> None:
-    """Trace the launched rays `rows` and write their rows of the ledger.
+    """Trace the launched rays `rows` (k,) and write their rows of the ledger.
 
     Parameters
     ----------
@@ -45,15 +45,15 @@ def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, indices: Sequence
             continue
         beam = to_array(layout, beam, first_body.arrays[0])
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-            passage = in_cell(layout, indices, beam, carried)
-        passage.enter(layout, ledger)
-        rest = np.flatnonzero(~passage.good)
+            straight = in_cell(layout, indices, beam, carried)
+        straight.enter(layout, ledger)
+        rest = np.flatnonzero(~straight.good)
         if len(rest):
             walk(layout, ledger, indices, beam.take(rest), carried[rest])
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class StraightTrace:
     """A block of rays after the straight trace.
 
     Attributes
@@ -96,8 +96,11 @@ class Passage:
         ledger.order[rows] = order
 
 
-def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Floats) -> Passage:
-    """Trace rays straight through the faces of the cells they are over, and tell for which this is right."""
+def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Floats) -> StraightTrace:
+    """Trace m rays straight through the faces of the cells they are over, and tell for which this is right.
+
+    `carried` (m,): how far the beam is from the start.
+    """
     good = np.ones(len(beam), dtype=bool)
     path = np.zeros(len(beam))
     cells: list[Ints] = []
@@ -121,7 +124,7 @@ def in_cell(layout: Layout, indices: Sequence[float], beam: Beam, carried: Float
         path = path + before + indices[b] * lengths[1]
         cells += crossed
         hits += seen
-    return Passage(good, beam, cells, path, hits)
+    return StraightTrace(good, beam, cells, path, hits)
 
 
 Through = tuple[Beam, tuple[Floats, Floats], Bools, list[Ints], list[Beam]]

@@ -26,7 +26,7 @@ BLOCK = 8192
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class ThinPatch:
     """The thin lens of one array.
 
     Attributes
@@ -94,7 +94,7 @@ class Met:
 
 
 def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
-    """Trace rays through the window's thin pair and write their rows."""
+    """Trace rays through the window's thin pair and write their rows (k,)."""
     layout = thin_layout(layout)
     patches = _patches(layout)
     for first in range(0, len(rows), BLOCK):
@@ -110,7 +110,7 @@ def thin_layout(layout: Layout) -> Layout:
     return replace(layout, window=window, whole_steps=steps[0], residual=residual[0])
 
 
-def _patches(layout: Layout) -> tuple[Patch, Patch]:
+def _patches(layout: Layout) -> tuple[ThinPatch, ThinPatch]:
     """Both arrays of patches: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
     pair = layout.window.thin
     first, second = (
@@ -128,7 +128,8 @@ def _patch(
     array: int,
     vertex: tuple[float, float, float],
     shift: tuple[float, float],
-) -> Patch:
+) -> ThinPatch:
+    """Thin lens of an array whose `vertex` and `shift` are lengths, with the room that all its patches take."""
     pair = layout.window.thin
     x0, x1, y0, y1 = layout.lattice.extent()
     box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
@@ -147,7 +148,7 @@ def _patch(
     heights = -(tile @ axis[:2]) / axis[2]
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = pair.focal_length[array]
-    return Patch(
+    return ThinPatch(
         array=array,
         vertex=(vertex[0], vertex[1], 0.0),
         rotation=pair.rotation,
@@ -160,7 +161,8 @@ def _patch(
     )
 
 
-def _trace_block(layout: Layout, patches: tuple[Patch, Patch], ledger: Ledger, rows: Rows) -> None:
+def _trace_block(layout: Layout, patches: tuple[ThinPatch, ThinPatch], ledger: Ledger, rows: Rows) -> None:
+    """Trace the rays `rows` (k,) through both arrays and write their rows of the ledger."""
     first, second = patches
     beam, carried = launch(layout, first, ledger.position, ledger.direction, rows)
     one = _meet(layout, first, beam)
@@ -191,7 +193,7 @@ def _trace_block(layout: Layout, patches: tuple[Patch, Patch], ledger: Ledger, r
     _leave(layout, ledger, second, _take(one, passes), _take(two, passes), (path + length)[passes])
 
 
-def _go_on(layout: Layout, ledger: Ledger, patch: Patch, met: Met, path: Floats) -> tuple[Bools, Floats]:
+def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Floats) -> tuple[Bools, Floats]:
     """Bend at a patch; end what is opaque or turned back. Returns who goes on and all directions."""
     beam = met.beam
     at = _position(layout, patch, beam)
@@ -207,7 +209,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: Patch, met: Met, path: Floats)
     return ~stopped, out
 
 
-def _leave(layout: Layout, ledger: Ledger, patch: Patch, one: Met, two: Met, path: Floats) -> None:
+def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, one: Met, two: Met, path: Floats) -> None:
     """Bend at lens 2 and write the rays."""
     goes, out = _go_on(layout, ledger, patch, two, path)
     rows = two.beam.rows
@@ -240,7 +242,7 @@ def _end(
     ledger.cell[rows] = _named(layout, met.beam)
 
 
-def _meet(layout: Layout, patch: Patch, beam: Beam) -> Met:
+def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
     """Find the patch, or the gap between patches, that rays pass through on their way up."""
     m = len(beam)
     span = (patch.high - beam.z) / beam.direction[:, 2]
@@ -290,7 +292,7 @@ def _next_border(layout: Layout, local: Floats, ray: Floats) -> tuple[Floats, In
     return nearest, across
 
 
-def _in_outline(layout: Layout, patch: Patch, xy: Floats) -> Bools:
+def _in_outline(layout: Layout, patch: ThinPatch, xy: Floats) -> Bools:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
     x, y = (xy - np.asarray(patch.centre)).T
@@ -307,7 +309,7 @@ def _named(layout: Layout, beam: Beam) -> Ints:
     return np.where(kept[:, None], beam.cell, NO_CELL)
 
 
-def _position(layout: Layout, patch: Patch, beam: Beam) -> Floats:
+def _position(layout: Layout, patch: ThinPatch, beam: Beam) -> Floats:
     return sheet_position(layout, patch.array, beam.cell, beam.local, beam.z + patch.level)
 
 

@@ -71,7 +71,7 @@ class Walkers:
     surface: Ints
 
     def take(self, chosen: Rows | Bools) -> Walkers:
-        """The chosen rays."""
+        """The chosen rays: row numbers, or which (m,)."""
         rest = (getattr(self, f.name)[chosen] for f in fields(self)[1:])
         return Walkers(self.beam.take(chosen), *rest)
 
@@ -80,7 +80,7 @@ class Walkers:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class BodyWalk:
     """What a walk needs to know at one body."""
 
     layout: Layout
@@ -105,7 +105,7 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
     ----------
     indices : one refractive index a body
     beam, carried
-        From `launch`: on the first body's reference plane, and how far that is from the start.
+        From `launch`: m rays on the first body's reference plane, and how far (m,) that is from the start.
     """
     m = len(beam)
     none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)
@@ -115,100 +115,100 @@ def walk(layout: Layout, ledger: Ledger, indices: Sequence[float], beam: Beam, c
     )  # fmt: skip
     with np.errstate(all="ignore"):
         for b, index in enumerate(indices):
-            scene = Scene(layout, ledger, b, index)
+            here = BodyWalk(layout, ledger, b, index)
             left = walkers
             if b:
-                walkers, left, carried = _cross_gap(scene, walkers)
-            walkers = _through_body(scene, walkers, left, carried)
+                walkers, left, carried = _cross_gap(here, walkers)
+            walkers = _through_body(here, walkers, left, carried)
             if not len(walkers):
                 return
-    _finish(scene, walkers)
+    _finish(here, walkers)
 
 
 # -- one body ----------------------------------------------------------------------------------
 
 
-def _through_body(scene: Scene, walkers: Walkers, left: Walkers, gap: Floats) -> Walkers:
+def _through_body(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) -> Walkers:
     """Enter, cross and leave one body; rays that end are written, the others returned."""
-    entering, passing = _approach(scene, walkers, left, gap)
+    entering, passing = _approach(here, walkers, left, gap)
     if len(entering):
-        event = first_change(scene.layout, scene.body, entering.beam, inside=True)
+        event = first_change(here.layout, here.body, entering.beam, inside=True)
         out = np.isin(event.kind, (BACK, BACK_LAND))
         stuck = np.flatnonzero(~out)
-        _end_at(scene, entering.take(stuck), event.take(stuck), scene.index)
-        leaving = _refract(scene, entering, event, np.flatnonzero(out), 1, scene.index, 1.0)
-        entering = _depart(scene, leaving)
+        _end_at(here, entering.take(stuck), event.take(stuck), here.index)
+        leaving = _refract(here, entering, event, np.flatnonzero(out), 1, here.index, 1.0)
+        entering = _depart(here, leaving)
     return _joined(entering, passing)
 
 
-def _approach(scene: Scene, walkers: Walkers, left: Walkers, gap: Floats) -> tuple[Walkers, Walkers]:
+def _approach(here: BodyWalk, walkers: Walkers, left: Walkers, gap: Floats) -> tuple[Walkers, Walkers]:
     """From the reference plane to the first face: those that enter, and those that pass through a hole."""
-    body, layout = scene.body, scene.layout
+    body, layout = here.body, here.layout
     event = first_change(layout, body, walkers.beam, inside=False)
     travelled = gap + event.distance
     missed = event.kind == ASIDE
-    if scene.number == 0:
+    if here.number == 0:
         missed |= travelled < -BEHIND * (np.abs(gap) + np.abs(event.distance))
     risen = event.kind == ABOVE
     over = sheet_xy(layout, walkers.beam) + event.distance[:, None] * walkers.beam.direction[:, :2]
     beyond = to_array(layout, _advanced(walkers.beam, event.distance), body.arrays[0])
     hole = risen & in_footprint(body, over, layout.lattice.contains(beyond.cell))
     missed |= risen & ~hole
-    if scene.number and layout.window.baffle is not None:
-        blocked = _stop_at_baffle(scene, walkers, left, event, gap)
+    if here.number and layout.window.baffle is not None:
+        blocked = _stop_at_baffle(here, walkers, left, event, gap)
         missed &= ~blocked
     else:
         blocked = np.zeros(len(walkers), dtype=bool)
-    _miss(scene, walkers.take(missed))
+    _miss(here, walkers.take(missed))
     going = ~(missed | blocked)
     path = walkers.path + gap
     walkers = replace(walkers, path=path)
     enters = going & np.isin(event.kind, (FRONT, FRONT_LAND))
     ends = np.flatnonzero(going & ~enters & ~hole)
-    _end_at(scene, walkers.take(ends), event.take(ends), 1.0)
-    entering = _refract(scene, walkers, event, np.flatnonzero(enters), 0, 1.0, scene.index)
-    return entering, _pass_hole(scene, walkers, np.flatnonzero(going & hole), event)
+    _end_at(here, walkers.take(ends), event.take(ends), 1.0)
+    entering = _refract(here, walkers, event, np.flatnonzero(enters), 0, 1.0, here.index)
+    return entering, _pass_hole(here, walkers, np.flatnonzero(going & hole), event)
 
 
 def _refract(
-    scene: Scene, walkers: Walkers, event: Event, rows: Rows, side: int, n1: float, n2: float
+    here: BodyWalk, walkers: Walkers, event: Event, rows: Rows, side: int, n1: float, n2: float
 ) -> Walkers:
     """Refract the rays `rows` at the front (side 0) or back (1) they met; write those that end there."""
-    body = scene.body
+    body = here.body
     face = (body.front, body.back)[side]
     walkers, event = walkers.take(rows), event.take(rows)
     if not len(rows):
         return walkers
     on_lens = np.isin(event.kind, (FRONT, BACK))
-    beam, distance, out = _cross_face(scene, face, walkers.beam, event, on_lens, n1, n2)
+    beam, distance, out = _cross_face(here, face, walkers.beam, event, on_lens, n1, n2)
     walkers = replace(
         walkers,
         beam=beam,
         path=walkers.path + n1 * distance,
-        position=scene.sheet(beam.array, beam.cell, beam.local, beam.z),
-        surface=np.full(len(rows), 2 * scene.number + side, dtype=np.int64),
+        position=here.sheet(beam.array, beam.cell, beam.local, beam.z),
+        surface=np.full(len(rows), 2 * here.number + side, dtype=np.int64),
     )
     if face.array is not None or not on_lens.all():
-        walkers = _note_cell(scene, walkers, face, on_lens)
-    opaque = ~on_lens & scene.layout.window.land.opaque
+        walkers = _note_cell(here, walkers, face, on_lens)
+    opaque = ~on_lens & here.layout.window.land.opaque
     total = ~opaque & ~np.isfinite(out[:, 0])
     after = np.where((opaque | total)[:, None], beam.direction, out)
-    scene.ledger.record(2 * scene.number + side, beam.rows, walkers.position, after)
-    _end(scene, walkers.take(opaque), Fate.VIGNETTED)
-    _end(scene, walkers.take(total), Fate.TIR)
+    here.ledger.record(2 * here.number + side, beam.rows, walkers.position, after)
+    _end(here, walkers.take(opaque), Fate.VIGNETTED)
+    _end(here, walkers.take(total), Fate.TIR)
     on = ~(opaque | total)
     walkers = walkers.take(on)
     return replace(walkers, beam=replace(walkers.beam, direction=out[on]))
 
 
 def _cross_face(
-    scene: Scene, face: FacePlan, beam: Beam, event: Event, on_lens: Bools, n1: float, n2: float
+    here: BodyWalk, face: FacePlan, beam: Beam, event: Event, on_lens: Bools, n1: float, n2: float
 ) -> tuple[Beam, Floats, Floats]:
     """Beams on the face, distances gone and directions behind it, for lens and land alike."""
-    array = scene.body.arrays[0] if face.array is None else face.array
+    array = here.body.arrays[0] if face.array is None else face.array
     start = event.starts[array]
     hit = cross(face, start, beam.z, beam.direction, n1, n2)
-    other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * scene.layout.halves.max())
+    other = on_lens & ~(np.abs(hit.distance - event.distance) <= SAME * here.layout.halves.max())
     if other.any():
         hit = _where(other, cross_at(face, start, beam.z, beam.direction, event.distance, n1, n2), hit)
     land = start + event.distance[:, None] * beam.direction[:, :2]
@@ -233,32 +233,32 @@ def _where(chosen: Bools, one: Hit, other: Hit) -> Hit:
     )
 
 
-def _depart(scene: Scene, walkers: Walkers) -> Walkers:
+def _depart(here: BodyWalk, walkers: Walkers) -> Walkers:
     """Follow rays that left the back face until they are clear of the body."""
     backward = ~(walkers.beam.direction[:, 2] > 0.0)
-    _end(scene, walkers.take(backward), Fate.BACKWARD)
+    _end(here, walkers.take(backward), Fate.BACKWARD)
     walkers = walkers.take(~backward)
     if not len(walkers):
         return walkers
-    event = first_change(scene.layout, scene.body, walkers.beam, inside=False)
+    event = first_change(here.layout, here.body, walkers.beam, inside=False)
     clear = np.isin(event.kind, (ABOVE, ASIDE))
     back = np.flatnonzero(~clear)
-    _end_at(scene, walkers.take(back), event.take(back), 1.0)
+    _end_at(here, walkers.take(back), event.take(back), 1.0)
     return walkers.take(clear)
 
 
-def _pass_hole(scene: Scene, walkers: Walkers, rows: Rows, event: Event) -> Walkers:
+def _pass_hole(here: BodyWalk, walkers: Walkers, rows: Rows, event: Event) -> Walkers:
     """Rays that rose past the body over its footprint without meeting it, put on its highest level."""
     walkers, distance = walkers.take(rows), event.distance[rows]
-    for face in (scene.body.front, scene.body.back):
+    for face in (here.body.front, here.body.back):
         if face.array is None or not len(rows):
             continue
-        beam = to_array(scene.layout, _advanced(walkers.beam, distance), face.array)
+        beam = to_array(here.layout, _advanced(walkers.beam, distance), face.array)
         walkers = replace(walkers, beam=beam, path=walkers.path + distance)
-        walkers = _note_cell(scene, walkers, face, np.zeros(len(rows), dtype=bool))
+        walkers = _note_cell(here, walkers, face, np.zeros(len(rows), dtype=bool))
         distance = np.zeros(len(rows))
     beam = walkers.beam
-    return replace(walkers, position=scene.sheet(beam.array, beam.cell, beam.local, beam.z))
+    return replace(walkers, position=here.sheet(beam.array, beam.cell, beam.local, beam.z))
 
 
 def _advanced(beam: Beam, distance: Floats) -> Beam:
@@ -266,9 +266,9 @@ def _advanced(beam: Beam, distance: Floats) -> Beam:
     return replace(beam, local=beam.local + step[:, :2], z=beam.z + step[:, 2])
 
 
-def _note_cell(scene: Scene, walkers: Walkers, face: FacePlan, on_lens: Bools) -> Walkers:
+def _note_cell(here: BodyWalk, walkers: Walkers, face: FacePlan, on_lens: Bools) -> Walkers:
     """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
-    kept = scene.layout.lattice.contains(walkers.beam.cell)
+    kept = here.layout.lattice.contains(walkers.beam.cell)
     cell = np.where(kept[:, None], walkers.beam.cell, NO_CELL)
     unmet = (walkers.first == NO_CELL).all(axis=1, keepdims=True)
     first = np.where(unmet, cell, walkers.first)
@@ -289,92 +289,92 @@ def _note_cell(scene: Scene, walkers: Walkers, face: FacePlan, on_lens: Bools) -
 # -- between bodies ----------------------------------------------------------------------------
 
 
-def _cross_gap(scene: Scene, walkers: Walkers) -> tuple[Walkers, Walkers, Floats]:
+def _cross_gap(here: BodyWalk, walkers: Walkers) -> tuple[Walkers, Walkers, Floats]:
     """Carry rays to the next body's reference plane, or to where they come alongside it above that plane."""
-    layout, body = scene.layout, scene.body
+    layout, body = here.layout, here.body
     left = walkers
-    beam, gap = on_to(layout, walkers.beam, layout.bodies[scene.number - 1], body)
+    beam, gap = on_to(layout, walkers.beam, layout.bodies[here.number - 1], body)
     enter, leave = box_span(layout, body, sheet_xy(layout, beam), beam.direction)
     span = (body.high - body.low) / beam.direction[:, 2]
     reaches = (enter <= leave) & (leave >= 0.0) & (enter <= span) & np.isfinite(gap)
-    if scene.layout.window.baffle is not None:
+    if here.layout.window.baffle is not None:
         # rays that pass beside array 2 have long since met the honeycomb
         stray = np.flatnonzero(~reaches)
-        _vignette(scene, left.take(stray), gap[stray], np.zeros(len(stray)))
+        _vignette(here, left.take(stray), gap[stray], np.zeros(len(stray)))
     else:
-        _miss(scene, left.take(~reaches))
+        _miss(here, left.take(~reaches))
     late = np.where(enter > 0.0, enter, 0.0)[reaches]
     beam = to_array(layout, _advanced(beam.take(reaches), late), beam.array)
     return replace(walkers.take(reaches), beam=beam), left.take(reaches), gap[reaches] + late
 
 
-def _stop_at_baffle(scene: Scene, walkers: Walkers, left: Walkers, event: Event, gap: Floats) -> Bools:
+def _stop_at_baffle(here: BodyWalk, walkers: Walkers, left: Walkers, event: Event, gap: Floats) -> Bools:
     """End rays that the honeycomb between the arrays stops; tell which."""
-    array = scene.body.arrays[0]
+    array = here.body.arrays[0]
     met = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]
     order = event.cells[array] - left.beam.cell
-    share = honeycomb.reach(scene.layout, left.beam.local, met, order)
+    share = honeycomb.reach(here.layout, left.beam.local, met, order)
     blocked = np.isfinite(share)
     rows = np.flatnonzero(blocked)
-    _vignette(scene, left.take(rows), (gap + event.distance)[rows], share[rows])
+    _vignette(here, left.take(rows), (gap + event.distance)[rows], share[rows])
     return blocked
 
 
-def _vignette(scene: Scene, left: Walkers, length: Floats, share: Floats) -> None:
+def _vignette(here: BodyWalk, left: Walkers, length: Floats, share: Floats) -> None:
     """End rays on the honeycomb, `share` of the way across the gap."""
     run = np.where(np.isfinite(length), share * length, 0.0)
     position = left.position + run[:, None] * left.beam.direction
     left = replace(left, position=position, path=left.path + run)
-    _record_end(scene, left)
-    _end(scene, left, Fate.VIGNETTED)
+    _record_end(here, left)
+    _end(here, left, Fate.VIGNETTED)
 
 
 # -- ends --------------------------------------------------------------------------------------
 
 
-def _end_at(scene: Scene, walkers: Walkers, event: Event, index: float) -> None:
+def _end_at(here: BodyWalk, walkers: Walkers, event: Event, index: float) -> None:
     """End rays at a wall, or at a face met from its wrong side, which no sequence of faces goes on from."""
     if not len(walkers):
         return
-    array = scene.body.arrays[0]
+    array = here.body.arrays[0]
     local = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]
     z = walkers.beam.z + event.distance * walkers.beam.direction[:, 2]
     wrong = np.select(
         [np.isin(event.kind, (FRONT, FRONT_LAND)), np.isin(event.kind, (BACK, BACK_LAND))],
-        [2 * scene.number, 2 * scene.number + 1],
+        [2 * here.number, 2 * here.number + 1],
         walkers.surface,
     )
-    position = scene.sheet(array, event.cells[array], local, z)
+    position = here.sheet(array, event.cells[array], local, z)
     walkers = replace(walkers, position=position, path=walkers.path + index * event.distance)
-    _record_end(scene, walkers)
-    _end(scene, replace(walkers, surface=wrong), Fate.WALL)
+    _record_end(here, walkers)
+    _end(here, replace(walkers, surface=wrong), Fate.WALL)
 
 
-def _end(scene: Scene, walkers: Walkers, fate: Fate) -> None:
+def _end(here: BodyWalk, walkers: Walkers, fate: Fate) -> None:
     if len(walkers):
-        _write(scene, walkers, np.full(len(walkers), fate, dtype=np.uint8))
+        _write(here, walkers, np.full(len(walkers), fate, dtype=np.uint8))
 
 
-def _finish(scene: Scene, walkers: Walkers) -> None:
+def _finish(here: BodyWalk, walkers: Walkers) -> None:
     """Write rays that crossed every body."""
-    _record_end(scene, walkers)
+    _record_end(here, walkers)
     fate = np.where(walkers.land, Fate.LAND, np.where(walkers.ghost, Fate.GHOST, Fate.ALIVE))
-    _write(scene, walkers, fate.astype(np.uint8))
+    _write(here, walkers, fate.astype(np.uint8))
 
 
-def _write(scene: Scene, walkers: Walkers, fate: NDArray[np.uint8]) -> None:
-    ledger, rows = scene.ledger, walkers.beam.rows
+def _write(here: BodyWalk, walkers: Walkers, fate: NDArray[np.uint8]) -> None:
+    ledger, rows = here.ledger, walkers.beam.rows
     ledger.end(rows, fate, walkers.position, walkers.beam.direction, walkers.path, walkers.surface)
     ledger.cell[rows] = walkers.first
     ledger.order[rows] = _order(walkers)
 
 
-def _record_end(scene: Scene, walkers: Walkers) -> None:
+def _record_end(here: BodyWalk, walkers: Walkers) -> None:
     """Repeat the last point at every face that was not met."""
-    for face in range(len(scene.ledger.hits)):
+    for face in range(len(here.ledger.hits)):
         on = walkers.surface < face
         position, direction = walkers.position[on], walkers.beam.direction[on]
-        scene.ledger.record(face, walkers.beam.rows[on], position, direction)
+        here.ledger.record(face, walkers.beam.rows[on], position, direction)
 
 
 def _order(walkers: Walkers) -> Ints:
@@ -386,11 +386,11 @@ def _order(walkers: Walkers) -> Ints:
     return np.where(both[:, None], order, NO_CELL)
 
 
-def _miss(scene: Scene, walkers: Walkers) -> None:
+def _miss(here: BodyWalk, walkers: Walkers) -> None:
     """Give rays back as launched; the cell of lens 1 stays known if one was met."""
     rows = walkers.beam.rows
-    scene.ledger.miss(rows)
-    scene.ledger.cell[rows] = walkers.first
+    here.ledger.miss(rows)
+    here.ledger.cell[rows] = walkers.first
 
 
 def _joined(a: Walkers, b: Walkers) -> Walkers:

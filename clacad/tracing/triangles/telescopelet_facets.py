@@ -12,48 +12,39 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Bytes, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
 from clacad.sheet.window import Face, Window, in_optical_tile
 from clacad.tracing.sampled_face import SampledFace, meet_sampled
+from clacad.tracing.triangles.tiles import NO_TILES, Tiles
+from clacad.tracing.triangles.triangle_soup import hierarchy
 
 WALL = 0.05
 """Facets whose |n_z| is below this are walls."""
 
-SLACK = 1e-10
-"""Part of a facet's area by which a hit on its edge may lie outside: no ray slips between two facets."""
-
 
 @dataclass(frozen=True, eq=False)
 class FacetFace:
-    """The facets of one side of one body over one cell, binned in x and y.
+    """The facets of one side of one body over one cell, in a tree of boxes.
 
-    corners : (t, 3, 3) lengths
-        Relative to `origin`; wound counter-clockwise seen from outside.
+    tiles : Tiles
+        One body: the facets `tiles.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise seen from
+        outside.
     normals : (t, 3)
         Outward, length twice the facet's area.
     origin : (3,) lengths
         Sheet frame.
-    low, size : (2,) lengths; bins : int
-        The square grid of bins: its corner, the size of one, their number a side.
-    start : (bins + 1,) ints, member : ints
-        Facets of bin b are member[start[b] : start[b + 1]].
     z_range : (low, high), lengths, relative to origin
     land : (t,) bool
         Facets that are flat land: light through them is no lens light.
     """
 
-    corners: Floats
+    tiles: Tiles
     normals: Floats
     origin: Floats
-    low: Floats
-    size: Floats
-    bins: int
-    start: Ints
-    member: Ints
     z_range: tuple[float, float]
-    land: NDArray[np.bool_]
+    land: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,48 +75,21 @@ class FacetBody:
     index: float
 
 
-def facet_face(corners: Floats, origin: Floats, land: NDArray[np.bool_] | None = None) -> FacetFace:
-    """Bin facets (t, 3, 3), given in the sheet frame, about `origin` (3,); `land` (t,) marks flat land."""
+def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
+    """Make facets (t, 3, 3), given in the sheet frame, ready about `origin` (3,); `land` (t,) marks flat land."""
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
+    if not len(local):
+        return FacetFace(NO_TILES, np.zeros((0, 3)), origin, (0.0, 0.0), flat_land)
+    rank, tiles = hierarchy([local])
+    local = tiles.corner
     normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
-    if len(local) == 0:
-        return FacetFace(
-            local, normals, origin, np.zeros(2), np.ones(2), 1, np.zeros(2, dtype=np.int64),
-            np.empty(0, dtype=np.int64), (0.0, 0.0), flat_land,
-        )  # fmt: skip
-    flat = local[..., :2]
-    least, most = flat.min(axis=1), flat.max(axis=1)
-    low, high = least.min(axis=0), most.max(axis=0)
-    count = max(1, int(np.sqrt(0.5 * len(local))))
-    size = np.maximum((high - low) / count, 1e-300)
-    first = _bin(least, low, size, count)
-    last = _bin(most, low, size, count)
-    facet, bin_x, bin_y = _spread(first, last)
-    number = bin_x * count + bin_y
-    order = np.argsort(number, kind="stable")
-    start = np.searchsorted(number[order], np.arange(count * count + 1))
     return FacetFace(
-        local, normals, origin, low, size, count, start.astype(np.int64), facet[order],
-        (float(local[..., 2].min()), float(local[..., 2].max())), flat_land,
-    )  # fmt: skip
+        tiles, normals, origin, (float(local[..., 2].min()), float(local[..., 2].max())), flat_land[rank]
+    )
 
 
-def _bin(points: Floats, low: Floats, size: Floats, count: int) -> Ints:
-    # a hair of overlap, so that a facet on a bin's border is in both bins
-    return np.clip(np.floor((points - low) / size), 0, count - 1).astype(np.int64)
-
-
-def _spread(first: Ints, last: Ints) -> tuple[Ints, Ints, Ints]:
-    """Row numbers and every (x, y) of the boxes of bins first … last, (n, 2) each."""
-    wide = last - first + 1
-    many = wide[:, 0] * wide[:, 1]
-    row = np.repeat(np.arange(len(first)), many)
-    within = np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many)
-    return row, first[row, 0] + within // wide[row, 1], first[row, 1] + within % wide[row, 1]
-
-
-def on_land(window: Window, face: Face, corners: Floats) -> NDArray[np.bool_]:
+def on_land(window: Window, face: Face, corners: Floats) -> Bools:
     """Tell which facets (k, 3, 3) are the face's flat land: all corners at its height, float32 rounding allowed."""
     if face.land is None:
         return np.zeros(len(corners), dtype=bool)
@@ -156,19 +120,15 @@ def first_crossing(
     """
     distance = np.full(len(position), np.nan)
     facet = np.full(len(position), -1, dtype=np.int64)
-    if len(face.corners) and len(position):
-        from clacad.tracing.triangles.compiled_first_facet import first_facet
+    if len(face.normals) and len(position):
+        from clacad.tracing.triangles.compiled_search import first_facet
 
-        first_facet(
-            face.corners, face.normals, face.low, face.size, face.bins, face.start, face.member, *face.z_range,
-            position - face.origin, np.ascontiguousarray(direction), -1.0 if entering else 1.0, SLACK, distance, facet,
-        )  # fmt: skip
+        start, ray = position - face.origin, np.ascontiguousarray(direction)
+        first_facet(face.tiles, face.normals, start, ray, -1.0 if entering else 1.0, distance, facet)
     return distance, facet
 
 
-def _meet(
-    face: AnyFace, position: Floats, direction: Floats, entering: bool
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Floats, Bools]:
     """Distance (n,) along each ray, NaN for none; normal (n, 3) turned the way the light goes; whether it is land."""
     if isinstance(face, FacetFace):
         if not len(face.normals):
@@ -205,39 +165,58 @@ def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
         ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND where it
         did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell). `cell` and `order` are not known here.
     """
-    n = len(rays)
-    position = rays.position.copy()
-    direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
-    fate = np.full(n, Fate.ALIVE, dtype=np.uint8)
-    surface = np.full(n, NO_CELL, dtype=np.int32)
-    path = np.zeros(n)
-    live = np.arange(n)
-    before = 1.0
-    aside = np.zeros(n, dtype=bool)
-    steps = [
-        (f, body.index if k == 0 else 1.0, k == 0)
-        for body in bodies
-        for k, f in ((0, body.front), (1, body.back))
-    ]
-    for number, (face, after, entering) in enumerate(steps):
-        distance, normal, on_land = _meet(face, position[live], direction[live], entering)
+    passing = _Passing.launched(rays)
+    live = np.arange(len(rays))
+    number, before = 0, 1.0
+    for body in bodies:
+        for face, after, entering in ((body.front, body.index, True), (body.back, 1.0, False)):
+            live = passing.cross(face, live, number, (before, after), entering)
+            number, before = number + 1, after
+    passing.fate[live[passing.aside[live]]] = Fate.LAND
+    unknown = np.full((len(rays), 2), NO_CELL, dtype=np.int32)
+    return TraceResult(
+        passing.position, passing.direction, passing.fate, passing.path, unknown, unknown, passing.surface,
+        np.ones(len(rays)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Passing:
+    """n rays on their way through facets; columns are changed in place, `aside` (n,): through land."""
+
+    position: Floats
+    direction: Floats
+    fate: Bytes
+    surface: NDArray[np.int32]
+    path: Floats
+    aside: Bools
+
+    @classmethod
+    def launched(cls, rays: Rays) -> _Passing:
+        """Rays before the first face, of unit direction."""
+        n = len(rays)
+        direction = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
+        fate, surface = np.full(n, Fate.ALIVE, dtype=np.uint8), np.full(n, NO_CELL, dtype=np.int32)
+        return cls(rays.position.copy(), direction, fate, surface, np.zeros(n), np.zeros(n, dtype=bool))
+
+    def cross(
+        self, face: AnyFace, live: Rows, number: int, indices: tuple[float, float], entering: bool
+    ) -> Rows:
+        """Move live rays (k,) to face `number` and refract them, between two refractive indices; those that go on."""
+        distance, normal, on_land = _meet(face, self.position[live], self.direction[live], entering)
         met = np.isfinite(distance)
-        aside[live[met & on_land]] = True
-        fate[live[~met]] = Fate.WALL
+        self.aside[live[met & on_land]] = True
+        self.fate[live[~met]] = Fate.WALL
         live, distance, normal = live[met], distance[met], normal[met]
-        position[live] += distance[:, None] * direction[live]
-        path[live] += before * distance
-        surface[live] = number
-        root = np.einsum("ij,ij->i", normal, direction[live])
-        out, _ = refract(direction[live], normal, root, before, after)
+        self.position[live] += distance[:, None] * self.direction[live]
+        self.path[live] += indices[0] * distance
+        self.surface[live] = number
+        root = np.einsum("ij,ij->i", normal, self.direction[live])
+        out, _ = refract(self.direction[live], normal, root, *indices)
         reflected = np.isnan(out[:, 0])
-        fate[live[reflected]] = Fate.TIR
+        self.fate[live[reflected]] = Fate.TIR
         live, out = live[~reflected], out[~reflected]
-        direction[live] = out
+        self.direction[live] = out
         back = out[:, 2] <= 0.0
-        fate[live[back]] = Fate.BACKWARD
-        live = live[~back]
-        before = after
-    fate[live[aside[live]]] = Fate.LAND
-    unknown = np.full((n, 2), NO_CELL, dtype=np.int32)
-    return TraceResult(position, direction, fate, path, unknown, unknown, surface, np.ones(n))
+        self.fate[live[back]] = Fate.BACKWARD
+        return live[~back]

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 Normals = Literal["facet", "vertex"]
 
+LEAF = 4
+"""Triangles in a leaf of a tree of boxes."""
+
 LENS, LAND, VOID = 0, 1, 2
 BEYOND = 2**59
 """Levels beyond this stand for a face that is not there."""
@@ -262,6 +265,7 @@ def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
 
 
 def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
+    """Tilings one after the other in the arrays of `Tiles`; `of` (bodies, 2): tile of each front and back."""
     table: list[list[float]] = []
     starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
     beside, halves = [], list[Ints]()

@@ -17,12 +17,9 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out
-from clacad.tracing.triangles.tiles import NO_TILES, Normals, Tiles
+from clacad.tracing.triangles.tiles import LEAF, NO_TILES, Normals, Tiles
 
 Search = Literal["tree", "embree"]
-
-LEAF = 4
-"""Triangles in a leaf of the tree."""
 
 UNITS = (1.0, 1000.0, 0.001, 25.4, 1.0 / 25.4)
 MATCH = 0.02
@@ -67,10 +64,10 @@ def read_soup(path: str | os.PathLike[str], window: Window, search: Search = "tr
     """
     # readers live with the formats' writers; the tracer needs them only when it is handed a path
     from clacad.formats.mesh.readers import read_mesh
-    from clacad.tracing.triangles.embree_search import available
+    from clacad.tracing.triangles.embree import installed
 
     found = read_mesh(path)
-    if search == "embree" and not available():
+    if search == "embree" and not installed():
         raise ValueError('search = "embree" needs the package embreex: pip install "clacad[pictures]"')
     return replace(soup_of(found, window), search=search)
 
@@ -129,27 +126,45 @@ def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[
         raise ValueError('normals = "vertex", but the mesh has none; they are never estimated')
     exact = lay_out(window)
     owner = _owners(exact, soup.corners)
-    trees, plans, order = [], [], []
-    done = 0
-    for b, plan in enumerate(exact.bodies):
-        mine = np.flatnonzero(owner == b)
+    bodies = [np.flatnonzero(owner == b) for b in range(len(exact.bodies))]
+    for mine, body in zip(bodies, window.bodies, strict=True):
         if len(mine) == 0:
-            raise ValueError(f"no triangles of the mesh belong to {window.bodies[b].name!r}")
-        rank, boxes = _tree(soup.corners[mine])
-        order.append(mine[rank])
-        trees.append((done, len(mine), boxes))
-        done += len(mine)
-        plans.append(_bounded(plan, soup.corners[mine]))
-    which = np.concatenate(order)
-    roots = np.cumsum([0, *(len(boxes) for _, _, boxes in trees)])
-    table = np.array([(roots[b], first, count) for b, (first, count, _) in enumerate(trees)], dtype=np.int64)
-    tiles = NO_TILES._replace(
-        corner=np.ascontiguousarray(soup.corners[which]),
-        corner_normal=_upward(soup, which) if normals == "vertex" else np.zeros((0, 3, 3)),
-        tree=table,
-        box=np.concatenate([boxes for _, _, boxes in trees]),
+            raise ValueError(f"no triangles of the mesh belong to {body.name!r}")
+    rank, tiles = hierarchy([soup.corners[mine] for mine in bodies])
+    if normals == "vertex":
+        tiles = tiles._replace(corner_normal=_upward(soup, np.concatenate(bodies)[rank]))
+    plans = tuple(_bounded(plan, soup.corners[mine]) for plan, mine in zip(exact.bodies, bodies, strict=True))
+    return replace(exact, bodies=plans), tiles
+
+
+def hierarchy(bodies: list[Floats]) -> tuple[Ints, Tiles]:
+    """Triangles of each body in a tree of boxes.
+
+    Parameters
+    ----------
+    bodies : list of (t, 3, 3) lengths
+        Corners, counter-clockwise seen from outside; none empty.
+
+    Returns
+    -------
+    rank : (Σ t,) ints
+        For each triangle of the tiles, its row in all bodies one after the other.
+    tiles : Tiles
+        No tilings; `corner`, `tree` and `box` filled.
+    """
+    ranks, rows, boxes, first, root = [], [], [], 0, 0
+    for corners in bodies:
+        rank, own = _tree(corners)
+        ranks.append(first + rank)
+        rows.append((root, first, len(corners)))
+        boxes.append(own)
+        first, root = first + len(corners), root + len(own)
+    which = np.concatenate(ranks)
+    return which, NO_TILES._replace(
+        corner=np.ascontiguousarray(np.concatenate(bodies)[which]),
+        tree=np.array(rows, dtype=np.int64),
+        box=np.concatenate(boxes),
     )
-    return replace(exact, bodies=tuple(plans)), tiles
 
 
 def _upward(soup: TriangleSoup, which: Ints) -> Floats:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from clacad.base.types import Progress
+from clacad.base.types import Progress, silent
 from clacad.verification.accuracy.rows import Row, Table, TargetOutOfReach
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def accuracy(
     from clacad.verification.accuracy.measure_rungs import QUADS, Ladder, exact_rows, mesh_rows, reference
     from clacad.verification.accuracy.step_rung import step_row
 
-    report = progress or _silent
+    report = progress or silent
     refuse_early(design, (), {})
     window = prescribe(design)
     report("tracing the truth", 0.0)
@@ -75,10 +75,6 @@ def accuracy(
     found = floors(probe(window, ladder.rays, ladder.truth))
     report("done", 1.0)
     return Table(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
-
-
-def _silent(_stage: str, _done: float) -> None:
-    return
 
 
 def _notes(rows: Sequence[Row], step_note: str) -> tuple[str, ...]:

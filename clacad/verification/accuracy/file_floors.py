@@ -8,7 +8,7 @@ taken from traces, and the optimum (or the finest grid worth tracing) is traced 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import hypot, isfinite, sqrt
 from typing import Any
 
@@ -239,11 +239,7 @@ def _with_confirmation(seen: Probe, family: Family, found: Floor, confirm: bool)
         best = max(1, round(found.best_quads))
         grids = [q for q in (best, 2 * best) if q <= CONFIRM] or [CONFIRM]
     rows = tuple((q, found.error(q), seen.error(seen.held(q, family.holding, family.normals))) for q in grids)
-    return Floor(**(_plain(found) | {"confirmed": rows}))
-
-
-def _plain(found: Floor) -> dict[str, Any]:
-    return {name: getattr(found, name) for name in Floor.__dataclass_fields__}
+    return replace(found, confirmed=rows)
 
 
 def _facets(window: Window, quads: float) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.units import millimetres
 from clacad.mesh import Mesh
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.prototile import Prototile
@@ -80,7 +81,7 @@ def _held(window: Window, body: Body, part: BodyMesh, cell: tuple[int, int], hol
     tiled = []
     for one in part.tiled:
         tile = one.maker.tile
-        scale = window.unit * 1e3
+        scale = millimetres(window.unit)
         xy = tile.plan.xy
         if holding.kind == "f32" and holding.origin != "face":
             zero = window.lattice.centres(np.array(cell))[None] + np.asarray(one.shift)

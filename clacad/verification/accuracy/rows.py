@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.text import plain
+
 if TYPE_CHECKING:
     from clacad.verification.accuracy.file_floors import Floor
 
@@ -94,21 +96,7 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form; what was not measured is null."""
-        plain = {k: (None if not _finite(v) else v) for k, v in asdict(self).items()}
-        return plain | {"rays_per_s": self.rays_per_s}
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON-able value with null for what is no number."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(inner) for inner in value]
-    return value if _finite(value) else None
-
-
-def _finite(value: object) -> bool:
-    return not isinstance(value, float) or isfinite(value)
+        return {**plain(asdict(self)), "rays_per_s": self.rays_per_s}
 
 
 @dataclass(frozen=True)
@@ -170,10 +158,10 @@ class Table:
         return {
             "format": 1,
             "design": self.design,
-            "reference": _without_nan(dict(self.reference)),
+            "reference": plain(self.reference),
             "rows": [row.to_dict() for row in self.rows],
             "pareto": [self.rows.index(row) for row in self.pareto()],
-            "floors": [_without_nan(floor.to_dict()) for floor in self.floors],
+            "floors": [plain(floor.to_dict()) for floor in self.floors],
             "notes": list(self.notes),
         }
 

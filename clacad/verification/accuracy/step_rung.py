@@ -15,6 +15,7 @@ import numpy as np
 
 from clacad.base.machine_rates import seconds_of
 from clacad.base.types import Bools, Floats, Rows
+from clacad.base.units import millimetres
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.measure_rungs import Ladder, statistics
@@ -107,7 +108,7 @@ def _compared(ladder: Ladder, more: More | None, cast: Callable[..., Any], small
             break
         if sent == 0:
             offset = np.append(_moved(ladder, small, alive[0]), 0.0)
-        scale = 1e3 * ladder.window.unit
+        scale = millimetres(ladder.window.unit)
         position = (ladder.rays.position[alive] - offset) * scale
         rows, loading, took = cast(
             position.tolist(),

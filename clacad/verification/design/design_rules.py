@@ -16,11 +16,10 @@ from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, least_th
 from clacad.sheet.window import Window
 from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
 from clacad.verification.design.process_rules import making_checks, process_limit
+from clacad.verification.limit_sources import DEFAULT, LimitSource, from_key, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-CONTRACT = "default"
 
 
 def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[Check, ...]:
@@ -61,7 +60,7 @@ def _one_piece(body: BodyFacts) -> Check:
         )
     return Check(
         "one_piece", "pass" if whole else "fail", sentence, f"{body.pieces} pieces, {body.holes} holes",
-        "1 piece, 0 holes", relation="=", subject=body.name, where="geometry (closed form)", source=CONTRACT,
+        "1 piece, 0 holes", relation="=", subject=body.name, where="geometry (closed form)",
         detail={"pieces": body.pieces, "holes": body.holes},
     )  # fmt: skip
 
@@ -78,7 +77,7 @@ def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
             f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness. {_way_to_cover(design, window, lens)}"
         )
     return judge(
-        "cover", lens.cover, limit, sentence, relation=">=", subject=name, source=CONTRACT,
+        "cover", lens.cover, limit, sentence, relation=">=", subject=name,
         detail={"rim": lens.rim, "least_thickness": lens.least_thickness, "corner": lens.corner},
     )  # fmt: skip
 
@@ -191,7 +190,7 @@ def _graph(design: Design, lens: LensFacts) -> Check:
         sentence = (
             f"{name} is too steep or undercut at its border: a larger radius, a smaller pitch or less tilt"
         )
-    return judge("graph", value, limit, sentence, relation=">=", subject=name, source=CONTRACT)
+    return judge("graph", value, limit, sentence, relation=">=", subject=name)
 
 
 def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
@@ -228,14 +227,16 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
         )
         limit, source = process_limit(design, rules, "sag")
         text = f"height of {name} over its cell is {lens.sag:.4g} {unit}"
-        found.append(judge("sag", lens.sag, limit, text, near=NEAR, unit=unit, subject=name, source=source))
+        found.append(
+            judge("sag", lens.sag, limit, text, near=NEAR, unit=unit, subject=name, limit_source=source)
+        )
     limit, source = process_limit(design, rules, "pitch")
     found.append(_at_least("pitch", min(design.lattice.pitch), limit, source, unit, "pitch of the lattice"))
     return found
 
 
 def _at_least(
-    id: str, value: float, limit: float, source: str, unit: str, text: str, subject: str = ""
+    id: str, value: float, limit: float, source: LimitSource, unit: str, text: str, subject: str = ""
 ) -> Check:
     """Judge a length that must reach its limit; where the limit is 0 it must be above it."""
     sentence = f"{text}: {value:.4g} {unit}"
@@ -244,7 +245,7 @@ def _at_least(
             "; the part has no material there" if id != "clearance" else "; the bodies run into one another"
         )
     check = judge(
-        id, value, limit, sentence, relation=">=", near=NEAR, unit=unit, subject=subject, source=source
+        id, value, limit, sentence, relation=">=", near=NEAR, unit=unit, subject=subject, limit_source=source
     )
     if limit == 0.0:  # 0 itself does not do
         return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
@@ -266,7 +267,8 @@ def _field(design: Design, facts: Feasibility) -> Check:
         )
     state: State = "pass" if value <= half else "warn"
     return Check(
-        "field", state, sentence, value, half, "slope", where="thin", required=False, source=CONTRACT,
+        "field", state, sentence, value, half, "slope", where="thin", required=False,
+        limit_source=other("derived from pitch, separation and law"),
         detail={"aperture": facts.aperture, "half_field": facts.half_field, "ghost_onset": facts.ghost_onset},
     )  # fmt: skip
 
@@ -277,14 +279,12 @@ def _fresnel_number(design: Design, facts: Feasibility) -> Check:
     if value < 1.0:
         return Check(
             "fresnel_number", "fail", f"{sentence}: below 1 the ray picture is void; a larger pitch or a shorter "
-            "separation", value, 1.0, relation=">=", where="thin", source=CONTRACT,
+            "separation", value, 1.0, relation=">=", where="thin", limit_source=DEFAULT,
         )  # fmt: skip
     if value < limit:
         sentence += f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad"
     state: State = "warn" if value < limit else "pass"
-    return Check(
-        "fresnel_number", state, sentence, value, limit, relation=">=", where="thin", source=CONTRACT
-    )
+    return Check("fresnel_number", state, sentence, value, limit, relation=">=", where="thin")
 
 
 def _residual(design: Design, window: Window) -> Check:
@@ -303,6 +303,6 @@ def _residual(design: Design, window: Window) -> Check:
     elif value > limit:
         sentence += "; another recipe, less tilt or another form would leave less"
     return judge(
-        "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", source="law_rms",
+        "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", limit_source=from_key("law_rms"),
         detail=dict(window.residual),
     )  # fmt: skip

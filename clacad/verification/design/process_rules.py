@@ -23,6 +23,7 @@ from clacad.sheet.feasibility.process_features import (
 )
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, State
+from clacad.verification.limit_sources import DESIGN_FILE, LimitSource, from_profile
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -87,22 +88,29 @@ def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Ch
     return found
 
 
-def process_limit(design: Design, rules: Profile, name: str) -> tuple[float, str]:
+def process_limit(design: Design, rules: Profile, name: str) -> tuple[float, LimitSource]:
     """Limit (lengths in design units) and where it comes from: the design's own key, else the process profile."""
     own = getattr(design.check, name)
     if own is not None:
-        return float(own), "design file"
+        return float(own), DESIGN_FILE
     value = float(getattr(rules, name))
-    return (value if name in PURE else value / design.unit_m), f"{rules.name}: {rules.source}"
+    return (value if name in PURE else value / design.unit_m), from_profile(rules)
 
 
 def _rule(
-    id: str, seen: Named, limit: float, relation: str, unit: str, source: str, sentence: str, way_out: str
+    id: str,
+    seen: Named,
+    limit: float,
+    relation: str,
+    unit: str,
+    source: LimitSource,
+    sentence: str,
+    way_out: str,
 ) -> Check:
     good = seen.value <= limit if relation == "<=" else seen.value >= limit
     state: State = "pass" if good else "warn"
     return Check(
-        id, state, sentence if good else f"{sentence}; {way_out}", seen.value, limit, unit, relation, source=source,
+        id, state, sentence if good else f"{sentence}; {way_out}", seen.value, limit, unit, relation, limit_source=source,
         detail={"where": seen.what},
     )  # fmt: skip
 
@@ -111,7 +119,7 @@ def _undercut(facts: Feasibility, rules: Profile) -> Check:
     lens = min(facts.lenses, key=lambda lens: lens.least_normal_z)
     return _rule(
         "undercut", Named(lens.least_normal_z, f"lens {lens.array + 1}"), 0.0, ">=", "",
-        f"{rules.name}: {rules.source}",
+        from_profile(rules),
         f"the normals of lens {lens.array + 1} lean to a z component of {lens.least_normal_z:.3g}",
         "less tilt or larger radii: what overhangs cannot be reached",
     )  # fmt: skip

@@ -22,6 +22,7 @@ from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.find_files import FACTORS, SAME_EXTENT, SUFFIXES, Subject
 from clacad.verification.files.map_file import format_of
+from clacad.verification.limit_sources import derived
 
 FIXTURES = frozenset({"baffle", "spacer", "retainer1", "retainer2", "coupon"})
 """Names of the parts beside the optics that an export writes."""
@@ -115,7 +116,7 @@ def _extent(mesh: FileMesh) -> NDArray[np.float64]:
     return np.asarray(high - low)
 
 
-def judge_other(window: Window, subject: Subject, reason: Reason) -> list[Check]:
+def judge_other(subject: Subject, reason: Reason) -> list[Check]:
     """Judge a file beside the optics by its shape; one that is withheld from judgement says so."""
     common: dict[str, Any] = {"where": "file", "subject": subject.name}
     if reason.withheld:
@@ -150,7 +151,7 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
     if isinstance(stated, (int, float)) and stated > 0.0:
         text = f"it encloses {found.volume:.9g}, {stated:.9g} stated"
         checks.append(judge("volume", abs(found.volume / stated - 1.0), SAME_VOLUME, text, unit="relative",
-                            source="stated volume of the file", **common))  # fmt: skip
+                            limit_source=derived("stated volume of the file"), **common))  # fmt: skip
     return checks
 
 

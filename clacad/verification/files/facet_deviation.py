@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -13,7 +14,7 @@ from clacad.sheet.bundle import over_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, FacetFace, first_crossing, on_land
-from clacad.verification.files.cell_triangles import exact_height
+from clacad.verification.files.cell_triangles import Gathered, exact_height, telescopelet
 
 POINTS = 8192
 """Places over the middle cell at which facets are compared with the exact faces."""
@@ -75,6 +76,14 @@ def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINT
             distance.append(off)
             met.append(float((number[solid] >= 0).mean()) if solid.any() else 1.0)
     return Deviation(np.array(slope), np.array(distance), np.array(met))
+
+
+def deviations(window: Window, gathered: Gathered, present: Sequence[str] | None) -> list[Deviation]:
+    """Facets of every cell that was looked at against the exact faces; `present`: as for `telescopelet`."""
+    return [
+        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
+        for k in range(len(gathered.cells))
+    ]
 
 
 def _compare(

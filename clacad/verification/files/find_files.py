@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.units import millimetres
 from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.prescription.prescribe import prescribe
@@ -349,7 +350,7 @@ def register(
         return fitting, factor, f"read in {name}, {count[0]} x {count[1]} cells"
     x0, x1, y0, y1 = whole_extent(whole)
     want = " x ".join(
-        f"{v * design.unit_m * 1e3:.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
+        f"{v * millimetres(design.unit_m):.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
     )
     tried = ", ".join(name for name, _ in FACTORS)
     if matches:

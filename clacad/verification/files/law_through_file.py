@@ -7,7 +7,7 @@ how each is measured: `clacad.sheet.light_against_law`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,9 @@ from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.light.law_checks import SHARE_DIRECTIONS, Tracer
+from clacad.verification.limit_sources import DESIGN_FILE, from_key, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -147,21 +149,18 @@ def _shift(window: Window, main: Bundle, seen: TraceResult, truth: TraceResult, 
 
 
 def light_checks(
-    design: Design, found: FileLight, role: Role, subject: str, what: str = "triangles", *,
+    asked: Inspection, found: FileLight, what: str = "triangles", *,
     rms: Sequence[float] = (), cells: Sequence[tuple[int, int]] = (), noise: float = 0.0,
 ) -> list[Check]:  # fmt: skip
     """Judge light through a file by the limits of the design.
 
     Parameters
     ----------
-    design : Design
+    asked : Inspection
+        Of its roles, a master fails beyond a limit; a preview is warned of. A scan fails by the part of its rms that its
+        facets and their noise do not explain; of the rest it is warned.
     found : FileLight
         Of the cell lit most.
-    role : Role
-        A master fails beyond a limit; a preview is warned of. A scan fails by the part of its rms that its facets and
-        their noise do not explain; of the rest it is warned.
-    subject : str
-        File name.
     what : str
         What the light went through: triangles, or faces.
     rms : radians of every cell looked at, the middle one first; cells : their numbers
@@ -169,17 +168,14 @@ def light_checks(
     noise : float, radians
         Scans: what the facets' own slopes, noise included, make of the direction error.
     """
-    common: dict[str, Any] = {"where": "file", "subject": subject}
     checks = [
-        _rms(design, found, role, what, rms, cells, noise, common), _bias(design, found, what, common),
-        *_fitted(design, found, what, common), _confocality(design, found, common),
-        _throughput(design, found, what, common),
+        _law_rms(asked, found, what, rms, cells, noise), _law_bias(asked, found, what), *_law_fitted(asked, found, what),
+        _confocality(asked, found), _throughput(asked, found, what),
     ]  # fmt: skip
-    if (
-        role is Role.SCAN
-    ):  # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
+    if asked.role is Role.SCAN:
+        # how coarsely a part was measured is no fault of it: faithful_* hold what its facets allow
         return [checks[0], *(softened(check) for check in checks[1:])]
-    return [softened(check) if role is Role.PREVIEW else check for check in checks]
+    return [softened(check) if asked.role is Role.PREVIEW else check for check in checks]
 
 
 def softened(check: Check) -> Check:
@@ -187,21 +183,16 @@ def softened(check: Check) -> Check:
     return replace(check, state="warn" if check.state == "fail" else check.state, required=False)
 
 
-def _rms(
-    design: Design, found: FileLight, role: Role, what: str, rms: Sequence[float], cells: Sequence[tuple[int, int]],
-    noise: float, common: Mapping[str, Any],
+def _law_rms(
+    asked: Inspection, found: FileLight, what: str, rms: Sequence[float], cells: Sequence[tuple[int, int]], noise: float
 ) -> Check:  # fmt: skip
-    spec = design.check
+    """Direction error to the law, of the worst cell looked at; of a scan without what its facets make of it."""
+    spec = asked.design.check
     limit = spec.law_rms if spec.mesh_law_rms is None else spec.mesh_law_rms
-    source = "law_rms" if spec.mesh_law_rms is None else "design file"
+    source = from_key("law_rms") if spec.mesh_law_rms is None else DESIGN_FILE
     if found.rms != found.rms:
-        return not_run(
-            "file_law_rms",
-            f"too little light gets through the file's {what}",
-            limit=limit,
-            unit="rad",
-            **common,
-        )
+        why = f"too little light gets through the file's {what}"
+        return not_run("file_law_rms", why, limit=limit, unit="rad", **asked.common)
     every = np.array([found.rms, *rms[1:]])
     worst = int(np.nanargmax(every))
     value = float(every[worst])
@@ -209,75 +200,97 @@ def _rms(
         f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
     )
     sentence = f"through the file's {what} light leaves {1e3 * value:.4g} mrad rms from the law ({where})"
-    if role is Role.SCAN and value > limit and noise > 0.0:
-        rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
-        sentence += (
-            f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same noise "
-            f"are worse), {1e3 * rest:.4g} is left"
-        )
-        check = judge("file_law_rms", rest, limit, sentence, unit="rad", bundle=str(found.rays), source=source,
-                      detail={"with_noise": value, "noise": noise, "by_cell": every, "cells": cells}, **common)  # fmt: skip
-        return replace(check, state="warn") if check.state == "pass" else check
-    return judge("file_law_rms", value, limit, sentence, unit="rad", bundle=str(found.rays), source=source,
-                 detail={"worst": found.worst, "by_cell": every, "cells": cells}, **common)  # fmt: skip
+    common: dict[str, Any] = {
+        "unit": "rad",
+        "bundle": str(found.rays),
+        "limit_source": source,
+        **asked.common,
+    }
+    told = {"by_cell": every, "cells": cells}
+    if not (asked.role is Role.SCAN and value > limit and noise > 0.0):
+        return judge("file_law_rms", value, limit, sentence, detail={"worst": found.worst, **told}, **common)
+    rest = float(np.sqrt(max(0.0, value**2 - noise**2)))
+    sentence += (
+        f"; the facets' own slopes, noise among them, make {1e3 * noise:.4g} of it (finer facets of the same noise "
+        f"are worse), {1e3 * rest:.4g} is left"
+    )
+    detail = {"with_noise": value, "noise": noise, **told}
+    check = judge("file_law_rms", rest, limit, sentence, detail=detail, **common)
+    return replace(check, state="warn") if check.state == "pass" else check
 
 
-def _bias(design: Design, found: FileLight, what: str, common: Mapping[str, Any]) -> Check:
-    limit = design.check.law_bias
+def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:
+    limit = asked.design.check.law_bias
     if np.isnan(found.bias).all():
-        return not_run("file_law_bias", f"no field point passes enough light through the {what}", limit=limit,
-                       unit="rad", **common)  # fmt: skip
+        why = f"no field point passes enough light through the {what}"
+        return not_run("file_law_bias", why, limit=limit, unit="rad", **asked.common)
     worst = int(np.nanargmax(found.bias))
     value = float(found.bias[worst])
     place = "in the middle" if worst == 0 else f"at the rim, {45 * (worst - 1)} deg from +x,"
     return judge(
         "file_law_bias", value, limit,
         f"{place} of the field the mean direction through the file's {what} is {1e3 * value:.4g} mrad from the law",
-        unit="rad", source="law_bias", bundle="9 directions over the whole cell",
-        detail={"by_field_point": found.bias}, **common,
+        unit="rad", limit_source=from_key("law_bias"), bundle="9 directions over the whole cell",
+        detail={"by_field_point": found.bias}, **asked.common,
     )  # fmt: skip
 
 
-def _fitted(design: Design, found: FileLight, what: str, common: Mapping[str, Any]) -> list[Check]:
-    law, exact, spec = found.law, found.exact, design.check
+def _law_fitted(asked: Inspection, found: FileLight, what: str) -> list[Check]:
+    """η and δ through the file against those through the exact surfaces."""
+    law, exact, spec = found.law, found.exact, asked.design.check
+    names = ("file_law_eta", "file_law_delta")
     if law is None or exact is None:
         why = f"too little light gets through the file's {what} to fit a law"
-        return [not_run(name, why, **common) for name in ("file_law_eta", "file_law_delta")]
-    eta, delta = difference_of_laws(law, exact)
+        return [not_run(name, why, **asked.common) for name in names]
     text = "fitted over the same rays, {0} = {1:.6g}, {2:.6g} through the file's " + what
     text += " and {3:.6g}, {4:.6g} through the exact surfaces"
+    return fit_checks(
+        names, (law, exact), (spec.eta, spec.delta), text, bundle=str(found.rays), **asked.common
+    )
+
+
+def fit_checks(
+    names: tuple[str, str], laws: tuple[Law, Law], limits: tuple[float, float], text: str, **common: Any
+) -> list[Check]:
+    """Hold η (relative) and δ (slope) of one fitted law against another.
+
+    names : of the check of η and of that of δ
+    laws : the one judged, and the one it is held against
+    limits : of η and of δ
+    text : with places for the name and the four numbers
+    """
+    eta, delta = difference_of_laws(*laws)
+    found, wanted = ((one.eta_x, one.eta_y) for one in laws)
+    shift, wanted_shift = ((one.delta_x, one.delta_y) for one in laws)
     return [
-        judge("file_law_eta", eta, spec.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
-              unit="relative", source="eta", bundle=str(found.rays),
-              detail={"measured": (law.eta_x, law.eta_y), "exact": (exact.eta_x, exact.eta_y)}, **common),
-        judge("file_law_delta", delta, spec.delta,
-              text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope", source="delta",
-              bundle=str(found.rays),
-              detail={"measured": (law.delta_x, law.delta_y), "exact": (exact.delta_x, exact.delta_y)}, **common),
+        judge(names[0], eta, limits[0], text.format("eta", *found, *wanted), unit="relative",
+              limit_source=from_key("eta"), detail={"measured": found, "exact": wanted}, **common),
+        judge(names[1], delta, limits[1], text.format("delta", *shift, *wanted_shift), unit="slope",
+              limit_source=from_key("delta"), detail={"measured": shift, "exact": wanted_shift}, **common),
     ]  # fmt: skip
 
 
-def _confocality(design: Design, found: FileLight, common: Mapping[str, Any]) -> Check:
-    limit = design.check.confocality
+def _confocality(asked: Inspection, found: FileLight) -> Check:
+    limit = asked.design.check.confocality
     if np.isnan(found.shift).all():
         return not_run(
-            "file_confocality", "too little light gets through the file to say", limit=limit, **common
+            "file_confocality", "too little light gets through the file to say", limit=limit, **asked.common
         )
     value = float(np.nanmax(np.abs(found.shift)))
     sentence = (
         f"array 2 would have to move by {value:.4g} of the distance between the lenses for light through the file to "
         f"keep to the law as well as through the exact surfaces (x {found.shift[0]:+.4g}, y {found.shift[1]:+.4g})"
     )
-    return judge("file_confocality", value, limit, sentence, unit="of separation", source="confocality",
-                 bundle=str(found.rays), detail={"shift": found.shift}, **common)  # fmt: skip
+    return judge("file_confocality", value, limit, sentence, unit="of separation", limit_source=from_key("confocality"),
+                 bundle=str(found.rays), detail={"shift": found.shift}, **asked.common)  # fmt: skip
 
 
-def _throughput(design: Design, found: FileLight, what: str, common: Mapping[str, Any]) -> Check:
+def _throughput(asked: Inspection, found: FileLight, what: str) -> Check:
     ratios = [a / b if b > 0.0 else np.nan for a, b in (found.middle, found.field)]
     value = float(np.nanmin(ratios)) if not np.isnan(ratios).all() else np.nan
     sentence = (
         f"{found.middle[0]:.3f} of the light passes the file's {what} in the middle of the field (closed form "
         f"{found.middle[1]:.3f}), {found.field[0]:.3f} over the field ({found.field[1]:.3f})"
     )
-    return judge("file_throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form",
-                 source="throughput", bundle=str(found.rays), **common)  # fmt: skip
+    return judge("file_throughput", value, asked.design.check.throughput, sentence, relation=">=", unit="of closed form",
+                 limit_source=other("throughput"), bundle=str(found.rays), **asked.common)  # fmt: skip

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import islice
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.maps.gds import GRID, gds_misfit, grey_cell, layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
@@ -25,18 +26,16 @@ from clacad.formats.maps.sag import (
     NO_DATA,
     HeightMap,
     check_grid_sag,
-    height_map,
-    samples_per_cell,
+    read_points,
     structured_faces,
 )
-from clacad.sheet.window import Body, Face, Window, face_height, lens_height_and_normal
+from clacad.sheet.window import Face, Window, face_height, lens_height_and_normal
 from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.find_files import Subject
-from clacad.verification.files.map_light import map_light
-
-if TYPE_CHECKING:
-    from clacad.design import Design
+from clacad.verification.files.inspection import Inspection
+from clacad.verification.files.map_light import FaceFile, map_light
+from clacad.verification.limit_sources import other
 
 SUFFIXES: Mapping[str, str] = {
     ".f32.tiff": "tiff32", ".u16.tiff": "tiff16", ".u16.png": "png16", ".xyz": "xyz-normals", ".cell.dat": "grid-sag",
@@ -62,26 +61,24 @@ def format_of(subject: Subject) -> str | None:
     return next((word for end, word in SUFFIXES.items() if name.endswith(end)), None)
 
 
-def judge_map(design: Design, window: Window, subject: Subject, format: str, rays: int) -> list[Check]:
+def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) -> list[Check]:
     """Compare a file with the design's faces, number by number, and send light through the heights it holds.
 
     Parameters
     ----------
-    design : Design
+    asked : Inspection
     window : Window
         With the cells that were written.
     subject : Subject
     format : str
         As `format_of` says.
-    rays : int
-        Of the bundle of the checks, at most.
 
     Returns
     -------
     list of Check
         readable, shape, and those of light where the file holds heights.
     """
-    common: dict[str, Any] = {"where": "file", "subject": subject.name}
+    common = asked.common
     try:
         worst, room, what, label = _compared(window, subject, format)
     except (ExportError, OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
@@ -95,8 +92,10 @@ def judge_map(design: Design, window: Window, subject: Subject, format: str, ray
     unit = "" if format in ("surface-table", "height-calibration") else "mm"
     return [
         found,
-        judge("shape", worst, room, sentence, unit=unit, source="rounding of the format", **common),
-        *(map_light(design, window, subject, format, label, rays) if label else ()),
+        judge(
+            "shape", worst, room, sentence, unit=unit, limit_source=other("rounding of the format"), **common
+        ),
+        *(map_light(asked, window, subject.path, format, label) if label else ()),
     ]
 
 
@@ -109,7 +108,7 @@ def _compared(window: Window, subject: Subject, format: str) -> tuple[float, flo
     for body, face, label in structured_faces(window):
         if f".{label}." in subject.name or not _labelled(window, subject.name):
             try:
-                one = _FACES[format](window, body, face, label, subject.path)
+                one = _FACES[format](FaceFile(window, body, face, label, subject.path))
             except ExportError as error:
                 refusal = error
                 continue
@@ -128,52 +127,57 @@ def _labelled(window: Window, name: str) -> bool:
 # -- of one face -------------------------------------------------------------------------------------
 
 
-def _map(kind: str) -> Callable[[Window, Body, Face, str, Path], Misfit]:
-    def compare(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-        scale = window.unit / 1e-3
-        map_ = height_map(window, body, face, label, samples_per_cell(window, None))
-        worst, count = map_misfit(map_, path, kind, scale)
+def _map(kind: str) -> Callable[[FaceFile], Misfit]:
+    """Comparison of a map whose pixels are "tiff32", "tiff16" or "png16"."""
+
+    def compare(of: FaceFile) -> Misfit:
+        map_ = of.map()
+        worst, count = map_misfit(map_, of.path, kind, of.scale)
         if kind == "tiff32":
-            room = scale * (2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15)
+            room = of.scale * (2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15)
         else:
-            room = 0.51 * scale * map_.step
-        return worst, room, f"{count:,} heights of {label}"
+            room = 0.51 * of.scale * map_.step
+        return worst, room, f"{count:,} heights of {of.label}"
 
     return compare
 
 
-def _points(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    scale = window.unit / 1e-3
-    worst, count = points_misfit(window, face, path, scale)
-    return worst, 2e-9 + 1e-8 * min(window.lattice.pitch) * scale, f"{count:,} points of {label}"
+def _points(of: FaceFile) -> Misfit:
+    worst, count = points_misfit(of.window, of.face, of.path, of.scale)
+    room = 2e-9 + 1e-8 * min(of.window.lattice.pitch) * of.scale
+    return worst, room, f"{count:,} points of {of.label}"
 
 
-def _grid(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    check_grid_sag(face, path, window.unit / 1e-3)
-    return 0.0, 0.0, f"the sag of {label} at every node"
+def _grid(of: FaceFile) -> Misfit:
+    check_grid_sag(of.face, of.path, of.scale)
+    return 0.0, 0.0, f"the sag of {of.label} at every node"
 
 
-def _mask(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
-    scale = window.unit / 1e-3
-    worst, count = mask_misfit(window, body, face, path, scale)
-    return worst, SAME * min(window.lattice.pitch) * scale, f"outline and {count:,} places of {label}"
+def _mask(of: FaceFile) -> Misfit:
+    worst, count = mask_misfit(of.window, of.body, of.face, of.path, of.scale)
+    return (
+        worst,
+        SAME * min(of.window.lattice.pitch) * of.scale,
+        f"outline and {count:,} places of {of.label}",
+    )
 
 
-def _layers(window: Window, body: Body, face: Face, label: str, path: Path) -> Misfit:
+def _layers(of: FaceFile) -> Misfit:
     """Layers say how many levels there are, but for some at the top that no pixel may reach."""
-    scale, refusal = window.unit / 1e-3, None
-    most = max(layer_counts(path), default=0)
+    refusal = None
+    most = max(layer_counts(of.path), default=0)
     for levels in range(max(2, most + 1), most + 4):
         try:
-            worst, count = gds_misfit(grey_cell(window, body, face, label, levels, scale), path, scale)
+            laid = grey_cell(of.window, of.body, of.face, of.label, levels, of.scale)
+            worst, count = gds_misfit(laid, of.path, of.scale)
         except ExportError as error:
             refusal = refusal or error
             continue
-        return worst, 2.0 * GRID * 1e-3, f"{levels} levels and {count:,} places of {label}"
-    raise refusal or UnreadableFile(f"{path.name}: no layers")
+        return worst, 2.0 * GRID * 1e-3, f"{levels} levels and {count:,} places of {of.label}"
+    raise refusal or UnreadableFile(f"{of.path.name}: no layers")
 
 
-_FACES: Mapping[str, Callable[[Window, Body, Face, str, Path], Misfit]] = {
+_FACES: Mapping[str, Callable[[FaceFile], Misfit]] = {
     "tiff32": _map("tiff32"), "tiff16": _map("tiff16"), "png16": _map("png16"), "xyz-normals": _points,
     "grid-sag": _grid, "gds": _layers, "mask-svg": _mask, "mask-dxf": _mask,
 }  # fmt: skip
@@ -215,7 +219,7 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     assert face.array is not None
     dx, dy = window.shifts[face.array]
     worst, count = 0.0, 0
-    for table in point_blocks(path):
+    for table in read_points(path):
         index, u, v = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
         z = face_height(window, face, u, v)
         lens, normal = lens_height_and_normal(face, u, v)
@@ -231,39 +235,22 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     return worst, count
 
 
-def point_blocks(path: Path) -> Iterator[Floats]:
-    """Lines of six numbers, so many at a time."""
-    with path.open(encoding="ascii", errors="replace") as stream:
-        lines = (line for line in stream if not line.startswith("#"))
-        while block := list(islice(lines, 1 << 16)):
-            try:
-                table = np.array([[float(w) for w in line.split()] for line in block])
-            except ValueError as error:
-                raise UnreadableFile(f"{path.name}: a line that is not six numbers") from error
-            if table.ndim != 2 or table.shape[1] != 6:
-                raise UnreadableFile(f"{path.name}: a line that is not six numbers")
-            yield table
-
-
 # -- of the whole window -----------------------------------------------------------------------------
 
 
 def _surfaces(window: Window, path: Path) -> Misfit:
     found = _json(path)
-    worst = _apart(surface_table(window, window.unit / 1e-3), found)
+    worst = _apart(surface_table(window, millimetres(window.unit)), found)
     return worst, SAME, "every number of the surface table, relative"
 
 
 def _calibration(window: Window, path: Path) -> Misfit:
-    found, scale = _json(path), window.unit / 1e-3
+    found, scale = _json(path), millimetres(window.unit)
     faces = {}
     for body, face, label in structured_faces(window):
         levels = found["faces"][label].get("levels")  # layers of a GDSII file, or pixels of a map
-        laid = (
-            height_map(window, body, face, label, samples_per_cell(window, None))
-            if levels is None
-            else grey_cell(window, body, face, label, int(levels), scale)
-        )
+        of = FaceFile(window, body, face, label, path)
+        laid = of.map() if levels is None else grey_cell(window, body, face, label, int(levels), scale)
         faces[label] = laid.calibration(scale)
     worst = _apart({"format": 1, "unit": "mm", "faces": faces}, found)
     return worst, SAME, "every number of the calibration, relative"
@@ -293,7 +280,7 @@ def _apart(wanted: Any, found: Any) -> float:
 
 def _poses(window: Window, path: Path) -> Misfit:
     """Every line in its place: cell, apex and angles."""
-    scale, count, worst = window.unit / 1e-3, 0, 0.0
+    scale, count, worst = millimetres(window.unit), 0, 0.0
     rows = (window.lattice.row(j) for j in range(window.lattice.count[1]))
     wanted = pose_lines(window, scale, rows)
     with path.open(encoding="ascii", newline="") as stream:

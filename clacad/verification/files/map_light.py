@@ -5,28 +5,54 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.maps.raster import read_png, read_tiff
-from clacad.formats.maps.sag import NO_DATA, HeightMap, height_map, samples_per_cell, structured_faces
+from clacad.formats.maps.sag import (
+    NO_DATA,
+    HeightMap,
+    height_map,
+    read_grid_sag,
+    read_points,
+    samples_per_cell,
+    structured_faces,
+)
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.window import Body, Face, Window
 from clacad.storage.errors import ExportError
 from clacad.tracing.sampled_face import sampled_face
 from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, FacetBody, trace_facets
 from clacad.verification.checks import Check, not_run
-from clacad.verification.files.find_files import Subject
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
-
-if TYPE_CHECKING:
-    from clacad.design import Design
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle at most, and of each field point."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceFile:
+    """A file of one face: the face, the body it is of, its name in files ("array1.front"), and where the file is."""
+
+    window: Window
+    body: Body
+    face: Face
+    label: str
+    path: Path
+
+    @property
+    def scale(self) -> float:
+        """Millimetres per design unit."""
+        return millimetres(self.window.unit)
+
+    def map(self) -> HeightMap:
+        """The map of the face as it would be written."""
+        per_cell = samples_per_cell(self.window, None)
+        return height_map(self.window, self.body, self.face, self.label, per_cell)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,47 +68,48 @@ class Samples:
     step: Floats
 
 
-def map_light(
-    design: Design, window: Window, subject: Subject, format: str, label: str, rays: int
-) -> list[Check]:
+def map_light(asked: Inspection, window: Window, path: Path, format: str, label: str) -> list[Check]:
     """Send the rays of the checks through what a map, grid or point file holds.
 
     Parameters
     ----------
-    design, window
-    subject : Subject
+    asked : Inspection
+    window : Window
+    path : Path
     format : str
         As `clacad.verification.files.map_file.format_of` says; none that holds heights gives no check.
     label : str
         Which face it is of.
-    rays : int
-        Of the main bundle at most.
     """
     if format not in _READ:
         return []
     body, face = next((b, f) for b, f, name in structured_faces(window) if name == label)
     cell = central_cell(window)
     try:
-        held = _READ[format](window, body, face, label, cell, subject.path)
+        held = _READ[format](FaceFile(window, body, face, label, path), cell)
         through = _bodies(window, face, cell, held)
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
-        return [not_run(name, why, where="file", subject=subject.name) for name in IDS]
+        return [not_run(name, why, **asked.common) for name in IDS]
     seen = measure_light(
-        design, window, lambda lit: trace_facets(through, lit.rays), min(rays, RAYS), POINT_RAYS, cell
+        asked.design,
+        window,
+        lambda lit: trace_facets(through, lit.rays),
+        min(asked.rays, RAYS),
+        POINT_RAYS,
+        cell,
     )
     what = f"bicubic surface ({format}, {label}; the other faces as designed)"
-    return light_checks(design, seen, subject.role, subject.name, what)
+    return light_checks(asked, seen, what)
 
 
 def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples) -> tuple[FacetBody, ...]:
-    centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0]
+    """The telescopelet of a cell: one face as sampled, the others as designed."""
     bodies = []
     for body in window.bodies:
         faces: list[AnyFace] = []
         for face in (body.front, body.back):
-            shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
-            place = np.array([*(centre + np.asarray(shift)), 0.0])
+            place = np.array([*_centre(window, face, cell), 0.0])
             if face is sampled:
                 faces.append(sampled_face(window, face, place, held.points, held.step))
             else:
@@ -91,25 +118,30 @@ def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples)
     return tuple(bodies)
 
 
+def _centre(window: Window, face: Face, cell: tuple[int, int]) -> Floats:
+    """Middle (2,) of a cell, in the grid of the face's own array."""
+    shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
+    return np.asarray(window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(shift))
+
+
+Reader = Callable[[FaceFile, tuple[int, int]], Samples]
+"""Gives the heights over one cell that a file holds."""
+
 # -- heights of one cell, by format -----------------------------------------------------------------
 
 
-def _pixels(kind: str) -> Callable[..., Samples]:
-    def read(
-        window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path
-    ) -> Samples:
-        assert face.array is not None
-        scale = window.unit / 1e-3
-        map_ = height_map(window, body, face, label, samples_per_cell(window, None))
-        pixels = read_png(path) if kind == "png16" else read_tiff(path)
-        centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(
-            window.shifts[face.array]
-        )
-        columns, rows = _span(map_, window.lattice.tile(), centre)
+def _pixels(kind: str) -> Reader:
+    """Reader of a map whose pixels are "tiff32", "tiff16" or "png16"."""
+
+    def read(of: FaceFile, cell: tuple[int, int]) -> Samples:
+        map_ = of.map()
+        pixels = read_png(of.path) if kind == "png16" else read_tiff(of.path)
+        centre = _centre(of.window, of.face, cell)
+        columns, rows = _span(map_, of.window.lattice.tile(), centre)
         got = np.asarray(pixels[rows[:, None], columns], dtype=np.float64)
         hole = got == (NO_DATA if kind == "tiff32" else 0)
-        height = got / scale if kind == "tiff32" else map_.low + (got - 1.0) * map_.step
-        z = np.where(hole, np.nan, map_.reference - face.side * height)
+        height = got / of.scale if kind == "tiff32" else map_.low + (got - 1.0) * map_.step
+        z = np.where(hole, np.nan, map_.reference - of.face.side * height)
         x = map_.origin[0] + map_.pixel * (columns + 0.5) - centre[0]
         y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows) - centre[1]
         gx, gy = np.meshgrid(x, y)
@@ -128,18 +160,15 @@ def _span(map_: HeightMap, tile: Floats, centre: Floats) -> tuple[NDArray[np.int
     return columns, rows[::-1]
 
 
-def _points(window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path) -> Samples:
-    from clacad.verification.files.map_file import point_blocks
-
-    assert face.array is not None
-    scale = window.unit / 1e-3
-    dx, dy = window.shifts[face.array]
+def _points(of: FaceFile, cell: tuple[int, int]) -> Samples:
+    assert of.face.array is not None
+    dx, dy = of.window.shifts[of.face.array]
     kept = []
-    for table in point_blocks(path):
-        index, x, y = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
+    for table in read_points(of.path):
+        index, x, y = of.window.lattice.locate(table[:, 0] / of.scale - dx, table[:, 1] / of.scale - dy)
         mine = (index == cell).all(axis=1)
         if mine.any():
-            kept.append(np.column_stack([x, y, table[:, 2] / scale])[mine])
+            kept.append(np.column_stack([x, y, table[:, 2] / of.scale])[mine])
     points = np.concatenate(kept) if kept else np.empty((0, 3))
     return Samples(points, _spacing(points))
 
@@ -157,14 +186,12 @@ def _spacing(points: Floats) -> Floats:
     return np.array(found)
 
 
-def _grid(window: Window, body: Body, face: Face, label: str, cell: tuple[int, int], path: Path) -> Samples:
-    from clacad.formats.maps.sag import read_grid_sag
-
-    points, step = read_grid_sag(face, path, window.unit / 1e-3)
+def _grid(of: FaceFile, _cell: tuple[int, int]) -> Samples:
+    points, step = read_grid_sag(of.face, of.path, of.scale)
     return Samples(points, step)
 
 
-_READ: Mapping[str, Callable[..., Samples]] = {
+_READ: Mapping[str, Reader] = {
     "tiff32": _pixels("tiff32"), "tiff16": _pixels("tiff16"), "png16": _pixels("png16"), "xyz-normals": _points,
     "grid-sag": _grid,
 }  # fmt: skip

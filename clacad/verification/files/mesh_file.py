@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Floats, Progress
 from clacad.exporting.compare_instances import Standing, joined, measure_repeated, standing
-from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check
-from clacad.verification.files.cell_triangles import Gatherer, chosen_cells, telescopelet
-from clacad.verification.files.facet_deviation import FEWER, POINTS, deviation
-from clacad.verification.files.mesh_light import MeshEvidence, light_checks
+from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
+from clacad.verification.files.facet_deviation import deviations
+from clacad.verification.files.inspection import Inspection
+from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light
 from clacad.verification.files.mesh_shape import chord_volume, shape_check, volume_check
 from clacad.verification.files.mesh_wholeness import (
     COUNTED_FACETS,
@@ -30,45 +30,30 @@ from clacad.verification.files.mesh_wholeness import (
 from clacad.verification.files.repeated_parts import look_at_places, placement_check
 from clacad.verification.files.stored_normals import normals_check
 
-if TYPE_CHECKING:
-    from clacad.design import Design
-
 
 def judge_mesh(
-    design: Design, window: Window, mesh: FileMesh, factor: float, name: str, stated: Mapping[str, Any], rays: int,
-    progress: Progress, present: Sequence[str] | None = None, role: Role = Role.MASTER,
-) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
+    asked: Inspection, window: Window, mesh: FileMesh, factor: float, present: Sequence[str] | None = None
+) -> tuple[list[Check], MeshEvidence]:
     """Measure a mesh file in one pass and judge it.
 
     Parameters
     ----------
-    design : Design
+    asked : Inspection
     window : Window
         With the cells that were written.
     mesh : FileMesh
     factor : float
         Design units per file unit.
-    name : str
-        File name, the subject of the checks.
-    stated : mapping
-        Entry of the manifest; empty without one.
-    rays : int
-    progress : callable
-        (stage, done 0 … 1).
     present : names of the bodies in the file, or None for all
         Light meets the others as the design has them.
-    role : Role
-        What the file is for.
     """
+    design, name = asked.design, asked.name
     held = held_part(window, present)
-    bevel = (
-        float(stated.get("saddle_bevel", 0.0)) * (1.0 if stated.get("unit") == "m" else 1e-3) / window.unit
-    )
-    gatherer = Gatherer(window, chosen_cells(window), bevel)
+    gatherer = Gatherer(window, chosen_cells(window), _bevel(window, asked.stated))
     places = standing(mesh, window, factor)
-    found = _measured(mesh, factor, gatherer, places, progress)
+    found = _measured(mesh, factor, gatherer, places, asked.progress)
     gathered = gatherer.result
-    pieces = pieces_check(held, found, mesh, name, stated)
+    pieces = pieces_check(held, found, mesh, name, asked.stated)
     shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
     holds = holding(mesh, shells)
     checks = [
@@ -79,16 +64,19 @@ def judge_mesh(
     if places is not None:
         checks.append(placement_check(design, places, name))
     reach = max(abs(z) for z in window.z_range)
-    checks.append(volume_check(held, reach, chord_volume(window, gathered, 0), found, gathered, name, stated))
-    off = [
-        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
-        for k in range(len(gathered.cells))
-    ]
-    checks.append(shape_check(design, window, gathered, off, name, stated, present))
-    stored = normals_check(design, window, gathered, off, name)
+    checks.append(volume_check(asked, held, reach, chord_volume(window, gathered, 0), found, gathered))
+    off = deviations(window, gathered, present)
+    checks.append(shape_check(asked, window, gathered, off, present))
+    stored = normals_check(window, gathered, off, name)
     checks += [] if stored is None else [stored]
-    light, evidence = light_checks(design, window, gathered, off, found, name, rays, progress, present, role)
+    light, evidence = checks_of_light(asked, window, gathered, off, found, present)
     return checks + light, replace(evidence, facts={**evidence.facts, "holds": holds})
+
+
+def _bevel(window: Window, stated: Mapping[str, Any]) -> float:
+    """Bevel at saddles (length) that a manifest states, 0 without."""
+    metres = 1.0 if stated.get("unit") == "m" else 1e-3
+    return float(stated.get("saddle_bevel", 0.0)) * metres / window.unit
 
 
 def held_part(window: Window, present: Sequence[str] | None) -> Window:

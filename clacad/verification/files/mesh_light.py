@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Progress
-from clacad.exporting.roles import Role
+from clacad.base.types import Bools, Floats
 from clacad.formats.mesh.closed_stream import Measure
-from clacad.optics.law import Law, angle_between, difference_of_laws
+from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.light_against_law import fitted_laws
@@ -21,11 +20,15 @@ from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.cell_triangles import Gathered, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
-from clacad.verification.files.law_through_file import POINT_RAYS, measure_light
-from clacad.verification.files.law_through_file import light_checks as judge_light
-
-if TYPE_CHECKING:
-    from clacad.design import Design
+from clacad.verification.files.inspection import Inspection
+from clacad.verification.files.law_through_file import (
+    POINT_RAYS,
+    FileLight,
+    fit_checks,
+    light_checks,
+    measure_light,
+)
+from clacad.verification.limit_sources import derived, other
 
 CELL_RAYS = 4096
 RAYS_A_FACET, MOST_RAYS = 32, 65536
@@ -34,11 +37,11 @@ RAYS_A_FACET, MOST_RAYS = 32, 65536
 LOST = 0.2
 """Share of the design's ALIVE rays that may get lost in the file before that is a failure."""
 
+LEAST_FITTED = 1024
+"""Rays through triangles below which no law is fitted."""
+
 FIT_FIELD = 0.35
 """Cone of the fit through facets over the half field of view: wide, so that facets average out."""
-
-FIT_RAYS = 1024
-"""Rays through both below which nothing is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +73,26 @@ class MeshEvidence:
     gathered: Gathered | None = None
 
 
-def light_checks(
-    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], found: Measure, name: str, rays: int,
-    progress: Progress, present: Sequence[str] | None, role: Role = Role.MASTER, clean: float = np.inf,
+def checks_of_light(
+    asked: Inspection, window: Window, gathered: Gathered, off: Sequence[Deviation], found: Measure,
+    present: Sequence[str] | None, clean: float = np.inf,
 ) -> tuple[list[Check], MeshEvidence]:  # fmt: skip
     """Trace the same rays through the file's triangles and through the exact surfaces.
 
-    clean : radians, what facets of this size make of the direction error if their corners lie on the design; noise in
-    the file's own corners cannot widen the limit of faithfulness beyond it.
+    Parameters
+    ----------
+    asked : Inspection
+    window : Window
+    gathered : Gathered
+        Facets of the cells that are lit, the middle one first.
+    off : sequence of Deviation
+        Of the same cells.
+    found : Measure
+        Of the whole file.
+    present : names of the bodies the file holds, or None for all
+    clean : float, radians
+        What facets of this size make of the direction error if their corners lie on the design; noise in the file's own
+        corners cannot widen the limit of faithfulness beyond it.
 
     Returns
     -------
@@ -85,51 +100,48 @@ def light_checks(
         Light through the file against the law (file_*), then against the design cut as the file is (faithful_*).
     evidence : MeshEvidence
     """
-    common: dict[str, Any] = {"where": "file", "subject": name}
-    progress("tracing the triangles", 0.0)
+    asked.progress("tracing the triangles", 0.0)
     held = telescopelet(window, gathered, 0, present)
     light = measure_light(
-        design,
-        window,
-        lambda lit: trace_facets(held, lit.rays),
-        max(rays, _enough(gathered)),
-        min(rays, POINT_RAYS),
-        gathered.cells[0],
-    )
+        asked.design, window, lambda lit: trace_facets(held, lit.rays), max(asked.rays, _enough(gathered)),
+        min(asked.rays, POINT_RAYS), gathered.cells[0],
+    )  # fmt: skip
+    rms, to_law, lost = np.array(list(_by_cell(asked, window, gathered, light, present))).T
+    law, exact = _fits(asked, window, gathered, held, present)
+    forecasts = np.array([forecast_rms(window, d) for d in off])
+    evidence = MeshEvidence(
+        found, gathered.cells, rms, light.rms, forecasts, off[0].slope_rms, law, exact, {"lost": lost.tolist()}, gathered
+    )  # fmt: skip
+    noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
+    checks = light_checks(asked, light, rms=to_law.tolist(), cells=gathered.cells, noise=noise)
+    checks.append(_faithful_rms(asked, evidence, str(light.rays), clean))
+    return checks + _faithful_fit(asked, evidence), evidence
+
+
+def _by_cell(
+    asked: Inspection, window: Window, gathered: Gathered, light: FileLight, present: Sequence[str] | None
+) -> Iterator[tuple[float, float, float]]:
+    """Of each cell: direction error to the exact surfaces and to the law (rms, radians), and the share of light lost."""
     main, truth = light.rays, light.truth
-    rms, lost, to_law = [], [], []
     for number, cell in enumerate(gathered.cells):
-        progress("tracing the triangles", number / len(gathered.cells))
-        count = len(main.rays) if number == 0 else min(rays, CELL_RAYS)
-        seen = light.seen
+        asked.progress("tracing the triangles", number / len(gathered.cells))
+        count, lit, seen = len(main.rays), main, light.seen
         if number:
+            count = min(asked.rays, CELL_RAYS)
             lit = _moved(window, main, cell, count)
             seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
         good, alive = truth.fate[:count] == Fate.ALIVE, seen.fate == Fate.ALIVE
         both = good & alive
-        rms.append(_rms_between(seen.direction[both], truth.direction[:count][both]))
-        to_law.append(
-            _rms_between(seen.direction[alive], window.law.refract(main.rays.direction[:count][alive]))
+        lost = 1.0 - both.sum() / max(1, good.sum())
+        if lost > LOST:
+            ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
+            lost = _lost(good, ideal.fate == Fate.ALIVE, alive)
+        law = window.law.refract(main.rays.direction[:count][alive])
+        yield (
+            _rms_between(seen.direction[both], truth.direction[:count][both]),
+            _rms_between(seen.direction[alive], law),
+            lost,
         )
-        lost.append(1.0 - both.sum() / max(1, good.sum()))
-    law, exact = _fits(design, window, gathered, held, rays, present)
-    forecasts = np.array([forecast_rms(window, d) for d in off])
-    evidence = MeshEvidence(
-        found,
-        gathered.cells,
-        np.array(rms),
-        light.rms,
-        forecasts,
-        off[0].slope_rms,
-        law,
-        exact,
-        {"lost": lost},
-        gathered,
-    )
-    noise = float(forecasts[0]) if np.isfinite(forecasts[0]) else 0.0
-    checks = judge_light(design, light, role, name, rms=to_law, cells=gathered.cells, noise=noise)
-    checks.append(_faithful_rms(design, evidence, lost, str(main), clean, common))
-    return checks + _faithful_fit(design, evidence, common), evidence
 
 
 def _enough(gathered: Gathered) -> int:
@@ -138,6 +150,23 @@ def _enough(gathered: Gathered) -> int:
         (sum(map(len, parts)) for (_, _, cell), parts in gathered.facets.items() if cell == 0), default=0
     )
     return min(MOST_RAYS, RAYS_A_FACET * finest)
+
+
+def _lost(good: Bools, ideal: Bools, alive: Bools) -> float:
+    """Share of rays lost in a file that do not get lost because facets are coarse.
+
+    Coarse facets send some rays of a strongly magnifying pair past their partner and others into it: as many get
+    through. So what counts is the loss in number, or of the rays that get through the exact surfaces and through the
+    design cut into the same triangles.
+
+    Parameters
+    ----------
+    good, ideal, alive : (n,)
+        Rays that get through the exact surfaces, the design cut as the file is, and the file.
+    """
+    known = good & ideal
+    kept = [alive.sum() / max(1, good.sum()), (known & alive).sum() / max(1, known.sum())]
+    return float(1.0 - min(kept))
 
 
 def _rms_between(one: Floats, other: Floats) -> float:
@@ -152,64 +181,57 @@ def _moved(window: Window, main: Bundle, cell: tuple[int, int], count: int) -> B
     return launched(window, main.points[:count], main.rays.direction[:count], cell, main.middle, main.field)
 
 
-def _faithful_rms(
-    design: Design, evidence: MeshEvidence, lost: list[float], bundle_text: str, clean: float,
-    common: Mapping[str, Any],
-) -> Check:  # fmt: skip
-    rms = evidence.rms
+def _faithful_rms(asked: Inspection, evidence: MeshEvidence, bundle_text: str, clean: float) -> Check:
+    """Direction error to the exact surfaces, of the worst cell against the forecast from its facets' slopes."""
+    rms, lost, times = evidence.rms, evidence.facts["lost"], asked.design.check.file_rms
+    common: dict[str, Any] = {"unit": "rad", **asked.common}
     if np.isnan(rms).any() or not np.isfinite(evidence.forecast).all():
         dark = [str(c) for c, r in zip(evidence.cells, rms, strict=True) if np.isnan(r)]
         if np.isnan(rms).all():
-            return not_run("faithful_rms", "no ray gets through the file's triangles", unit="rad", **common)
-        return Check(
-            "faithful_rms", "fail", f"no ray gets through the triangles over the cells {', '.join(dark)}", None,
-            unit="rad", bundle=bundle_text, **common,
-        )  # fmt: skip
+            return not_run("faithful_rms", "no ray gets through the file's triangles", **common)
+        why = f"no ray gets through the triangles over the cells {', '.join(dark)}"
+        return Check("faithful_rms", "fail", why, None, bundle=bundle_text, **common)
     worst = int(np.argmax(rms / evidence.forecast))
-    limit = design.check.file_rms * min(float(evidence.forecast[worst]), clean) + 1e-9
+    limit = times * min(float(evidence.forecast[worst]), clean) + 1e-9
     sentence = (
         f"through the triangles light leaves {1e3 * rms[worst]:.4g} mrad rms from where the exact surfaces send it "
         f"(cell {evidence.cells[worst]}, worst of {len(rms)}); its facets' slopes forecast {1e3 * evidence.forecast[worst]:.4g}"
     )
     check = judge(
-        "faithful_rms", float(rms[worst]), limit, sentence, unit="rad", bundle=bundle_text,
-        source=f"{design.check.file_rms:g} × forecast of its slope errors",
+        "faithful_rms", float(rms[worst]), limit, sentence, bundle=bundle_text,
+        limit_source=derived(f"{times:g} × forecast of its slope errors"),
         detail={"by_cell": rms, "cells": evidence.cells, "lost": lost, "law_rms": evidence.law_rms}, **common,
     )  # fmt: skip
     if max(lost) > LOST:
         text = f"{100 * max(lost):.3g} % of the rays that the design lets through do not get through the triangles"
         return replace(check, state="fail", sentence=text, value=max(lost), limit=LOST, unit="of the rays, lost",
-                       source=f"fixed: {LOST:g} lost at most")  # fmt: skip
+                       limit_source=other(f"fixed: {LOST:g} lost at most"))  # fmt: skip
     return check
 
 
 def _fits(
-    design: Design, window: Window, gathered: Gathered, held: tuple[FacetBody, ...], rays: int,
-    present: Sequence[str] | None,
+    asked: Inspection, window: Window, gathered: Gathered, held: tuple[FacetBody, ...], present: Sequence[str] | None
 ) -> tuple[Law | None, Law | None]:  # fmt: skip
     """Fit the law through the triangles, and through the design cut into the same triangles, with the same rays.
 
     Facets alone bias a fit by about the inverse square of their number a side; both sides share that.
     """
-    angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
-    lit = bundle(window, rays, angle, design.check.field_centre)
+    spec = asked.design.check
+    angle = max(spec.field, FIT_FIELD * min(half_field(thin_cells(window))))
+    lit = bundle(window, asked.rays, angle, spec.field_centre)
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
     both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
-    return fitted_laws(window.law, lit.rays, seen, ideal, both, FIT_RAYS) or (None, None)
+    return fitted_laws(window.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
 
 
-def _faithful_fit(design: Design, evidence: MeshEvidence, common: Mapping[str, Any]) -> list[Check]:
-    law, exact = evidence.law, evidence.law_design
+def _faithful_fit(asked: Inspection, evidence: MeshEvidence) -> list[Check]:
+    """η and δ fitted through the file's triangles against those through the design cut as it is."""
+    law, exact, spec = evidence.law, evidence.law_design, asked.design.check
+    names = ("faithful_eta", "faithful_delta")
     if law is None or exact is None:
         why = "too few rays get through the file's triangles to fit a law"
-        return [not_run(name, why, **common) for name in ("faithful_eta", "faithful_delta")]
-    eta, delta = difference_of_laws(law, exact)
+        return [not_run(name, why, **asked.common) for name in names]
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
-    return [
-        judge("faithful_eta", eta, design.check.eta, text.format("eta", law.eta_x, law.eta_y, exact.eta_x, exact.eta_y),
-              unit="relative", source="eta", detail={"measured": (law.eta_x, law.eta_y)}, **common),
-        judge("faithful_delta", delta, design.check.delta,
-              text.format("delta", law.delta_x, law.delta_y, exact.delta_x, exact.delta_y), unit="slope",
-              source="delta", detail={"measured": (law.delta_x, law.delta_y)}, **common),
-    ]  # fmt: skip
+    checks = fit_checks(names, (law, exact), (spec.eta, spec.delta), text, **asked.common)
+    return [replace(check, detail={"measured": check.detail["measured"]}) for check in checks]

@@ -23,6 +23,9 @@ from clacad.verification.files.facet_deviation import (
     deviation,
     forecast_rms,
 )
+from clacad.verification.files.find_files import UNITS
+from clacad.verification.files.inspection import Inspection
+from clacad.verification.limit_sources import LimitSource, derived, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -65,20 +68,15 @@ def volume_of(window: Window, body: Body) -> Integral | None:
 
 
 def volume_check(
-    window: Window,
-    reach: float,
-    cell_chord: float,
-    found: Measure,
-    gathered: Gathered,
-    name: str,
-    stated: Mapping[str, Any],
+    asked: Inspection, window: Window, reach: float, cell_chord: float, found: Measure, gathered: Gathered
 ) -> Check:
     """Enclosed volume against quadrature of the design plus what facets cut off.
 
-    `window` is reduced to the bodies of the file; `reach` is the largest |z| of the whole one, whose float32
-    spacing the heights of all its bodies share.
+    window : reduced to the bodies of the file
+    reach : largest |z| (length) of the whole window, whose float32 spacing the heights of all its bodies share
+    cell_chord : from `chord_volume`, of the middle cell (length³)
     """
-    common: dict[str, Any] = {"where": "file", "subject": name, "unit": "design unit³"}
+    common: dict[str, Any] = {"unit": "design unit³", **asked.common}
     integrals = [volume_of(window, body) for body in window.bodies]
     known = [i for i in integrals if i is not None]
     if len(known) < len(integrals):
@@ -91,88 +89,122 @@ def volume_check(
     exact, error = sum(i.value for i in known), sum(i.error for i in known)
     chord = cell_chord * window.lattice.cell_count
     difference = found.volume - exact
-    # 2 % of what the facets cut off, and float32 corners: half a spacing on each side of the box, and a plane far
-    # from the origin moved by half a spacing as a whole, which is much of a thin body, also where it is alone in its file
-    x0, x1, y0, y1 = whole_extent(window)
-    planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
-    room = 0.02 * abs(chord) + 2.0**-24 * (4.0 * exact + planes) + error
     sentence = (
         f"it encloses {found.volume:.9g}; the design {exact:.9g}, of which the facets cut off {-chord:.4g} "
         f"(difference {difference:.4g})"
     )
-    detail = {"volume": found.volume, "exact": exact, "chord": chord, "stated": stated.get("volume")}
+    detail = {"volume": found.volume, "exact": exact, "chord": chord, "stated": asked.stated.get("volume")}
     if gathered.engraved:
         sentence += f"; letters engraved in the border take {gathered.engraved:.4g}"
         detail["engraved"] = gathered.engraved
     return judge(
-        "volume", abs(difference + gathered.engraved - chord), room, sentence,
-        source="forecast ± 2 % of the chord error", detail=detail, **common,
+        "volume", abs(difference + gathered.engraved - chord), _volume_room(window, reach, chord, exact) + error, sentence,
+        limit_source=derived("forecast ± 2 % of the chord error"), detail=detail, **common,
     )  # fmt: skip
 
 
+def _volume_room(window: Window, reach: float, chord: float, exact: float) -> float:
+    """What a volume may be off (length³): 2 % of what the facets cut off, and float32 corners.
+
+    Those are half a spacing on each side of the box, and a plane far from the origin moved by half a spacing as a
+    whole, which is much of a thin body, also where it is alone in its file.
+    """
+    x0, x1, y0, y1 = whole_extent(window)
+    planes = 2 * len(window.bodies) * (x1 - x0) * (y1 - y0) * reach
+    return 0.02 * abs(chord) + 2.0**-24 * (4.0 * exact + planes)
+
+
 def shape_check(
-    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], name: str,
-    stated: Mapping[str, Any], present: Sequence[str] | None,
-) -> Check:  # fmt: skip
+    asked: Inspection,
+    window: Window,
+    gathered: Gathered,
+    off: Sequence[Deviation],
+    present: Sequence[str] | None,
+) -> Check:
     """Distance of the facets from the exact faces: closely over the chosen cells, by their middles over all."""
-    common: dict[str, Any] = {"where": "file", "subject": name, "unit": design.unit}
+    design, stated = asked.design, asked.stated
+    common: dict[str, Any] = {"unit": design.unit, **asked.common}
     if not all(d.complete for d in off):
         dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
         if len(dark) == len(off):
             return not_run("shape", "no triangles lie where the design has its faces", **common)
         return Check("shape", "fail", f"faces of the cells {', '.join(dark)} lack triangles", None, **common)
-    worst = float(max(d.distance.max() for d in off))
-    own = [
-        k for k in range(len(off)) if gathered.source(k) == k
-    ]  # what is a copy of another cell is as that is
-    at_corners = max(_corners(window, gathered, k, present) for k in own)
-    rms = float(np.max([d.slope_rms.max() for d in off]))
+    # what is a copy of another cell is as that is
+    own = [k for k in range(len(off)) if gathered.source(k) == k]
     clean = [clean_cut(window, gathered, k, present) for k in own]
-    detail: dict[str, Any] = {
-        "distance": worst,
-        "corners": at_corners,
-        "everywhere": gathered.farthest,
-        "slope_error": off[0].slope_rms,
-        "slope_error_clean": clean[0].slope_rms,
-    }
-    reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
-    rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
+    at_corners = max(_corners(window, gathered, k, present) for k in own)
+    detail, sentence = _shape_words(asked, gathered, off, clean[0], at_corners)
+    common |= {"detail": detail}
+    slopes = _slope_faults(asked, window, gathered, off, dict(zip(own, clean, strict=True)))
+    if "slope_error_rms" in stated:
+        sentence += f" ({1e3 * float(stated['slope_error_rms']):.4g} stated)"
+    if slopes is not None:
+        words, value, limit, source = slopes
+        common["unit"] = "rad"
+        return Check("shape", "fail", sentence + words, value, limit, limit_source=source, **common)
     sag = float(max(d.distance.max() for d in clean))
-    limit, source = design.check.shape * sag + rounding, "the design cut into the same facets"
-    if "sag_error_max" in stated:
-        told = float(stated["sag_error_max"]) * _millimetres(stated) / window.unit
-        if told <= design.check.file_rms * sag:  # more than such facets can be off is no promise
-            limit, source = design.check.shape * told + rounding, "stated sag error of the file"
+    limit, source = _shape_limit(asked, window, sag)
+    worst = max(detail["distance"], at_corners, gathered.farthest)
+    return judge("shape", worst, limit, sentence, limit_source=source, **common)
+
+
+def _shape_words(
+    asked: Inspection, gathered: Gathered, off: Sequence[Deviation], clean: Deviation, at_corners: float
+) -> tuple[dict[str, Any], str]:
+    """Numbers of the shape, and a sentence that names them."""
+    worst = float(max(d.distance.max() for d in off))
+    rms = float(np.max([d.slope_rms.max() for d in off]))
+    detail: dict[str, Any] = {
+        "distance": worst, "corners": at_corners, "everywhere": gathered.farthest, "slope_error": off[0].slope_rms,
+        "slope_error_clean": clean.slope_rms,
+    }  # fmt: skip
     sentence = (
-        f"facets lie up to {worst:.4g} {design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
+        f"facets lie up to {worst:.4g} {asked.design.unit} off the exact faces, their corners up to {at_corners:.4g}; their "
         f"slopes are {1e3 * rms:.4g} mrad rms off on the worst face"
     )
     if gathered.farthest > max(worst, at_corners):
         where = gathered.farthest_cell
         sentence += f"; over all cells up to {gathered.farthest:.4g}, in cell {where}"
-    if "slope_error_rms" in stated:
-        told = float(stated["slope_error_rms"])
-        sentence += f" ({1e3 * told:.4g} stated)"
-        if rms > design.check.file_rms * told:
-            return Check("shape", "fail", f"{sentence}: steeper facets than stated", rms, told, detail=detail,
-                         source="stated slope error of the file", **{**common, "unit": "rad"})  # fmt: skip
-    rough, room = _roughness(design, window, gathered, own, off, clean)
-    if rough > room:
-        sentence += (
-            f": {1e3 * rough:.4g} mrad rms from those of the design cut into the same facets, which are "
-            f"{1e3 * float(np.max([d.slope_rms.max() for d in clean])):.4g} off"
-        )
-        return Check("shape", "fail", sentence, rough, room, detail=detail,
-                     source="slope error of the design cut into the same facets", **{**common, "unit": "rad"})  # fmt: skip
-    return judge(
-        "shape",
-        max(worst, at_corners, gathered.farthest),
-        limit,
-        sentence,
-        source=source,
-        detail=detail,
-        **common,
+    return detail, sentence
+
+
+def _shape_limit(asked: Inspection, window: Window, sag: float) -> tuple[float, LimitSource]:
+    """How far facets may lie off whose corners on the design would be `sag` (length) off."""
+    spec, stated = asked.design.check, asked.stated
+    reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
+    rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
+    if "sag_error_max" in stated:
+        told = float(stated["sag_error_max"]) * UNITS[str(stated.get("unit", "mm"))] / window.unit
+        if told <= spec.file_rms * sag:  # more than such facets can be off is no promise
+            return spec.shape * told + rounding, derived("stated sag error of the file")
+    return spec.shape * sag + rounding, other("the design cut into the same facets")
+
+
+def _slope_faults(
+    asked: Inspection,
+    window: Window,
+    gathered: Gathered,
+    off: Sequence[Deviation],
+    clean: Mapping[int, Deviation],
+) -> tuple[str, float, float, LimitSource] | None:
+    """What is wrong with the facets' slopes, in words, with value and limit (radians); None where nothing is.
+
+    clean : the design cut into the facets of a cell, by the cell's number
+    """
+    rms = float(np.max([d.slope_rms.max() for d in off]))
+    if "slope_error_rms" in asked.stated:
+        told = float(asked.stated["slope_error_rms"])
+        if rms > asked.design.check.file_rms * told:
+            return ": steeper facets than stated", rms, told, derived("stated slope error of the file")
+    rough, room = _roughness(asked.design, window, gathered, off, clean)
+    if rough <= room:
+        return None
+    least = float(np.max([d.slope_rms.max() for d in clean.values()]))
+    words = (
+        f": {1e3 * rough:.4g} mrad rms from those of the design cut into the same facets, which are "
+        f"{1e3 * least:.4g} off"
     )
+    return words, rough, room, other("slope error of the design cut into the same facets")
 
 
 def clean_cut(
@@ -196,8 +228,7 @@ def clean_forecast(
 
 
 def _roughness(
-    design: Design, window: Window, gathered: Gathered, cells: Sequence[int], off: Sequence[Deviation],
-    clean: Sequence[Deviation],
+    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], clean: Mapping[int, Deviation]
 ) -> tuple[float, float]:  # fmt: skip
     """Rms (radians) by which the slopes of a file's facets differ from those of the clean cut, and its limit: of the
     face and cell that come nearest to theirs.
@@ -206,7 +237,7 @@ def _roughness(
     is check.file_rms e; and what rounding to float32 does.
     """
     found = (0.0, np.inf)
-    for number, ideal in zip(cells, clean, strict=True):
+    for number, ideal in clean.items():
         apart = off[number].slope - ideal.slope
         for face, (body, side) in enumerate((b, s) for b in range(len(window.bodies)) for s in (0, 1)):
             known = np.isfinite(apart[face]).all(axis=1)
@@ -250,10 +281,6 @@ def _corners(window: Window, gathered: Gathered, cell: int, present: Sequence[st
                 place = centre + np.asarray(window.shifts[owner(body, face)])
                 found.append(corner_distance(window, face, corners, place))
     return float(np.nanmax(found))
-
-
-def _millimetres(stated: Mapping[str, Any]) -> float:
-    return {"mm": 1e-3, "m": 1.0, "um": 1e-6, "cm": 1e-2, "in": 0.0254}[str(stated.get("unit", "mm"))]
 
 
 def own_sag_error(gathered: Gathered) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges, vertex_hashes, welded
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
-from clacad.sheet.feasibility import body_facts, components
+from clacad.sheet.feasibility import body_facts
+from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, State, judge, not_run
@@ -147,7 +148,7 @@ def pieces_check(
 def _counted(part: Part) -> tuple[int, float]:
     """Pieces and holes of a part; one that stands at several places is counted at each (its copies may touch)."""
     vertices, facets = welded(part.corners(0, part.facet_count))
-    pieces = components(len(vertices), facets[:, [0, 0]].T.ravel(), facets[:, [1, 2]].T.ravel())
+    pieces = len(np.unique(connect(len(vertices), facets[:, [0, 1, 0, 2]].reshape(-1, 2))))
     edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
     count = len(np.unique(edges[:, 0] * np.int64(len(vertices)) + edges[:, 1]))
     euler = len(vertices) - count + len(facets)

@@ -12,6 +12,7 @@ from clacad.exporting.compare_instances import MOST_KINDS, PartPlaces, Standing
 from clacad.formats.mesh.file_mesh import Part, kinds
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer
+from clacad.verification.limit_sources import other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -29,7 +30,7 @@ def placement_check(design: Design, found: Standing, name: str) -> Check:
     missing, doubled, outside = found.faults
     return Check(
         "placement", "pass" if found.sound else "fail", found.words, found.worst, found.limit, design.unit,
-        where="file", subject=name, source="rounding of the places to float32",
+        where="file", subject=name, limit_source=other("rounding of the places to float32"),
         detail={
             "instances": found.count, "worst_cell": found.worst_cell, "missing": missing, "doubled": doubled,
             "outside": outside, "cells_missing": found.missing, "cells_doubled": found.doubled,

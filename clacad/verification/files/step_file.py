@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Progress
-from clacad.exporting.roles import Role
+from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
 from clacad.verification.files.mesh_shape import volume_of
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays
+from clacad.verification.limit_sources import LimitSource, default, other
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,7 +54,7 @@ class Room:
     direction : radians
         Direction error that slope errors of lens faces may make.
     shape : mm
-    source : str
+    source : LimitSource
         Where the limits come from.
     fitted : bool
         Nobody says that the faces are exact: they may have been fitted again by another program.
@@ -60,7 +62,7 @@ class Room:
 
     direction: float
     shape: float
-    source: str
+    source: LimitSource
     fitted: bool
 
 
@@ -70,14 +72,15 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
     Light allows a tenth of `law_rms`; a face whose slopes are off by less than that makes of it lies, over a pitch,
     within slope × pitch / 2π of the exact one.
     """
-    pitch = min(window.lattice.pitch) * window.unit * 1e3
+    pitch = min(window.lattice.pitch) * millimetres(window.unit)
     # a biconic has no exact rational patch: its fit is stated to 1e-6 of the pitch
     exact = SHAPE_LIMIT * pitch * (10.0 if design.pair.surface == "biconic" else 1.0)
     if stated:
-        return Room(DIRECTION_LIMIT, exact, "1e-7 of the pitch", False)
+        return Room(DIRECTION_LIMIT, exact, default("1e-7 of the pitch"), False)
     direction = max(DIRECTION_LIMIT, PART * design.check.law_rms)
     shape = max(exact, direction / gain(window) * pitch / (2.0 * pi))
-    return Room(direction, shape, "a tenth of law_rms: no manifest says its faces are exact", True)
+    source = other("a tenth of law_rms: no manifest says its faces are exact")
+    return Room(direction, shape, source, True)
 
 
 def gain(window: Window) -> float:
@@ -91,22 +94,15 @@ def gain(window: Window) -> float:
     return float(total**0.5)
 
 
-def judge_solid(
-    design: Design, window: Window, path: Path, stated: Mapping[str, Any], progress: Progress, rays: int = FACE_RAYS,
-    role: Role = Role.MASTER,
-) -> tuple[list[Check], Mapping[str, Any]]:  # fmt: skip
+def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Check], Mapping[str, Any]]:
     """Read a STEP or BREP file in a worker and judge what is found, and the light through its faces.
 
     Parameters
     ----------
-    design, window, path
-    stated : mapping
-        The file's entry in a manifest; empty without one.
-    progress : callable
-        (stage, done 0 … 1).
-    rays : int
-        Of the main bundle through its faces; no more than `FACE_RAYS` are sent.
-    role : Role
+    asked : Inspection
+        No more than `FACE_RAYS` of its rays are sent.
+    window : Window
+    path : Path
 
     Returns
     -------
@@ -117,25 +113,31 @@ def judge_solid(
     """
     from clacad.storage.worker import Worker
 
-    common: dict[str, Any] = {"where": "file", "subject": path.name}
-    progress(f"reading {path.name}", 0.0)
+    common = asked.common
+    asked.progress(f"reading {path.name}", 0.0)
     with Worker() as worker:
         try:
             found = worker.run(
-                "clacad.exporting.step_record:read", str(path), window, timeout=SECONDS, progress=progress
+                "clacad.exporting.step_record:read",
+                str(path),
+                window,
+                timeout=SECONDS,
+                progress=asked.progress,
             )
         except (ExportError, OSError) as error:
             checks = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
             later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
             return checks + [not_run(name, "the file cannot be read", **common) for name in later], {}
         found["holds_words"] = holds_words(found["holds"])
-        room = room_for(design, window, stated)
-        checks = [Check("readable", "pass", found["holds_words"] + _unit_words(found), **common)]
-        checks += [_closed(found, common), _solids(found, stated, common), _placement(found, room, common)]
-        checks += [_shape(found, stated, room, common), _file_rms(window, found, room, common)]
-        checks.append(_volume(window, found, stated, room, common))
-        progress("tracing through the faces", 0.0)
-        checks += _light(design, window, worker, path, found, rays, role)
+        room = room_for(asked.design, window, asked.stated)
+        checks = [
+            Check("readable", "pass", found["holds_words"] + _unit_words(found), **common),
+            _closed(found, common), _solids(found, asked.stated, common), _placement(found, room, common),
+            _shape(found, asked.stated, room, common), _file_rms(window, found, room, common),
+            _volume(window, found, asked.stated, room, common),
+        ]  # fmt: skip
+        asked.progress("tracing through the faces", 0.0)
+        checks += _light(asked, window, worker, path, found)
     return checks, found
 
 
@@ -161,7 +163,11 @@ def hole_words(
     """
     words = []
     for hole in holes[:4]:
-        at = np.array([hole["at"]]) / (window.unit * 1e3) if onto is None else onto(np.array([hole["at"]]))
+        at = (
+            np.array([hole["at"]]) / millimetres(window.unit)
+            if onto is None
+            else onto(np.array([hole["at"]]))
+        )
         cell = window.lattice.locate(at[:, 0], at[:, 1])[0][0]
         where = f"cell ({cell[0]}, {cell[1]})" if window.lattice.contains(cell) else "no cell"
         words.append(f"{hole['diameter']:.4g} mm across in {where} at x {at[0, 0]:.4g}, y {at[0, 1]:.4g}")
@@ -199,20 +205,20 @@ def _unit_words(found: Mapping[str, Any]) -> str:
 
 
 def _light(
-    design: Design, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], rays: int, role: Role
-) -> list[Check]:  # fmt: skip
+    asked: Inspection, window: Window, worker: Worker, path: Path, found: Mapping[str, Any]
+) -> list[Check]:
     """Light through the faces, against the law."""
-    common: dict[str, Any] = {"where": "file", "subject": path.name}
     if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
         why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
-        return [not_run(name, why, required=False, **common) for name in IDS]
+        return [not_run(name, why, required=False, **asked.common) for name in IDS]
     held = [body.name for body in _held(window, found)]
     send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]))
     try:
-        light = measure_light(design, window, send, min(rays, FACE_RAYS), point_rays(window))
+        light = measure_light(asked.design, window, send, min(asked.rays, FACE_RAYS), point_rays(window))
     except (ExportError, OSError) as error:
-        return [not_run(name, f"no light could be sent through its faces: {error}", **common) for name in IDS]
-    return light_checks(design, light, role, path.name, "faces" if found["kernel"] else "lens patches")
+        why = f"no light could be sent through its faces: {error}"
+        return [not_run(name, why, **asked.common) for name in IDS]
+    return light_checks(asked, light, "faces" if found["kernel"] else "lens patches")
 
 
 def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:
@@ -268,7 +274,7 @@ def _placement(found: Mapping[str, Any], room: Room, common: Mapping[str, Any]) 
         if repeated
         else f"no part is repeated; each of {at['lenses']} lenses stands over its own cell"
     )
-    check = judge("placement", worst, room.shape, "; ".join(wrong) or sentence, unit="mm", source=room.source,
+    check = judge("placement", worst, room.shape, "; ".join(wrong) or sentence, unit="mm", limit_source=room.source,
                   detail=dict(at), **common)  # fmt: skip
     return replace(check, state="fail") if wrong else check
 
@@ -286,7 +292,7 @@ def _shape(
     )
     if room.fitted:
         sentence += "; what light allows is the limit, for no manifest says that they are exact"
-    return judge("shape", worst, room.shape, sentence, unit="mm", source=room.source,
+    return judge("shape", worst, room.shape, sentence, unit="mm", limit_source=room.source,
                  detail={"stated_merge": stated.get("merged_steps")}, **common)  # fmt: skip
 
 
@@ -303,8 +309,8 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
             if max(slopes) <= DIRECTION_LIMIT
             else "; its faces were fitted again"
         )
-    source = "a tenth of law_rms" if room.fitted else "1e-6 rad"
-    return judge("faithful_rms", value, room.direction, sentence, unit="rad", source=source, **common)
+    source = other("a tenth of law_rms") if room.fitted else default("1e-6 rad")
+    return judge("faithful_rms", value, room.direction, sentence, unit="rad", limit_source=source, **common)
 
 
 def _volume(
@@ -317,15 +323,15 @@ def _volume(
     if any(p is None for p in parts):
         return not_run("volume", "the outline cuts through lenslets; no integral of the design is at hand",
                        required=False, unit="mm³", **common)  # fmt: skip
-    cube = (window.unit * 1e3) ** 3
+    cube = millimetres(window.unit) ** 3
     want = sum(p.value for p in parts if p is not None) * cube
     error = sum(p.error for p in parts if p is not None) * cube
     got = float(found["volume"])
     allowed = VOLUME_LIMIT * want + error
-    source = "1e-9 relative"
+    source = default("1e-9 relative")
     if room.fitted:  # every lens face off as far as it may be, and borders that another kernel fitted
         x0, x1, y0, y1 = whole_extent(window)
-        area = (x1 - x0) * (y1 - y0) * (window.unit * 1e3) ** 2 * 2.0 * len(bodies)
+        area = (x1 - x0) * (y1 - y0) * millimetres(window.unit) ** 2 * 2.0 * len(bodies)
         allowed += room.shape * area + FITTED * want
         source = room.source
     merged = int(stated.get("merged_steps", 0) or 0)
@@ -341,7 +347,7 @@ def _volume(
     if drilled := hole_words(window, found.get("holes", ())):
         sentence += f"; {drilled}"
     return judge(
-        "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", source=source, detail=detail, **common,
+        "volume", abs(got + engraved - want), allowed, sentence, unit="mm³", limit_source=source, detail=detail, **common,
     )  # fmt: skip
 
 
@@ -354,7 +360,7 @@ def _held(window: Window, found: Mapping[str, Any]) -> tuple[Body, ...]:
         return tuple(body for body in window.bodies if body.name in at["bodies"])
     if "box" not in found:
         return window.bodies
-    low, high = (corner[2] / (window.unit * 1e3) for corner in found["box"])
+    low, high = (corner[2] / millimetres(window.unit) for corner in found["box"])
     middles = [0.5 * sum(body_range(window, body)) for body in window.bodies]
     held = tuple(body for body, z in zip(window.bodies, middles, strict=True) if low < z < high)
     return held or window.bodies

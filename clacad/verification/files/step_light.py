@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle
 from clacad.sheet.vignetting import share, thin_cells
@@ -76,7 +77,7 @@ class FaceTracer:
 
     def _through_file(self, state: _State, lit: Bundle, bodies: tuple[Body, ...]) -> None:
         live = state.alive()
-        scale = self.window.unit * 1e3
+        scale = millimetres(self.window.unit)
         low, high = column(self.window, lit.cell, bodies)
         numbers = [
             2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)

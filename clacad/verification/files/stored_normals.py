@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Floats
 from clacad.exporting.compare_instances import owner
+from clacad.optics.law.angle import angle_between
 from clacad.sheet.window import Face, Window, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gathered
 from clacad.verification.files.facet_deviation import Deviation
-
-if TYPE_CHECKING:
-    from clacad.design import Design
+from clacad.verification.limit_sources import other
 
 STEEPER = 2.0
 """Rms error of the stored normals over the slope error of the facets they shade, beyond which they are wrong."""
@@ -25,14 +24,11 @@ ROOM = 1e-6
 """Radians that numbers of float32, or of six digits, may turn a normal."""
 
 
-def normals_check(
-    design: Design, window: Window, gathered: Gathered, off: Sequence[Deviation], name: str
-) -> Check | None:
+def normals_check(window: Window, gathered: Gathered, off: Sequence[Deviation], name: str) -> Check | None:
     """Judge the normals stored in a file over the chosen cells; None where the file has none.
 
     Parameters
     ----------
-    design : Design
     window : Window
     gathered : Gathered
         With the facets' stored normals.
@@ -44,7 +40,7 @@ def normals_check(
     if not gathered.stored:
         return None
     common: dict[str, Any] = {"where": "file", "subject": name, "unit": "rad",
-                              "source": f"{STEEPER:g} × slope error of its facets"}  # fmt: skip
+                              "limit_source": other(f"{STEEPER:g} × slope error of its facets")}  # fmt: skip
     if gathered.odd:
         text = f"{gathered.odd} of {gathered.stored} facets have a stored normal that is no unit vector"
         return Check("file_normals", "fail", text, None, **common)
@@ -79,12 +75,8 @@ def _rms(window: Window, gathered: Gathered, body: int, side: int, cell: int) ->
         *(centre + np.asarray(window.shifts[owner(piece, face)])),
         0.0,
     ]
-    exact = exact_normals(window, face, local)
-    length = np.linalg.norm(normals, axis=2)
-    across = np.linalg.norm(np.cross(exact, normals), axis=2)
-    angle = np.arctan2(across, np.einsum("kcx,kcx->kc", exact, normals))[
-        np.isfinite(exact).all(axis=2) & (length > 0.0)
-    ]
+    angle = angle_between(exact_normals(window, face, local), normals)
+    angle = angle[np.isfinite(angle)]
     return float(np.sqrt(np.mean(angle**2))) if len(angle) else None
 
 

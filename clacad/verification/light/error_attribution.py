@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.window import Window
@@ -260,7 +261,7 @@ def as_it_would_be_written(window: Window, quads: int = QUADS) -> Facets:
     place = np.array([*window.lattice.centres(np.array([cell], dtype=np.int64))[0], 0.0])
     held = Gathered((cell,))
     for key, found in gatherer.result.facets.items():
-        held.facets[key] = [single(corners + place, window.unit * 1e3) for corners in found]
+        held.facets[key] = [single(corners + place, millimetres(window.unit)) for corners in found]
     return as_written(
         window, held, f"triangles as an STL would hold them: {quads} quads a cell side, 32-bit numbers"
     )

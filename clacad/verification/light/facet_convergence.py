@@ -22,6 +22,7 @@ from clacad.tracing.trace import trace
 from clacad.tracing.triangles.telescopelet_facets import trace_facets
 from clacad.verification.checks import Check, not_run
 from clacad.verification.files.cell_triangles import Gatherer, telescopelet
+from clacad.verification.limit_sources import derived
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -99,7 +100,7 @@ def convergence_check(found: Convergence | None, why: str = "") -> Check:
     """Judge the fitted order of the direction error; that of η is told beside it."""
     common: dict[str, Any] = {
         "where": "mesh", "unit": "order", "relation": "in", "required": False,
-        "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "source": "facet slopes err as their size",
+        "bundle": f"{RAYS} Sobol rays, seed 0, the same at every refinement", "limit_source": derived("facet slopes err as their size"),
     }  # fmt: skip
     if found is None:
         return not_run("convergence", why, **common)

@@ -22,6 +22,7 @@ from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.light.confocality import confocality
+from clacad.verification.limit_sources import from_key, other
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -291,7 +292,7 @@ def _spread(limit: float, seen: Optics, where: str) -> Check:
     )
     text = f"9 directions, {POINT_RAYS} Sobol rays each over the whole cell"
     return judge(
-        "spread", middle, limit, sentence, unit="rad", where=where, bundle=text, source="law_rms",
+        "spread", middle, limit, sentence, unit="rad", where=where, bundle=text, limit_source=from_key("law_rms"),
         detail={"by_field_point": values},
     )  # fmt: skip
 
@@ -352,7 +353,7 @@ def _tilt(design: Design, delta: Floats, turn: Turn | None, name: str, common: M
         )
         text = f"eta_x and eta_y are {alike}, so this is delta as an angle; {text}"
     return judge(
-        name, degrees(value), degrees(limit), text, unit="deg", source="delta", required=measured,
+        name, degrees(value), degrees(limit), text, unit="deg", limit_source=from_key("delta"), required=measured,
         detail={"lean": lean.tolist(), "turn": None if turn is None else turn.angle,
                 "doubt": None if turn is None else turn.doubt, "measured": measured}, **common,
     )  # fmt: skip
@@ -417,6 +418,6 @@ def confocality_check(design: Design, window: Window) -> Check:
         )
         return replace(
             check, state="fail", value=between, limit=MERIDIANS, unit="of separation, between meridians", sentence=text,
-            source="fixed: no design may differ more between its meridians",
+            limit_source=other("fixed: no design may differ more between its meridians"),
         )  # fmt: skip
     return check

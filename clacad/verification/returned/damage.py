@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.units import millimetres
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import body_extent
@@ -21,7 +22,6 @@ from clacad.sheet.window import Body, Window
 from clacad.verification.files.cell_triangles import levels, owner
 from clacad.verification.files.face_distance import STEEP, WIDE, believed, drawn_in, off_faces
 
-MILLIMETRE = 1e-3
 MICRON = 1e-6
 
 OFF_BORDER = 5e-3
@@ -86,7 +86,7 @@ class Feature:
 
     def to_dict(self, unit_m: float) -> dict[str, Any]:
         """JSON-ready; lengths in mm."""
-        mm = unit_m / MILLIMETRE
+        mm = millimetres(unit_m)
         return {
             "kind": self.kind, "body": self.body, "x_mm": self.centre[0] * mm, "y_mm": self.centre[1] * mm,
             "size_mm": [v * mm for v in self.size], "depth_mm": self.depth * mm,
@@ -98,7 +98,7 @@ class Feature:
 def _both(unit: str, unit_m: float) -> Any:
     def number(value: float) -> str:
         own = f"{value:.4g} {unit}"
-        return own if unit == "mm" else f"{own} ({value * unit_m / MILLIMETRE:.4g} mm)"
+        return own if unit == "mm" else f"{own} ({value * millimetres(unit_m):.4g} mm)"
 
     return number
 
@@ -321,7 +321,7 @@ class Dent:
 
     def to_dict(self, unit_m: float) -> dict[str, Any]:
         """JSON-ready: place in mm, depth in µm."""
-        mm = unit_m / MILLIMETRE
+        mm = millimetres(unit_m)
         return {
             "face": self.face, "cell": list(self.cell), "x_mm": self.place[0] * mm, "y_mm": self.place[1] * mm,
             "depth_um": self.depth * unit_m / MICRON,

@@ -16,14 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.text import plain
 from clacad.base.types import Floats, Ints
+from clacad.base.units import millimetres
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.window import Window
 from clacad.storage.atomic import Stage, canonical_json, safe_name
-from clacad.verification.checks import plain
 from clacad.verification.files.cell_triangles import levels
 from clacad.verification.files.face_distance import STEEP, believed, drawn_in, off_faces
-from clacad.verification.returned.damage import MICRON, MILLIMETRE, Dent
+from clacad.verification.returned.damage import MICRON, Dent
 
 BINS = 16
 """Bins a side of the folded cell."""
@@ -246,7 +247,7 @@ def plot_deviation(found: DeviationMap, title: str) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    microns, mm = found.unit_m / MICRON, found.unit_m / MILLIMETRE
+    microns, mm = found.unit_m / MICRON, millimetres(found.unit_m)
     with rc_context({"font.size": 8.0}):
         figure = Figure(figsize=(3.6 * len(found.faces), 6.8), layout="constrained", dpi=100)
         FigureCanvasAgg(figure)

@@ -17,12 +17,14 @@ from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import Gathered, Gatherer, chosen_cells, telescopelet
-from clacad.verification.files.facet_deviation import FEWER, POINTS, deviation
+from clacad.verification.files.cell_triangles import Gathered, Gatherer, chosen_cells
+from clacad.verification.files.facet_deviation import deviations
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
-from clacad.verification.files.mesh_light import MeshEvidence, light_checks
+from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light
 from clacad.verification.files.mesh_shape import clean_forecast, own_sag_error
 from clacad.verification.files.open_surface import is_open_surface, rims
+from clacad.verification.limit_sources import LimitSource, other
 from clacad.verification.returned.damage import SHOWN, find_dents, find_features
 from clacad.verification.returned.deviation_map import DeviationMap, Mapper
 from clacad.verification.returned.registration import Placed
@@ -100,24 +102,22 @@ def _clipped(points: Floats, polygon: Floats) -> Floats:
     return points
 
 
-def judge_placed(
-    design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
-) -> tuple[list[Check], MeshEvidence]:
+def judge_placed(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEvidence]:
     """Judge a part that came without a manifest: to rounding where it lies as written, else as what came back.
 
     The role found, that of a scan where the surface is open, is in the evidence's facts ("role").
     """
     if not placed.exact:
-        found, evidence = judge_returned(design, placed, name, rays, progress, role)
+        found, evidence = judge_returned(asked, placed)
     else:
-        found, evidence = judge_mesh(
-            design, placed.window, placed.mesh, placed.factor, name, {}, rays, progress, placed.present, role
-        )
-        evidence = replace(evidence, facts={**evidence.facts, "role": role})
-        if any(check.id == "closed" and check.state == "fail" for check in found) and _measured(placed, role):
-            found, evidence = judge_returned(design, placed, name, rays, progress, role)
-        elif any(check.id in SUSPECT and check.state == "fail" for check in found):
-            found, evidence = _with_damage(design, placed, found, evidence)
+        as_written = replace(asked, stated={})
+        found, evidence = judge_mesh(as_written, placed.window, placed.mesh, placed.factor, placed.present)
+        evidence = replace(evidence, facts={**evidence.facts, "role": asked.role})
+        failed = {check.id for check in found if check.state == "fail"}
+        if "closed" in failed and _measured(placed, asked.role):
+            found, evidence = judge_returned(asked, placed)
+        elif failed & set(SUSPECT):
+            found, evidence = _with_damage(asked.design, placed, found, evidence)
     return [*placed.checks, *found], evidence
 
 
@@ -179,51 +179,44 @@ def _peak(mapped: DeviationMap, one: tuple[int, tuple[int, int]]) -> float:
     return float(face.peaks[one[1][0] - mapped.first[0], one[1][1] - mapped.first[1]])
 
 
-def judge_returned(
-    design: Design, placed: Placed, name: str, rays: int, progress: Progress, role: Role = Role.MASTER
-) -> tuple[list[Check], MeshEvidence]:
+def judge_returned(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEvidence]:
     """Measure a returned part in one pass and judge it.
 
     Parameters
     ----------
-    design : Design
+    asked : Inspection
+        An open surface is judged as a scan whatever its role is said to be.
     placed : Placed
         The part, registered.
-    name : str
-        File name, the subject of the checks.
-    rays : int
-    progress : callable
-        (stage, done 0 … 1).
-    role : Role
-        What it is judged as; an open surface is a scan whatever is said.
     """
-    window = placed.window
+    design, window = asked.design, placed.window
     present = None if len(placed.present) == len(window.bodies) else placed.present
     cutter = Cutter(window, chosen_cells(window))
     mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count, placed.pose.residual)
-    found = measure(_looked_at(placed, (cutter, mapper), progress), origin=np.zeros(3))
-    gathered, mapped = cutter.result, mapper.result()
-    closed, role = _closed(placed, found, name, role)
-    shape, mapped = _shape(design, gathered, mapped, placed, name)
-    checks = [closed, _scale(design, placed, name), shape]
-    off = [
-        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
-        for k in range(len(gathered.cells))
-    ]
+    found = measure(_looked_at(placed, (cutter, mapper), asked.progress), origin=np.zeros(3))
+    gathered = cutter.result
+    closed, role = _closed(placed, found, asked)
+    shape, mapped = _shape(asked, gathered, mapper.result(), placed)
+    off = deviations(window, gathered, present)
     dark = [str(c) for c, d in zip(gathered.cells, off, strict=True) if not d.complete]
     if dark and len(dark) < len(off):  # holes in some cells: light is judged where there is a face
         kept = [k for k, d in enumerate(off) if d.complete]
         gathered, off = _only(gathered, kept), [off[k] for k in kept]
     clean = np.inf if role is Role.SCAN else clean_forecast(window, gathered, 0, present)
-    light, evidence = light_checks(
-        design, window, gathered, off, found, name, rays, progress, present, role,
+    light, evidence = checks_of_light(
+        replace(asked, role=role),
+        window,
+        gathered,
+        off,
+        found,
+        present,
         clean if np.isfinite(clean) else np.inf,
-    )  # fmt: skip
+    )
     if dark:
         light = [_with_holes(check, dark, len(cutter.result.cells)) for check in light]
     facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose, "role": role}
     facts["noise"] = float(np.nanmax(evidence.forecast)) if np.isfinite(evidence.forecast).any() else 0.0
-    return checks + light, replace(evidence, facts=facts)
+    return [closed, _scale(asked, placed), shape, *light], replace(evidence, facts=facts)
 
 
 def _looked_at(placed: Placed, watchers: tuple[Gatherer, Mapper], progress: Progress) -> Iterator[Floats]:
@@ -256,16 +249,13 @@ def _with_holes(check: Check, dark: list[str], total: int) -> Check:
     )
 
 
-def _closed(placed: Placed, found: Measure, name: str, role: Role) -> tuple[Check, Role]:
+def _closed(placed: Placed, found: Measure, asked: Inspection) -> tuple[Check, Role]:
     """Whether the surface is closed; a scan need not be. With the role that was found."""
-    common: dict[str, Any] = {"where": "file", "subject": name, "limit": 0.0}
+    role, common = asked.role, {"limit": 0.0, **asked.common}
     if found.facets == 0:
         return Check("closed", "fail", "the file holds no triangles", **common), role
-    if found.closed:
-        sentence = f"every edge of {found.facets} facets is met once in each direction"
-        return Check("closed", "pass", sentence, 0.0, **common), role
-    rim = rims(placed.mesh if placed.file is None else placed.file)
-    if rim.count == 0:  # the file is closed: corners were told apart only by being moved
+    rim = None if found.closed else rims(placed.mesh if placed.file is None else placed.file)
+    if rim is None or rim.count == 0:  # the file is closed: corners were told apart only by being moved
         sentence = f"every edge of {found.facets} facets is met once in each direction"
         return Check("closed", "pass", sentence, 0.0, **common), role
     if role is Role.SCAN or is_open_surface(rim, placed.pose.turn):
@@ -282,41 +272,29 @@ def _closed(placed: Placed, found: Measure, name: str, role: Role) -> tuple[Chec
     return Check("closed", "fail", sentence, float(rim.count), **common), role
 
 
-def _scale(design: Design, placed: Placed, name: str) -> Check:
+def _scale(asked: Inspection, placed: Placed) -> Check:
     scale = placed.pose.scale
     sentence = f"the part is {scale:.6g} times as large as the design, as its faces fit best"
     if scale != 1.0:
         sentence += "; everything below is judged at the design's size"
-    return judge(
-        "scale", abs(scale - 1.0), design.check.scale, sentence, unit="relative", where="file", subject=name,
-        detail={"scale": scale},
-    )  # fmt: skip
+    limit, detail = asked.design.check.scale, {"scale": scale}
+    return judge("scale", abs(scale - 1.0), limit, sentence, unit="relative", detail=detail, **asked.common)
 
 
 def _shape(
-    design: Design, gathered: Gathered, mapped: DeviationMap, placed: Placed, name: str
+    asked: Inspection, gathered: Gathered, mapped: DeviationMap, placed: Placed
 ) -> tuple[Check, DeviationMap]:
     """Systematic deviation of the faces, noise apart; holes, steps, and cells that are off by themselves."""
-    common: dict[str, Any] = {"where": "file", "subject": name, "unit": design.unit}
+    design = asked.design
+    common: dict[str, Any] = {"unit": design.unit, **asked.common}
     systematic = [face.systematic for face in mapped.faces]
     if not systematic or not np.isfinite(systematic).all():
         return not_run("shape", "too few corners lie where the design has its faces", **common), mapped
     worst = mapped.faces[int(np.argmax(systematic))]
-    rounding = 1e-6 * max(placed.window.lattice.pitch)
     step = rounding_step(placed) * placed.pose.factor
-    limit = design.check.shape * own_sag_error(gathered) + rounding + 0.6 * step
-    source = "what facets of this size and bend give"
-    if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
-        reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
-        limit, source = (
-            ON_FACES * max(placed.window.lattice.pitch) + 2.0**-22 * reach,
-            "corners on exact faces",
-        )
+    limit, source = _shape_limit(design, gathered, placed, step)
     noise = max(face.noise for face in mapped.faces)
     mapped, damage, more = _damage(placed, mapped, limit)
-    detail = {
-        "systematic": systematic, "noise": noise, "rms": [face.rms for face in mapped.faces], **more,
-    }  # fmt: skip
     sentence = (
         f"averaged over its cells {worst.name} lies up to {worst.systematic:.3g} {design.unit} off the exact face "
         f"(rms {worst.rms:.3g}); single corners scatter by {noise:.3g}"
@@ -325,13 +303,30 @@ def _shape(
         sentence += f"; its numbers were rounded to {step:.3g}"
     if damage:
         sentence += f"; {damage}"
-    lost = any(feature["cells"] for feature in more["features"])
-    if more["dents"] or lost:
-        return Check("shape", "fail", sentence, worst.systematic, limit, detail=detail,
-                     source=source, **common), mapped  # fmt: skip
-    return judge(
-        "shape", worst.systematic, limit, sentence, detail=detail, source=source, **common
-    ), mapped  # fmt: skip
+    common |= {
+        "limit_source": source,
+        "detail": {
+            "systematic": systematic,
+            "noise": noise,
+            "rms": [face.rms for face in mapped.faces],
+            **more,
+        },
+    }
+    if more["dents"] or any(feature["cells"] for feature in more["features"]):
+        return Check("shape", "fail", sentence, worst.systematic, limit, **common), mapped
+    return judge("shape", worst.systematic, limit, sentence, **common), mapped
+
+
+def _shape_limit(
+    design: Design, gathered: Gathered, placed: Placed, step: float
+) -> tuple[float, LimitSource]:
+    """How far faces may lie off (length): what their facets cannot but be off, and the rounding to `step` (length)."""
+    pitch = max(placed.window.lattice.pitch)
+    if placed.mesh.format == "step":  # corners of its facets lie on its faces, to float32
+        reach = max(abs(v) for v in (*whole_extent(placed.window), *placed.window.z_range))
+        return ON_FACES * pitch + 2.0**-22 * reach, other("corners on exact faces")
+    limit = design.check.shape * own_sag_error(gathered) + 1e-6 * pitch + 0.6 * step
+    return limit, other("what facets of this size and bend give")
 
 
 def rounding_step(placed: Placed) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
@@ -234,7 +235,7 @@ def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, ex
     x0, x1, y0, y1 = whole_extent(whole)
     size = " x ".join(f"{v:.4g}" for v in extent)
     want = " x ".join(
-        f"{v * design.unit_m * 1e3:.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
+        f"{v * millimetres(design.unit_m):.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
     )
     if mesh.unit is not None and mesh.format in STATED:
         return f"{subject.name} measures {size} in units of {mesh.unit:g} m and the design {want} mm, whichever way it is turned"

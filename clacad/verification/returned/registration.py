@@ -22,6 +22,7 @@ from clacad.verification.files.find_files import (
     CannotRegister,
     Subject,
 )
+from clacad.verification.limit_sources import other
 from clacad.verification.returned.part_frames import Frame, frames, sampled, sixths
 from clacad.verification.returned.pose_fit import (
     AS_WRITTEN,
@@ -215,7 +216,7 @@ def _placed(
         )
     check = Check(
         "pose", state, sentence, pose.residual, limit, design.unit, where="file", subject=subject.name,
-        source=f"{design.check.pose:g} of the pitch",
+        limit_source=other(f"{design.check.pose:g} of the pitch"),
         detail={"turn": pose.turn, "move": pose.move, "scale": pose.scale, "unit": pose.unit, "cells": count},
     )  # fmt: skip
     placed = mesh if pose.untouched else moved(mesh, pose)

@@ -14,23 +14,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.types import Progress
+from clacad.base.units import MILLIMETRE, millimetres
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, State, not_run
 from clacad.verification.files.find_files import Subject
+from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.mesh_light import MeshEvidence
-from clacad.verification.files.step_file import hole_words, judge_solid, lies_elsewhere
+from clacad.verification.files.step_file import hole_words, judge_solid
+from clacad.verification.limit_sources import other
 from clacad.verification.returned.judge_part import judge_returned
 from clacad.verification.returned.registration import Placed, place
 
 if TYPE_CHECKING:
-    from clacad.design import Design
-
-__all__ = ["judge_turned", "lies_elsewhere"]
+    from clacad.formats.mesh.file_mesh import FileMesh
 
 FINE = 400.0
 """Facets are made this many times flatter than the flatter lens is high."""
@@ -42,7 +42,6 @@ SCALE = 1e-5
 """Relative error of size that registration leaves."""
 
 SECONDS = 600.0
-MILLIMETRE = 1e-3
 THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
 """What light says: through the faces, not through triangles made here."""
 KEPT = ("readable", "closed", "solids")
@@ -50,48 +49,64 @@ KEPT = ("readable", "closed", "solids")
 
 
 def judge_turned(
-    design: Design, window: Window | None, subject: Subject, checks: Sequence[Check], rays: int, progress: Progress,
-    facts: Mapping[str, Any] | None = None,
-) -> tuple[list[Check], MeshEvidence | None, Placed | None]:  # fmt: skip
+    asked: Inspection,
+    window: Window | None,
+    subject: Subject,
+    checks: Sequence[Check],
+    facts: Mapping[str, Any],
+) -> tuple[list[Check], MeshEvidence | None, Placed | None]:
     """Find the part in a STEP file without a manifest, and judge it by triangles whose corners lie on its faces.
 
-    checks : what `clacad.verification.files.step_file.judge_solid` found; what depends on the pose is replaced.
-    facts : what it says of the file, for the holes that are drilled in it.
+    Parameters
+    ----------
+    asked : Inspection
+    window : Window or None
+        With the cells that someone says the file holds.
+    subject : Subject
+    checks : sequence of Check
+        What `clacad.verification.files.step_file.judge_solid` found; what depends on the pose is replaced.
+    facts : mapping
+        What it says of the file, for the holes that are drilled in it.
 
     Raises
     ------
     CannotRegister
     """
+    kept = [check for check in checks if check.id in KEPT]
+    whole = prescribe(asked.design) if window is None else window
+    asked.progress("meshing the solids", 0.0)
+    with tempfile.TemporaryDirectory(prefix="clacad-") as folder:
+        try:
+            mesh = _meshed(asked, subject, Path(folder) / "part.stl", _deflection(whole, facts))
+        except (ExportError, OSError) as error:
+            return (
+                [*kept, not_run("pose", f"its solids cannot be meshed: {error}", **asked.common)],
+                None,
+                None,
+            )
+        placed = place(asked.design, subject, mesh, window)
+        if placed.pose.untouched and placed.whole:
+            # the file's own frame after all: judged as exactly as it can be
+            exact, _ = judge_solid(replace(asked, stated={}), placed.window, subject.path)
+            return [*exact[:1], *placed.checks, *exact[1:]], None, placed
+        found, evidence = judge_returned(asked, placed)
+        found = [_exact_scale(check) for check in found if check.id not in THROUGH]
+        found += _through_faces(asked, placed, subject, Path(folder) / "part.brep")
+    kept = [_with_holes(check, placed, facts) for check in kept]
+    return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+
+
+def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
+    """The solids of a file as triangles, at most `deflection` (mm) off its faces, by a worker that writes them to `target`."""
     from clacad.formats.mesh.readers import read_mesh
     from clacad.storage.worker import Worker
 
-    kept = [check for check in checks if check.id in KEPT]
-    whole = prescribe(design) if window is None else window
-    deflection = _deflection(whole, {} if facts is None else facts)
-    progress("meshing the solids", 0.0)
-    with tempfile.TemporaryDirectory(prefix="clacad-") as folder:
-        target = Path(folder) / "part.stl"
-        try:
-            with Worker() as worker:
-                worker.run(
-                    "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=SECONDS,
-                    progress=progress,
-                )  # fmt: skip
-        except (ExportError, OSError) as error:
-            why = f"its solids cannot be meshed: {error}"
-            return [*kept, not_run("pose", why, where="file", subject=subject.name)], None, None
-        mesh = replace(read_mesh(target), format="step", unit=MILLIMETRE)
-        placed = place(design, subject, mesh, window)
-        if (
-            placed.pose.untouched and placed.whole
-        ):  # the file's own frame after all: judged as exactly as it can be
-            exact, _ = judge_solid(design, placed.window, subject.path, {}, progress, rays, subject.role)
-            return [*exact[:1], *placed.checks, *exact[1:]], None, placed
-        found, evidence = judge_returned(design, placed, subject.name, rays, progress, subject.role)
-        found = [_exact_scale(check) for check in found if check.id not in THROUGH]
-        found += _through_faces(design, placed, subject, rays, Path(folder) / "part.brep", progress)
-    kept = [_with_holes(check, placed, {} if facts is None else facts) for check in kept]
-    return [*kept, *placed.checks, *(c for c in found if c.id not in KEPT)], evidence, placed
+    with Worker() as worker:
+        worker.run(
+            "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=SECONDS,
+            progress=asked.progress,
+        )  # fmt: skip
+    return replace(read_mesh(target), format="step", unit=MILLIMETRE)
 
 
 def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
@@ -99,29 +114,26 @@ def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
     such sheet at all (one in another unit, say), whose facets would fill the memory.
     """
     low, high = facts.get("box", ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    sag = min(lens.sag for lens in feasibility(window).lenses) * window.unit / MILLIMETRE
+    sag = min(lens.sag for lens in feasibility(window).lenses) * millimetres(window.unit)
     return max(sag / FINE, COARSE * float(np.linalg.norm(np.subtract(high, low))))
 
 
-def _through_faces(
-    design: Design, placed: Placed, subject: Subject, rays: int, target: Path, progress: Progress
-) -> list[Check]:
+def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: Path) -> list[Check]:
     """Set the shape down as the design lies, and send light through its own faces."""
     from clacad.storage.worker import Worker
 
-    pose, common = placed.pose, {"where": "file", "subject": subject.name}
+    pose = placed.pose
     try:
         with Worker() as worker:
             worker.run(
                 "clacad.formats.step.step_triangles:set_down", str(subject.path), str(target), pose.turn.tolist(),
-                (pose.move * design.unit_m / MILLIMETRE).tolist(), timeout=SECONDS, progress=progress,
+                (pose.move * millimetres(asked.design.unit_m)).tolist(), timeout=SECONDS, progress=asked.progress,
             )  # fmt: skip
     except (ExportError, OSError) as error:
-        return [
-            not_run(name, f"no light can be sent through its faces: {error}", **common) for name in THROUGH
-        ]
-    exact, _ = judge_solid(design, placed.window, target, {}, progress, rays, subject.role)
-    return [replace(check, subject=subject.name) for check in exact if check.id in THROUGH]
+        why = f"no light can be sent through its faces: {error}"
+        return [not_run(name, why, **asked.common) for name in THROUGH]
+    exact, _ = judge_solid(replace(asked, stated={}), placed.window, target)
+    return [check for check in exact if check.id in THROUGH]
 
 
 def _exact_scale(check: Check) -> Check:
@@ -129,7 +141,7 @@ def _exact_scale(check: Check) -> Check:
     if check.id != "scale" or not isinstance(check.value, float):
         return check
     state: State = "pass" if check.value <= SCALE else "fail"
-    return replace(check, state=state, limit=SCALE, source="a file of solids states its size")
+    return replace(check, state=state, limit=SCALE, limit_source=other("a file of solids states its size"))
 
 
 def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from math import isfinite, isinf
 from typing import Any
 
+from clacad.base.text import plain
 from clacad.verification.stability.measure_cases import Row
 
 HEAD = ("kind", "case", "quantity", "condition", "textbook", "clacad", "allowed")
@@ -13,7 +14,7 @@ HEAD = ("kind", "case", "quantity", "condition", "textbook", "clacad", "allowed"
 
 def as_dict(rows: Sequence[Row]) -> dict[str, Any]:
     """Rows and verdict as JSON can hold them; infinite numbers as words."""
-    return {
+    found = {
         "unit": "ulp = 2**-52",
         "rows": [
             {
@@ -21,18 +22,20 @@ def as_dict(rows: Sequence[Row]) -> dict[str, Any]:
                 "case": row.name,
                 "why": row.why,
                 "quantity": row.quantity,
-                "condition": _plain(row.condition),
-                "textbook": _plain(row.textbook),
-                "clacad": _plain(row.error),
-                "recorded": _plain(row.recorded),
-                "allowed": _plain(row.allowed),
+                "condition": row.condition,
+                "textbook": row.textbook,
+                "clacad": row.error,
+                "recorded": row.recorded,
+                "allowed": row.allowed,
                 "holds": row.holds,
             }
             for row in rows
         ],
         "passed": all(row.holds for row in rows),
-        "worst": {quantity: _plain(worst) for quantity, worst in worst_shares(rows).items()},
+        "worst": worst_shares(rows),
     }
+    return dict(plain(found, lambda _: "inf"))
+    return dict(plain(found, lambda _: "inf"))
 
 
 def as_text(rows: Sequence[Row]) -> str:
@@ -96,9 +99,3 @@ def _number(value: float) -> str:
     if isinf(value):
         return "wrong" if value > 0 else "-inf"
     return "0" if value == 0 else f"{value:.2g}"
-
-
-def _plain(value: float | str) -> float | str:
-    if isinstance(value, str):
-        return value
-    return value if isfinite(value) else "inf"

@@ -12,11 +12,12 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from hashlib import sha256
-from math import inf, isinf, nan
+from math import inf, isnan, nan
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from clacad.base.text import plain
 from clacad.storage.errors import CannotWrite
 
 DIGITS = 16
@@ -88,8 +89,9 @@ class Checkpoint:
             found, good = self._read(stream.read())
         if not found and good:
             raise OtherStudy(f"{path}: not a checkpoint")
-        if found and found[0] != _plain(self.header):
-            other = [k for k in sorted(self.header) if found[0].get(k) != _plain(self.header)[k]]
+        header = plain(self.header, _word)
+        if found and found[0] != header:
+            other = [k for k in sorted(self.header) if found[0].get(k) != header[k]]
             raise OtherStudy(
                 f"{path} holds results of another study ({', '.join(other) or 'more'} differ); take another folder, "
                 "or --overwrite to begin again"
@@ -124,7 +126,7 @@ class Checkpoint:
         lines = []
         for record in records:
             body = json.dumps(
-                _folded(record), sort_keys=True, separators=(",", ":"), allow_nan=False
+                plain(record, _word), sort_keys=True, separators=(",", ":"), allow_nan=False
             ).encode()
             self._sum = _checksum(self._sum, body)
             lines.append(self._sum.encode() + b" " + body + b"\n")
@@ -141,21 +143,9 @@ def _checksum(before: str, body: bytes) -> str:
     return sha256(before.encode() + body).hexdigest()[:DIGITS]
 
 
-def _plain(value: Any) -> Any:
-    return json.loads(json.dumps(_folded(value)))
-
-
-def _folded(value: Any) -> Any:
-    """JSON lacks NaN and infinities: null and words."""
-    if isinstance(value, Mapping):
-        return {str(k): _folded(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_folded(v) for v in value]
-    if isinstance(value, float) and value != value:
-        return None
-    if isinstance(value, float) and isinf(value):
-        return "inf" if value > 0.0 else "-inf"
-    return value
+def _word(number: float) -> str | None:
+    """What stands for a number that JSON lacks: null for NaN, a word for an infinity."""
+    return None if isnan(number) else repr(number)
 
 
 def _unfolded(value: Any) -> Any:

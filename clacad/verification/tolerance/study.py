@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad import __version__
-from clacad.base.types import Floats, Progress
+from clacad.base.types import Floats, Progress, silent
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance.checkpoint import Checkpoint
 from clacad.verification.tolerance.farm import Farm
@@ -266,7 +266,7 @@ def worked(
     checkpoint: Path | None, progress: Progress | None, piece: int = PIECE,
 ) -> list[Any]:  # fmt: skip
     """Records 0 … count − 1 of a study: those of the checkpoint, and the others, which are added to it."""
-    report = progress if progress is not None else _silent
+    report = progress or silent
     with Checkpoint(checkpoint, header) as kept:
         rows = list(islice(kept.records, count))
         pieces = list(_pieces(len(rows), count, piece)) if len(rows) < count else []
@@ -280,10 +280,6 @@ def worked(
 def _pieces(start: int, stop: int, size: int) -> Iterator[list[int]]:
     for first in range(start, stop, size):
         yield list(range(first, min(first + size, stop)))
-
-
-def _silent(_stage: str, _done: float) -> None:
-    return
 
 
 def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, rows: Floats) -> Study:

@@ -25,6 +25,7 @@ from typing import Any
 
 from trust.bench import mutations as mu
 from trust.bench import readers, tracer
+from trust.running import TINY
 from trust.spoiling import Change, changed, model_changed
 
 from clacad.design import Design
@@ -36,21 +37,7 @@ RAYS = 8192
 FINE, COARSE = 32, 8
 MESHES = ("stl", "ply", "glb", "3mf")
 
-SLAB = """
-format = 1
-name = "part"
-unit = "mm"
-[law]
-eta = [-0.5, -1.0]
-delta = [0.01, -0.02]
-[pair]
-form = "slab"
-separation = 10.0
-material = "PMMA"
-[lattice]
-pitch = 0.5
-count = [3, 3]
-"""
+SLAB = TINY.replace('"tiny"', '"part"').replace("[2, 2]", "[3, 3]")
 PAIR = SLAB.replace('"slab"', '"biconvex"\nthickness = "auto"').replace("[0.01, -0.02]", "[0.0, 0.0]")
 TILTED = SLAB.replace("[0.01, -0.02]", "[0.01, -0.02]\neuler = [30.0, 1.0, 20.0]")
 HEXAGONAL = SLAB.replace("-0.5, -1.0", "-0.5, -0.5").replace("pitch", 'kind = "hexagonal"\npitch')

@@ -1,0 +1,90 @@
+"""What the words of options mean: cells, angles, lengths, a value for each format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+class BadOption(ValueError):
+    """An option that cannot be understood; exit status 2."""
+
+    exit_status = 2
+
+
+def per_format(option: str, text: str | None) -> str | dict[str, str] | None:
+    """Read VALUE, or FORMAT=VALUE,… as a mapping.
+
+    Raises
+    ------
+    BadOption
+        Both kinds at once, a part without a value, or a format named twice.
+    """
+    if text is None or ("=" not in text and "," not in text):
+        return text
+    from clacad.exporting.request import assignments
+
+    named = assignments(text)
+    if named is None:
+        raise BadOption(f"{option} {text}: it is one value, or FORMAT=VALUE,… such as 3mf=…,stl=…")
+    twice = next((name for n, (name, _) in enumerate(named) if name in dict(named[:n])), None)
+    if twice is not None:
+        raise BadOption(f"{option} {text}: {twice} is named twice")
+    return dict(named)
+
+
+def parse_cells(text: str | None) -> tuple[int, int] | None:
+    """Read "10x10" (or "10" for 10 by 10) as a pair; None stays None."""
+    if text is None:
+        return None
+    parts = text.lower().replace("×", "x").split("x")
+    if len(parts) not in (1, 2) or not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
+        raise BadOption(f"--cells {text}: it is two whole numbers above 0, such as 10x10")
+    a, b = int(parts[0]), int(parts[-1])
+    return a, b
+
+
+def parse_slope_error(text: str | None) -> float | Literal["auto"]:
+    """Read "auto", or an angle such as "5 mrad" as radians."""
+    return "auto" if text is None or text == "auto" else parse_angle("--slope-error", text)
+
+
+def parse_angle(option: str, text: str) -> float:
+    """Read an angle above 0 such as "5 mrad" as radians; a bare number is degrees, as in a design file."""
+    from clacad.base.units import family_of, in_radians, split
+
+    parts = split(text)
+    if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
+        raise BadOption(f"{option} {text}: it is an angle such as '5 mrad' or '0.3 deg'")
+    value = in_radians(parts[0], parts[1] or "deg")
+    if not value > 0.0:
+        raise BadOption(f"{option} {text}: it is an angle above 0, such as '5 mrad'")
+    return value
+
+
+def one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:
+    """A word that the declaration of an export's options allows, as it spells it."""
+    from clacad.exporting.request import OPTIONS
+
+    option = OPTIONS[name]
+    if spelt(typed) not in option.words:
+        raise BadOption(f"{option.flag} {typed}: it is one of {', '.join(option.words)}")
+    return spelt(typed)
+
+
+def parse_length(text: str | None, design: Design) -> float:
+    """Read a length such as "5 um" in the design's unit; a bare number is in that unit, None is 0."""
+    from clacad.base.units import family_of, in_metres, split
+
+    if text is None:
+        return 0.0
+    parts = split(text)
+    if parts is None or (parts[1] and family_of(parts[1]) != "length"):
+        raise BadOption(f"--saddle-bevel {text}: it is a length such as '5 um'")
+    value = in_metres(parts[0], parts[1]) / design.unit_m if parts[1] else float(parts[0])
+    if not value > 0.0:
+        raise BadOption(f"--saddle-bevel {text}: it is a length above 0, such as '5 um'")
+    return value

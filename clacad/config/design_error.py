@@ -1,0 +1,59 @@
+"""The error of a design that cannot be accepted: every mistake at once, each at its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from clacad.config.key_positions import located
+from clacad.config.mistakes import Mistake
+
+if TYPE_CHECKING:
+    from clacad.design.model import Design
+
+
+class DesignError(ValueError):
+    """A design that cannot be accepted; holds every mistake that was found.
+
+    Parameters
+    ----------
+    mistakes : iterable of Mistake
+        At least one.
+    """
+
+    def __init__(self, mistakes: Iterable[Mistake]) -> None:
+        self.mistakes: tuple[Mistake, ...] = tuple(mistakes)
+        super().__init__(self.mistakes)
+
+    def __str__(self) -> str:
+        """Return all mistakes, one block each, in the order of their places."""
+        blocks = [str(mistake) for mistake in self.mistakes]
+        if len(blocks) > 1:
+            blocks.append(f"{len(blocks)} mistakes")
+        return "\n".join(blocks)
+
+    @classmethod
+    def at(
+        cls, design: Design, key: str, message: str, *, code: str = "CL120", found: str = "", allowed: str = "",
+        hint: str = "",
+    ) -> DesignError:  # fmt: skip
+        """Refuse a design for a reason found after reading, at the place of one of its keys.
+
+        Parameters
+        ----------
+        design : Design
+            The design that is refused; its file text gives line and column.
+        key : str
+            Dotted key the reason belongs to, such as "pair.thickness".
+        message : str
+            What is wrong, with the computed numbers.
+        code, found, allowed, hint : str
+            As in `Mistake`.
+
+        Returns
+        -------
+        DesignError
+            With one mistake; raise it.
+        """
+        mistake = Mistake(code, message, key=key, found=found, allowed=allowed, hint=hint)
+        return cls(located([mistake], design.source, design.path, ()))

@@ -1,0 +1,316 @@
+"""The sections of a design file as frozen values in the design's unit.
+
+Lengths are multiples of `Design.unit_m` metres, wavelengths metres, angles radians; the Euler angles are
+kept in degrees too, as written, so that 90 degrees stays exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypedDict
+
+Pair2 = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LawSpec:
+    """The asked law of refraction, paper eqs (4), (5) and section 3.
+
+    Parameters
+    ----------
+    eta, delta : (2,) tuple of float
+        η_i = −f2_i/f1_i and δ_i = d_i/f1_i for i = x, y in the lens frame.
+    euler_degrees : (3,) tuple of float, degrees
+        φ, θ, ψ as written.
+    euler_axes : {"fixed", "moving"}
+        R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones.
+    """
+
+    eta: Pair2
+    delta: Pair2
+    euler_degrees: tuple[float, float, float]
+    euler_axes: Literal["fixed", "moving"]
+
+    @property
+    def euler(self) -> tuple[float, float, float]:
+        """φ, θ, ψ in radians."""
+        phi, theta, psi = (math.radians(angle) for angle in self.euler_degrees)
+        return phi, theta, psi
+
+
+@dataclass(frozen=True, slots=True)
+class PairSpec:
+    """How a lenslet pair is built.
+
+    Parameters
+    ----------
+    form : {"biconvex", "plano", "slab"}
+        Two biconvex lenses, two plano-convex ones, or both faces of one slab.
+    separation : float or None, length
+        Biconvex: centre to centre; plano: f1 + f2 in air; slab: T/n (None: given by `thickness`).
+    thickness : "auto", float or (2,) tuple of float, length
+        Centre thickness of both lenses, or of lens 1 and lens 2; slab: of the slab.
+    web : float or None, length
+        Plate joining the lenslets (biconvex); None: 0, or the neck where there is a seam.
+    confocal : {"exact", "thin", "best"}
+        Recipe for the radii.
+    surface : {"ellipsoid", "biconic"}
+        Shape of the faces.
+    conic : (2,) tuple of float or None
+        Conic constants of a biconic; None: the form's default.
+    depth : (2,) tuple of float or None, length
+        1/κ of lens 1 and 2; None: sqrt(|R_x R_y|).
+    curved : {"outside", "inside"}
+        Plano: which faces are curved.
+    index : float or None
+        Refractive index; None: from `material`.
+    material : str or None
+        Name in the table of materials.
+    wavelength : float, metres
+        Design wavelength.
+    """
+
+    form: Literal["biconvex", "plano", "slab"]
+    separation: float | None
+    thickness: Literal["auto"] | float | Pair2
+    web: float | None
+    confocal: Literal["exact", "thin", "best"]
+    surface: Literal["ellipsoid", "biconic"]
+    conic: Pair2 | None
+    depth: Pair2 | None
+    curved: Literal["outside", "inside"]
+    index: float | None
+    material: str | None
+    wavelength: float
+
+    @property
+    def thicknesses(self) -> Pair2 | None:
+        """Centre thickness of lens 1 and lens 2, None for "auto"."""
+        if isinstance(self.thickness, str):
+            return None
+        return self.thickness if isinstance(self.thickness, tuple) else (self.thickness, self.thickness)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """Outer shape of the sheet: a circle of diameter size[0] or a rectangle size[0] by size[1]."""
+
+    shape: Literal["circle", "rectangle"]
+    size: Pair2
+
+
+@dataclass(frozen=True, slots=True)
+class LatticeSpec:
+    """How many pairs there are and where.
+
+    Parameters
+    ----------
+    kind : {"square", "rectangular", "hexagonal"}
+        Pattern of the cells.
+    pitch : (2,) tuple of float, length
+        Cell size in x and y; hexagonal: centre to centre, twice.
+    count : (2,) tuple of int
+        Cells along the two lattice vectors (hexagonal: cells a row, rows).
+    seam : float, length
+        Width of the land along cell borders.
+    seam_depth : float or None, length
+        Plano, slab: land below the deepest optical point; None: pitch/50.
+    outline : Outline or None
+        Cells wholly inside are kept; None: the lattice's own outline.
+    aperture : "centred", "aligned" or (2,) tuple of float
+        Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope.
+    land : {"clear", "opaque"}
+        Whether land lets light through.
+    """
+
+    kind: Literal["square", "rectangular", "hexagonal"]
+    pitch: Pair2
+    count: tuple[int, int]
+    seam: float
+    seam_depth: float | None
+    outline: Outline | None
+    aperture: Literal["centred", "aligned"] | Pair2
+    land: Literal["clear", "opaque"]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Opaque frame round the sheet: width beyond the border, height along z (None: as high as the sheet)."""
+
+    width: float
+    height: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class BodySpec:
+    """What is built besides the lenses.
+
+    Parameters
+    ----------
+    border : float, length
+        Width of the land round the sheet.
+    neck : float or None, length
+        Least thickness at an inner border; None: max(process minimum, pitch/50).
+    baffle : bool
+        Opaque honeycomb between the arrays.
+    baffle_wall : float or None, length
+        Its wall thickness; given if `baffle`.
+    frame : Frame or None
+        Opaque frame.
+    roughness : float, length
+        Rms height of the optical faces' roughness.
+    slope_rms : float, radians
+        Rms slope error of the optical faces.
+    """
+
+    border: float
+    neck: float | None
+    baffle: bool
+    baffle_wall: float | None
+    frame: Frame | None
+    roughness: float
+    slope_rms: float
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """A warning that the designer accepts, and why."""
+
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckSpec:
+    """Limits the built design and its files are judged by. Angles in radians, lengths in design units.
+
+    None where the limit comes from elsewhere: the process profile (`clearance edge neck radius sag pitch tool
+    wall draft slope voxel layer aspect`), or nothing is asked (`mesh_law_rms`).
+
+    Parameters
+    ----------
+    field : float, radians
+        Half angle of the cone of test rays.
+    field_centre : {"axis", "normal"}
+        Middle of that cone: the axis of the field (aperture slope), or the sheet's normal.
+    process : str
+        Name of the process profile.
+    confocality : float
+        Afocal defect over the separation; default .002 for exact recipes, .02 for thin and best.
+    allow : tuple of Allowed
+        Accepted warnings.
+    """
+
+    field: float
+    field_centre: Literal["axis", "normal"]
+    process: str
+    law_rms: float
+    law_bias: float
+    mesh_law_rms: float | None
+    eta: float
+    delta: float
+    confocality: float
+    throughput: float
+    cover: float
+    clearance: float | None
+    graph: float
+    edge: float | None
+    neck: float | None
+    radius: float | None
+    sag: float | None
+    pitch: float | None
+    tool: float | None
+    wall: float | None
+    draft: float | None
+    slope: float | None
+    voxel: float | None
+    layer: float | None
+    aspect: float | None
+    volume: float
+    shape: float
+    file_rms: float
+    pose: float
+    scale: float
+    fresnel_number: float
+    allow: tuple[Allowed, ...]
+
+    @property
+    def of_light(self) -> tuple[float, float, float, float, float]:
+        """Limits of light through a file: rms and bias (radians), relative error of eta, error of delta, confocality."""
+        rms = self.law_rms if self.mesh_law_rms is None else self.mesh_law_rms
+        return rms, self.law_bias, self.eta, self.delta, self.confocality
+
+
+@dataclass(frozen=True, slots=True)
+class TolerancesSpec:
+    """What fabrication may get wrong, and what a good sheet still is. Lengths in design units, angles in radians.
+
+    Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
+
+    Parameters
+    ----------
+    decentre : (2,) tuple of float, length
+        Displacement of array 1 and array 2 as wholes, in x and in y.
+    rotation : float, radians
+        Turn of array 2 against array 1 about the sheet's normal.
+    separation : float, length
+        Displacement of array 2 along the sheet's normal.
+    radius : (2,) tuple of float
+        Relative error of all radii of a face of array 1 and array 2.
+    index : float
+        Error of the refractive index of each body.
+    thickness : (2,) tuple of float, length
+        Error of the centre thickness of each body.
+    tilt : float, radians
+        Tilt of array 2 against array 1 about x and about y.
+    roughness : float, length
+        Rms height.
+    distribution : {"normal", "uniform"}
+        Normal: t is two standard deviations; uniform: t is the end.
+    samples, seed : int
+        Of the Monte-Carlo run.
+    image_shift, blur, residual_power, moire_period : float or None
+        Limits of a good sheet besides those of [check]: radians, radians, 1/m, length.
+    """
+
+    decentre: Pair2
+    rotation: float
+    separation: float
+    radius: Pair2
+    index: float
+    thickness: Pair2
+    tilt: float
+    roughness: float
+    distribution: Literal["normal", "uniform"]
+    samples: int
+    seed: int
+    image_shift: float | None
+    blur: float | None
+    residual_power: float | None
+    moire_period: float | None
+
+
+NO_TOLERANCES = TolerancesSpec(
+    (0.0, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 0.0, "normal", 1000, 0, None, None, None, None
+)
+"""A design that states none."""
+
+
+class DesignFields(TypedDict):
+    """What a `Design` is made of, read and checked; see there."""
+
+    name: str
+    unit: str
+    unit_m: float
+    law_spec: LawSpec
+    pair: PairSpec
+    lattice: LatticeSpec
+    body: BodySpec
+    check: CheckSpec
+    tolerances: TolerancesSpec
+    notes: tuple[str, ...]
+    given: Mapping[str, Any]
+    source: str | None
+    path: str

@@ -1,0 +1,42 @@
+"""Rays that carry radiance to the camera, as one flat list: what the kinds of light all give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.base.types import Floats, Rows
+
+
+@dataclass(frozen=True, eq=False)
+class LightRays:
+    """Rays that carry radiance from the scene to the camera.
+
+    Attributes
+    ----------
+    parent : (m,) ints
+        The launched ray whose picture point gains by it.
+    position, direction : (m, 3), sheet frame
+        Where the ray leaves the sheet and its unit direction; one with d_z < 0 goes back to the camera's side.
+    flux : (m,)
+        Factor on the radiance that the ray meets.
+    """
+
+    parent: Rows
+    position: Floats
+    direction: Floats
+    flux: Floats
+
+    def __len__(self) -> int:
+        return len(self.flux)
+
+
+def join_light(*lights: LightRays) -> LightRays:
+    """Several lists of light in one."""
+    return LightRays(
+        np.concatenate([light.parent for light in lights]),
+        np.concatenate([light.position for light in lights]),
+        np.concatenate([light.direction for light in lights]),
+        np.concatenate([light.flux for light in lights]),
+    )

@@ -1,0 +1,166 @@
+"""Compiled search of triangles from anywhere: the first one a ray meets, in a tree of boxes.
+
+Nothing of sheets is known here: the walk of `compiled_hierarchy` asks, and so does who judges a file's facets.
+"""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import numpy as np
+
+from clacad.base.compiled import exact, owning
+from clacad.base.types import Floats, Ints
+from clacad.tracing.triangles.tiles import LEAF, Tiles
+
+BOTH = 3
+"""What `ways_through` gives where triangles are passed inwards and outwards."""
+
+BEFORE = -1e-300
+"""A facet at the very start of a ray counts."""
+
+UPRIGHT = 1e-300
+"""Slope put in place of 0, whose reciprocal times a distance of 0 from a box's side would be no number."""
+
+
+@exact
+def _enters(box: Floats, x: float, y: float, z: float, il: float, im: float, iz: float, far: float) -> float:
+    """Distance at which a ray enters a box, or inf; a hair is granted for rounding."""
+    a, b = (box[0] - x) * il, (box[3] - x) * il
+    c, d = (box[1] - y) * im, (box[4] - y) * im
+    e, f = (box[2] - z) * iz, (box[5] - z) * iz
+    near = max(min(a, b), max(min(c, d), min(e, f)))
+    leave = min(max(a, b), min(max(c, d), max(e, f)))
+    slack = 1e-12 * (abs(near) + abs(leave))
+    return near - slack if near <= leave + 2.0 * slack and near <= far else inf
+
+
+@exact
+def hit(
+    corner: Floats,
+    ox: float,
+    oy: float,
+    oz: float,
+    x: float,
+    y: float,
+    z: float,
+    L: float,
+    M: float,
+    N: float,
+) -> tuple[float, float, float, float]:
+    """Distance to a triangle and barycentric coordinates; inf where it is missed.
+
+    Corners are taken relative to the cell and then to the ray, sheared so that the ray runs along z: edges
+    that two triangles share get the same number with opposite signs, so no ray slips between them. After
+    Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, JCGT 2 (2013); N > 0 is the largest axis here.
+    """
+    sx, sy = L / N, M / N
+    ax, ay, az = (corner[0, 0] - ox) - x, (corner[0, 1] - oy) - y, (corner[0, 2] - oz) - z
+    bx, by, bz = (corner[1, 0] - ox) - x, (corner[1, 1] - oy) - y, (corner[1, 2] - oz) - z
+    cx, cy, cz = (corner[2, 0] - ox) - x, (corner[2, 1] - oy) - y, (corner[2, 2] - oz) - z
+    ax, ay = ax - sx * az, ay - sy * az
+    bx, by = bx - sx * bz, by - sy * bz
+    cx, cy = cx - sx * cz, cy - sy * cz
+    u, v, w = cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax
+    if (u < 0.0 or v < 0.0 or w < 0.0) and (u > 0.0 or v > 0.0 or w > 0.0):
+        return inf, 0.0, 0.0, 0.0
+    total = u + v + w
+    if total == 0.0:
+        return inf, 0.0, 0.0, 0.0
+    return (u * az + v * bz + w * cz) / (total * N), u / total, v / total, w / total
+
+
+@owning
+def nearest(
+    tiles: Tiles, b: int, ox: float, oy: float, oz: float, x: float, y: float, z: float, L: float, M: float,
+    N: float, least: float, most: float,
+) -> tuple[float, int]:  # fmt: skip
+    """Nearest triangle of body b at a distance between `least` and `most`: distance and number, inf and −1.
+
+    (x, y, z) is relative to (ox, oy, oz), the centre of the ray's cell.
+    """
+    root, first, count = tiles.tree[b, 0], tiles.tree[b, 1], tiles.tree[b, 2]
+    nodes = (tiles.tree[b + 1, 0] if b + 1 < len(tiles.tree) else len(tiles.box)) - root
+    inner = (nodes - 1) // 2
+    il, im, iz = 1.0 / L, 1.0 / M, 1.0 / N
+    gx, gy, gz = ox + x, oy + y, oz + z
+    best, which = most, -1
+    stack = np.empty(64, dtype=np.int64)
+    stack[0], height_of_stack = 0, 1
+    while height_of_stack > 0:
+        height_of_stack -= 1
+        node = stack[height_of_stack]
+        if not _enters(tiles.box[root + node], gx, gy, gz, il, im, iz, best) < inf:
+            continue
+        if node < inner:
+            stack[height_of_stack], stack[height_of_stack + 1] = 2 * node + 2, 2 * node + 1
+            height_of_stack += 2
+            continue
+        start = (node - inner) * LEAF
+        for k in range(start, min(start + LEAF, count)):
+            t = hit(tiles.corner[first + k], ox, oy, oz, x, y, z, L, M, N)[0]
+            if least < t < best:
+                best, which = t, first + k
+    return (best, which) if which >= 0 else (inf, -1)
+
+
+@owning
+def ways_through(
+    tiles: Tiles, b: int, ox: float, oy: float, oz: float, x: float, y: float, z: float, L: float, M: float,
+    N: float, least: float, most: float,
+) -> int:  # fmt: skip
+    """Which way the ray goes through the triangles between two distances: 1 inwards, 2 outwards, 3 both."""
+    root, first, count = tiles.tree[b, 0], tiles.tree[b, 1], tiles.tree[b, 2]
+    nodes = (tiles.tree[b + 1, 0] if b + 1 < len(tiles.tree) else len(tiles.box)) - root
+    inner = (nodes - 1) // 2
+    il, im, iz = 1.0 / L, 1.0 / M, 1.0 / N
+    found = 0
+    stack = np.empty(64, dtype=np.int64)
+    stack[0], height_of_stack = 0, 1
+    while height_of_stack > 0:
+        height_of_stack -= 1
+        node = stack[height_of_stack]
+        if not _enters(tiles.box[root + node], ox + x, oy + y, oz + z, il, im, iz, most) < inf:
+            continue
+        if node < inner:
+            stack[height_of_stack], stack[height_of_stack + 1] = 2 * node + 2, 2 * node + 1
+            height_of_stack += 2
+            continue
+        start = (node - inner) * LEAF
+        for k in range(start, min(start + LEAF, count)):
+            t = hit(tiles.corner[first + k], ox, oy, oz, x, y, z, L, M, N)[0]
+            if least < t < most:
+                nx, ny, nz = normal_of(tiles, first + k)
+                found |= 2 if nx * L + ny * M + nz * N > 0.0 else 1
+    return found
+
+
+@exact
+def normal_of(tiles: Tiles, k: int) -> tuple[float, float, float]:
+    """Outward normal of a triangle, as long as twice its area."""
+    c = tiles.corner[k]
+    ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
+    vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@exact
+def first_facet(
+    tiles: Tiles, normals: Floats, position: Floats, direction: Floats, facing: float, distance: Floats,
+    facet: Ints,
+) -> None:  # fmt: skip
+    """Fill `distance` (n,) and `facet` (n,) for rays with d_z > 0; NaN and −1 where none is met.
+
+    Of the facets of body 0 of `tiles` with facing × normal · direction > 0 the nearest ahead.
+    """
+    for r in range(len(position)):
+        x, y, z = position[r, 0], position[r, 1], position[r, 2]
+        u, v, w = direction[r, 0], direction[r, 1], direction[r, 2]
+        u, v = u if u != 0.0 else UPRIGHT, v if v != 0.0 else UPRIGHT
+        t, which = nearest(tiles, 0, 0.0, 0.0, 0.0, x, y, z, u, v, w, BEFORE, inf)
+        while which >= 0:
+            n = normals[which]
+            if facing * (n[0] * u + n[1] * v + n[2] * w) > 0.0:
+                break
+            t, which = nearest(tiles, 0, 0.0, 0.0, 0.0, x, y, z, u, v, w, t, inf)
+        distance[r], facet[r] = t if which >= 0 else nan, which

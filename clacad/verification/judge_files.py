@@ -1,0 +1,147 @@
+"""Files against a design: each is judged as what it is, by its bytes, its shape and the light through it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from clacad.base.types import Progress
+from clacad.exporting.roles import Role
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.window import Window
+from clacad.storage.errors import UnreadableFile
+from clacad.verification.checks import Check, not_run
+from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
+from clacad.verification.files.find_files import (
+    Delivery,
+    Subject,
+    held_bodies,
+    integrity,
+    same_design,
+    unit_of,
+    written_window,
+)
+from clacad.verification.files.inspection import Inspection
+from clacad.verification.files.map_file import format_of, judge_map
+from clacad.verification.files.mesh_file import judge_mesh
+from clacad.verification.files.step_file import judge_solid, lies_elsewhere
+from clacad.verification.returned.judge_part import judge_placed
+from clacad.verification.returned.registration import place
+from clacad.verification.returned.turned_step_file import judge_turned
+from clacad.verification.verification_report import FileReport
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+def judge_files(
+    design: Design, delivery: Delivery, cells: tuple[int, int] | None, rays: int, progress: Progress
+) -> tuple[list[Check], list[FileReport]]:
+    """Judge every file of a delivery, and the delivery as a whole.
+
+    Parameters
+    ----------
+    design : Design
+    delivery : Delivery
+    cells : (a, b) or None
+        Cells the files hold, where no manifest says.
+    rays : int
+        Of the main bundle.
+    progress : callable
+        (stage, done 0 … 1).
+    """
+    checks: list[Check] = []
+    judged: list[FileReport] = []
+    if delivery.manifest is not None:
+        checks.append(same_design(design, delivery.manifest))
+    window = written_window(design, delivery.manifest, cells)
+    for subject in delivery.subjects:
+        checks.append(integrity(subject))
+        if not subject.sha256:
+            judged.append(FileReport(subject, "missing"))
+            continue
+        asked = Inspection(design, subject.name, rays, progress, subject.role, subject.entry)
+        more, one = _judge_one(asked, subject, window)
+        checks += more
+        judged.append(one)
+    whole = prescribe(design) if window is None else window
+    checks += whole_delivery(whole, [(one.subject, one.judged_as, one.present) for one in judged])
+    return checks, judged
+
+
+Judged = tuple[list[Check], FileReport]
+
+
+def _judge_one(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
+    """Judge one file as what it is.
+
+    window : with the cells that somebody says it holds; None where nobody does
+    """
+    whole = prescribe(asked.design) if window is None else window
+    if subject.entry and (reason := no_optics(whole, subject)) is not None:
+        asked.progress(f"reading {subject.name}", 0.0)
+        return judge_other(subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
+    if subject.is_solid:
+        return _judge_solids(asked, subject, window, whole)
+    if subject.is_mesh:
+        return _judge_triangles(asked, subject, window)
+    format = format_of(subject)
+    if format is not None:
+        asked.progress(f"reading {subject.name}", 0.0)
+        return judge_map(asked, whole, subject, format), FileReport(subject, "judged by the numbers in it")
+    check = not_run(
+        "readable", f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
+    )
+    return [check], FileReport(subject, "unknown format")
+
+
+def _judge_solids(asked: Inspection, subject: Subject, window: Window | None, whole: Window) -> Judged:
+    """Judge a STEP or BREP file, wherever its solids lie."""
+    found, facts = judge_solid(asked, whole, subject.path)
+    stands = facts.get("placement", {"lenses": None})
+    if not subject.entry and (lies_elsewhere(found) or stands["lenses"] == 0):
+        found, evidence, placed = judge_turned(asked, window, subject, found, facts)
+        if placed is not None:
+            return found, FileReport(
+                subject, placed.note, evidence, facts, window=placed.window, present=placed.present
+            )
+    held = tuple(name for name in stands.get("bodies", ()) if not subject.entry)
+    return found, FileReport(subject, solid=facts, present=held or None)
+
+
+def _judge_triangles(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
+    """Judge a mesh file: where its manifest says that it lies, or wherever it is found to lie."""
+    from clacad.formats.mesh.readers import read_mesh
+
+    note = ""
+    try:
+        mesh = read_mesh(subject.path)
+        metres = unit_of(subject, mesh) if subject.entry else None
+        if window is not None and metres is not None:
+            present = held_bodies(window, subject, 0.0)[0]
+            found, evidence = judge_mesh(asked, window, mesh, metres / asked.design.unit_m, present)
+        else:
+            asked.progress("finding where the part lies", 0.0)
+            placed = place(asked.design, subject, mesh, window)
+            window, present, note = placed.window, placed.present, placed.note
+            found, evidence = judge_placed(asked, placed)
+    except UnreadableFile as error:
+        return _unreadable(asked, error), FileReport(subject)
+    missing = [body.name for body in window.bodies if body.name not in present]
+    if missing:
+        held = f"it holds {', '.join(present)}; {', '.join(missing)} taken from the design"
+        note = f"{note}; {held}" if note else held
+    odd = "mm / 25.4" in note  # nobody's unit: millimetres that were taken for inches on the way
+    note += ": it is 25.4 times as large as the design" if odd else ""
+    sentence = f"{mesh.format}, {mesh.facet_count} facets" + (f"; {note}" if note else "")
+    readable = Check("readable", "warn" if odd else "pass", sentence, **asked.common)
+    role = Role(evidence.facts.get("role", asked.role))
+    return [readable, *found], FileReport(subject, note, evidence, window=window, present=present, role=role)
+
+
+def _unreadable(asked: Inspection, error: UnreadableFile) -> list[Check]:
+    """Checks of a mesh file that cannot be read."""
+    later = ("closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
+    return [
+        Check("readable", "fail", f"it cannot be read: {error}", **asked.common),
+        *(not_run(name, "the file cannot be read", **asked.common) for name in later),
+    ]

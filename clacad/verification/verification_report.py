@@ -1,0 +1,257 @@
+"""What a verification found: one object gives the page, the JSON and the exit status."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.text import plain
+from clacad.base.types import Progress, silent
+from clacad.exporting.roles import Role
+from clacad.sheet.feasibility import Feasibility, describe
+from clacad.sheet.window import Window
+from clacad.verification import checks as judging
+from clacad.verification.checks import Check
+from clacad.verification.files.find_files import Subject
+from clacad.verification.files.mesh_light import MeshEvidence
+from clacad.verification.light.direction_curves import Meridian
+from clacad.verification.light.facet_convergence import Convergence
+from clacad.verification.light.law_checks import Optics
+from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of, wrong
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.verification.evidence import Evidence
+
+FORMAT = 1
+NAMED = 4
+"""Files that a verdict names; of more it gives the number."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileReport:
+    """One file that was judged: what it is, and the evidence gathered on it.
+
+    window : Window or None
+        With the cells of the file; None where they are the design's.
+    present : names of the bodies in it, or None for all
+    role : Role or None
+        As it was judged, where that is not what it was handed in as.
+    """
+
+    subject: Subject
+    note: str = ""
+    mesh: MeshEvidence | None = None
+    solid: Mapping[str, Any] | None = None
+    window: Window | None = None
+    present: tuple[str, ...] | None = None
+    role: Role | None = None
+
+    @property
+    def judged_as(self) -> Role:
+        """What it was judged as."""
+        return self.subject.role if self.role is None else self.role
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a verification found.
+
+    Attributes
+    ----------
+    design : Design
+    window : Window
+    facts : Feasibility
+    checks : tuple of Check
+        In the order of the report.
+    optics : Optics
+        Through the exact surfaces.
+    curves : (Meridian, Meridian)
+        Transfer, transmission and residual along lens x and lens y.
+    convergence : Convergence or None
+    files : tuple of FileReport
+    versions : mapping
+    evidence : Evidence or None
+        What the page shows beside its checks; None until `with_evidence`.
+    delivered : bool
+        Whether files were to be judged; a delivery without any passes nothing.
+    """
+
+    design: Design
+    window: Window
+    facts: Feasibility
+    checks: tuple[Check, ...]
+    optics: Optics
+    curves: tuple[Meridian, Meridian]
+    convergence: Convergence | None = None
+    files: tuple[FileReport, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    evidence: Evidence | None = None
+    delivered: bool = False
+
+    def with_evidence(self, progress: Progress | None = None) -> Report:
+        """The same report with what its page shows beside the checks; itself where it has that."""
+        if self.evidence is not None:
+            return self
+        from clacad.verification.evidence import gather_evidence
+
+        return replace(self, evidence=gather_evidence(self, progress or silent))
+
+    @cached_property
+    def verdicts(self) -> tuple[FileVerdict, ...]:
+        """What is said of each file, in the order they were judged."""
+        return tuple(_verdict_of(one, self.checks) for one in self.files)
+
+    @cached_property
+    def word(self) -> Word:
+        """Passed as optical master, shape only, failed, not judged; of a design alone: passed or failed."""
+        if self.delivered:
+            return word_of(self.verdicts, self.checks)
+        return "passed" if judging.passed(self.checks) else "failed"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the exit status is 0: nothing failed, everything required ran, and every file is what it is said to be.
+
+        A delivery of declared previews alone passes so too, and its word is still *shape only*.
+        """
+        if self.word == "shape only":
+            return all(settled(one) for one in self.verdicts if one.word == "shape only")
+        return self.word in GOOD
+
+    @property
+    def exit_status(self) -> int:
+        """0 if passed, else 1."""
+        return 0 if self.passed else 1
+
+    def counts(self) -> dict[str, int]:
+        """Number of checks in each state."""
+        return {
+            state: sum(c.state == state for c in self.checks) for state in ("pass", "fail", "warn", "not run")
+        }
+
+    def verdict(self) -> str:
+        """One sentence for the head of the page and the last line of the command."""
+        counts = self.counts()
+        checks = f"{counts['pass'] + counts['warn']} checks" + (
+            f", {counts['warn']} with a warning" if counts["warn"] else ""
+        )
+        if self.word == "failed":
+            return self._failed()
+        told = [one for one in self.verdicts if one.word == self.word and one.role is not Role.OTHER]
+        if self.word == "shape only":
+            return f"shape only: {told[0].name} {told[0].sentence}{self._remedy(told[0])}"
+        if self.word == "not judged":
+            lacking = wrong(c for c in self.checks if c.id == "delivery")
+            return "not judged: " + (
+                lacking[0].sentence if lacking else "none of the files carries light of the law"
+            )
+        if self.word == "passed":
+            return f"passed: {checks}"
+        shapes = [one.name for one in self.verdicts if one.word == "shape only"]
+        rest = f"; shape only, as declared: {_listed(shapes)}" if shapes else ""
+        return f"{self.word}: {_listed([one.name for one in told])} ({checks}){rest}"
+
+    def _failed(self) -> str:
+        failed = [c for c in self.checks if c.state == "fail"]
+        missing = [c for c in self.checks if c.state == "not run" and c.required]
+        parts = []
+        if failed:
+            parts.append("failed: " + ", ".join(dict.fromkeys(c.id for c in failed)))
+        if missing:
+            parts.append("did not run: " + ", ".join(dict.fromkeys(c.id for c in missing)))
+        return "; ".join(parts)
+
+    def _remedy(self, one: FileVerdict) -> str:
+        """What would be a master: so many quads, or the STEP."""
+        if settled(one):
+            return "; declared as a preview"
+        masters = next((c.detail.get("masters") for c in self.checks if c.id == "convergence"), None)
+        kind = one.name.rpartition(".")[2].lower()
+        quads = (masters or {}).get(kind, {}).get("quads")
+        return f"; cut it in {quads} quads, or send the STEP" if quads else "; cut it finer, or send the STEP"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content: no times, no host, no paths."""
+        return {
+            "format": FORMAT,
+            "passed": self.passed,
+            "word": self.word,
+            "verdict": self.verdict(),
+            "file_verdicts": [_verdict_row(one) for one in self.verdicts],
+            "counts": self.counts(),
+            "design": {"name": self.design.name, "sha256": self.design.sha256, "toml": self.design.toml},
+            "window": {
+                "form": self.window.form, "unit_m": self.window.unit, "count": list(self.window.lattice.count),
+                "recipe": plain(dict(self.window.recipe)), "residual": plain(dict(self.window.residual)),
+            },
+            "derived": [list(row) for row in describe(self.window, self.facts)],
+            "checks": [check.to_dict() for check in self.checks],
+            "field": [_field_row(p) for p in self.optics.points],
+            "transfer": [_curve_row(c) for c in self.curves],
+            "files": [_file_row(f) for f in self.files],
+            "notes": list(self.design.notes),
+            "versions": dict(self.versions),
+            **({} if self.evidence is None else self.evidence.to_dict()),
+        }  # fmt: skip
+
+    def to_json(self) -> str:
+        """Same numbers as the page, keys sorted: the same bytes for the same design, files and versions."""
+        return (
+            json.dumps(self.to_dict(), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Some names, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED + 1 else ""
+    return ", ".join(names[:NAMED] if more else names) + more
+
+
+def _verdict_of(one: FileReport, checks: Sequence[Check]) -> FileVerdict:
+    subject = one.subject
+    mine = [c for c in checks if c.subject == subject.name]
+    quads = subject.entry.get("quads")
+    cut = f"in {quads} quads a cell" if isinstance(quads, int) and subject.is_mesh else ""
+    return file_verdict(subject.name, one.judged_as, subject.declared, subject.is_mesh, mine, cut)
+
+
+def _verdict_row(one: FileVerdict) -> dict[str, Any]:
+    row = {
+        "name": one.name, "role": one.role.value, "declared": one.declared, "word": one.word, "law_rms": one.rms,
+        "limit": one.limit, "sentence": one.sentence,
+    }  # fmt: skip
+    return dict(plain(row))
+
+
+def _field_row(point: Any) -> dict[str, Any]:
+    row = {
+        "direction": point.direction, "expected": point.expected, "bias": point.bias, "spread": point.spread,
+        "rms": point.rms, "worst": point.worst, "share": point.share, "closed_form": point.closed_form,
+        "counts": point.counts,
+    }  # fmt: skip
+    return dict(plain(row))
+
+
+def _curve_row(curve: Meridian) -> dict[str, Any]:
+    row = {
+        "slope": curve.slope, "law": curve.law, "mean": curve.mean, "spread": curve.spread, "alive": curve.alive,
+        "closed_form": curve.closed_form, "ghost": curve.ghost,
+    }  # fmt: skip
+    return dict(plain(row))
+
+
+def _file_row(found: FileReport) -> dict[str, Any]:
+    subject = found.subject
+    row: dict[str, Any] = {
+        "name": subject.name, "format": subject.format, "bytes": subject.bytes, "sha256": subject.sha256,
+        "note": found.note, "stated": dict(subject.entry),
+    }  # fmt: skip
+    if found.mesh is not None:
+        row["triangles"] = found.mesh.measure.facets
+    if found.solid:
+        row["solids"] = found.solid.get("kernel_solids", found.solid.get("solids"))
+    return dict(plain(row))

@@ -1,0 +1,57 @@
+"""Bad designs and the exact words that are said about them.
+
+Each file of tests/golden_designs is one bad design; FILE.txt beside it is what `load` must say, to the letter.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from clacad.design import CODES, DesignError, load
+
+FOLDER = Path(__file__).parents[1] / "golden_designs"
+BAD = sorted(path.name for path in FOLDER.iterdir() if path.suffix != ".txt")
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_design_is_explained_to_the_letter(name, monkeypatch):
+    monkeypatch.chdir(FOLDER)
+    with pytest.raises(DesignError) as caught:
+        load(name)
+    assert f"{caught.value}\n" == (FOLDER / f"{name}.txt").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_every_mistake_has_a_known_code_a_place_in_the_file_and_a_caret_under_it(name, monkeypatch):
+    monkeypatch.chdir(FOLDER)
+    with pytest.raises(DesignError) as caught:
+        load(name)
+    raw = (FOLDER / name).read_bytes().decode("utf-8", errors="replace")
+    lines = re.split("\r\n|\n", raw)
+    for mistake in caught.value.mistakes:
+        assert mistake.code in CODES
+        assert mistake.path == name
+        if mistake.line is not None:
+            assert 1 <= mistake.line <= len(lines)
+            assert 1 <= mistake.column <= len(lines[mistake.line - 1]) + 1
+        if mistake.source_line:
+            assert mistake.source_line == lines[mistake.line - 1]
+
+
+def test_every_code_of_a_design_mistake_has_an_example():
+    said = "".join((FOLDER / f"{name}.txt").read_text(encoding="utf-8") for name in BAD)
+    missing = {code for code in CODES if f"error {code}:" not in said}
+    assert missing == {"CL118", "CL120"}, "overrides and pairs that cannot be built are tested elsewhere"
+
+
+def test_nothing_that_steers_a_terminal_is_printed(tmp_path):
+    path = tmp_path / "evil.toml"
+    path.write_text(
+        'format = 1\nname = "\\u001b[2J\u202e"\n"\\u0007" = 1\nunit = "\u009bmm"\n', encoding="utf-8"
+    )
+    with pytest.raises(DesignError) as caught:
+        load(path)
+    assert all(line.isprintable() for line in str(caught.value).split("\n"))

@@ -1,0 +1,100 @@
+"""Every code the program can print is explained, and what is not known is answered with what is nearest."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from clacad.cli import main
+from clacad.explain.look_up import Unexplained, entries, explain
+from clacad.verification.checks import CODES, Check
+
+PACKAGE = Path(__file__).parents[2] / "clacad"
+
+
+def test_every_code_in_the_program_is_explained():
+    printed = {
+        code
+        for path in PACKAGE.rglob("*.py")
+        if "explain" not in path.parts
+        for code in re.findall(r"CL\d{3}", re.sub(r"CL100 … CL129", "", path.read_text(encoding="utf-8")))
+    }
+    assert printed
+    assert printed <= set(entries())
+
+
+@pytest.mark.parametrize("entry", list(entries().values()), ids=lambda e: e.code or e.name)
+def test_an_explanation_says_what_it_means_and_what_to_do(entry):
+    assert len(entry.means) > 30
+    assert entry.do or not entry.code
+    for text in (entry.means, entry.why, entry.do):
+        assert not text or text[-1] in ".):" or not entry.code, text
+    assert entry.title
+
+
+@pytest.mark.parametrize("name", list(CODES))
+def test_a_check_is_found_by_its_code_and_by_its_name(name):
+    assert explain(CODES[name]).name == name
+    assert explain(CODES[name].lower()) == explain(CODES[name][2:])
+    assert name in explain(name).name
+
+
+@pytest.mark.parametrize(("asked", "near"), [
+    ("CL128", "CL130"), ("cl399", "CL370"), ("wal", "wall"), ("thruput", "throughput"), ("qqq", "lists all"),
+])  # fmt: skip
+def test_what_is_unknown_is_answered_with_what_is_nearest(asked, near, capsys):
+    with pytest.raises(Unexplained, match=near):
+        explain(asked)
+    assert main(["explain", asked]) == 2
+    assert near in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "key", ["tolerances.rotation", "pair.web", "seam_depth", "check.process", "tolerances", "unit"]
+)
+def test_keys_of_the_design_file_are_explained_too(key):
+    assert key in explain(key).title or key in explain(key).name
+
+
+def test_the_command_prints_text_json_and_the_list(capsys):
+    assert main(["explain", "CL337"]) == 0
+    text = capsys.readouterr().out
+    assert "why:" in text
+    assert "what to do:" in text
+    assert main(["explain", "CL337", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["name"] == "wall"
+    assert main(["explain"]) == 0
+    listed = capsys.readouterr().out
+    assert all(code in listed for code in CODES.values())
+    assert main(["explain", "--json"]) == 0
+    assert {e["code"] for e in json.loads(capsys.readouterr().out)} >= set(CODES.values())
+
+
+@pytest.mark.parametrize("old", ["file_rms", "file_eta", "file_delta", "file-rms"])
+def test_a_former_name_gives_the_check_and_says_what_it_is_called_now(old):
+    new = old.replace("-", "_").replace("file_", "faithful_")
+    entry = explain(old)
+    assert entry.code == CODES[new]
+    assert f"now called {new}" in entry.title
+    assert Check(new, "pass", "x").to_dict()["alias"] == old.replace("-", "_")
+    assert "alias" not in Check("law_rms", "pass", "x").to_dict()
+
+
+@pytest.mark.parametrize(("word", "says"), [
+    ("role", "optical-master"), ("master", "made from"), ("optical-master", "made from"), ("shape-preview", "looking"),
+    ("preview", "looking"), ("scan", "never called fit"), ("other", "no verdict"), ("verdict", "not judged"),
+    ("shape only", "coarsely"), ("shape-only", "coarsely"), ("not judged", "nothing optical"), ("not-judged", "nothing optical"),
+    ("diffraction", "λ/w"), ("best pitch", "viewer"), ("F-number", "Focal length"),
+])  # fmt: skip
+def test_the_words_of_roles_and_verdicts_are_explained(word, says):
+    assert says in explain(word).means
+
+
+def test_tilt_says_what_it_measures():
+    entry = explain("tilt")
+    assert "turn" in entry.means
+    assert "acts on light as δ does" in entry.means
+    assert "tells them apart" not in entry.why

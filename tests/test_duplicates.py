@@ -1,0 +1,81 @@
+"""No code stands twice: every run of six lines that is the same in two places is a missing function."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+RUN = 6
+"""So many code lines in a row, the same to the letter, are a double."""
+
+
+def code_lines(path: Path) -> list[tuple[int, str]]:
+    """Number and stripped text of each line that says something: no blank, comment, import or lone bracket."""
+    text = path.read_text(encoding="utf-8")
+    imports = {
+        number
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
+    return [(n, line) for n, line in lines if n not in imports and re.match(r"[^#]*\w", line)]
+
+
+def doubles(sources: dict[str, list[tuple[int, str]]]) -> dict[tuple[str, str], list[str]]:
+    """Pairs of files (one twice, where it repeats itself) that share a run: where the shared lines begin."""
+    places = defaultdict(list)
+    for name, lines in sources.items():
+        for at in range(len(lines) - RUN + 1):
+            places[tuple(line for _, line in lines[at : at + RUN])].append((name, lines[at][0]))
+    found = defaultdict(list)
+    for where in places.values():
+        for i, (first, line) in enumerate(where):
+            for second, other in where[i + 1 :]:
+                found[first, second].append(f"{first}:{line} = {second}:{other}")
+    return dict(found)
+
+
+def sources() -> dict[str, list[tuple[int, str]]]:
+    """Code lines of the package and its tests."""
+    paths = [path for room in ("clacad", "tests") for path in sorted((ROOT / room).rglob("*.py"))]
+    return {path.relative_to(ROOT).as_posix(): code_lines(path) for path in paths}
+
+
+KNOWN = {
+    ("clacad/cli/app.py", "clacad/cli/app.py"),
+    ("clacad/formats/mesh/glb.py", "clacad/formats/mesh/ply.py"),
+    ("clacad/formats/step/occ_rays.py", "clacad/formats/step/occ_rays.py"),
+    ("clacad/optics/rays.py", "clacad/tracing/ledger.py"),
+    ("clacad/optics/surface/sag_and_normal.py", "clacad/optics/surface/sag_and_normal.py"),
+    ("clacad/tracing/compiled/chunk.py", "clacad/tracing/compiled/chunk.py"),
+    ("clacad/tracing/compiled/column.py", "clacad/tracing/compiled/solid_body_short_cut.py"),
+    ("clacad/tracing/compiled/column.py", "clacad/tracing/triangles/compiled_tiles.py"),
+    ("clacad/tracing/compiled/face.py", "clacad/tracing/compiled/face.py"),
+    ("clacad/tracing/compiled/face.py", "clacad/tracing/compiled/launch.py"),
+    ("clacad/tracing/compiled/face.py", "clacad/tracing/triangles/compiled_search.py"),
+    ("clacad/tracing/compiled/solid_body_short_cut.py", "clacad/tracing/triangles/compiled_tiles.py"),
+    ("clacad/tracing/triangles/compiled_search.py", "clacad/tracing/triangles/compiled_search.py"),
+}
+"""Pairs of files that still share a run. One that is gone fails."""
+
+
+def test_no_run_of_six_lines_stands_twice():
+    found = doubles(sources())
+    new = [place for pair in sorted(found.keys() - KNOWN) for place in found[pair]]
+    assert not new, "these lines need one home:\n" + "\n".join(new)
+    assert KNOWN <= found.keys(), f"these are gone, take them off the list: {sorted(KNOWN - found.keys())}"
+
+
+def test_a_run_that_stands_twice_is_found_whatever_stands_between_its_lines(tmp_path):
+    body = "".join(f"    a{n} = {n}\n" for n in range(RUN - 1))
+    (tmp_path / "one.py").write_text(f"def one():\n    import os\n{body}    last = 1\n")
+    (tmp_path / "other.py").write_text(
+        f"def two():\n    b = (\n        2\n    )\n\n    # why\n{body}\n    last = 1\n"
+    )
+    (tmp_path / "short.py").write_text(f"def three():\n{body}")
+    read = {path.name: code_lines(path) for path in sorted(tmp_path.glob("*.py"))}
+    assert doubles(read) == {("one.py", "other.py"): ["one.py:3 = other.py:7"]}

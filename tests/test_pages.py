@@ -1,0 +1,67 @@
+"""Pages a person reads: README, CONTRIBUTING and CHANGELOG name files and modules that exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "clacad"
+
+MADE = ("exports/paper", "report/report.html", "/NAME.py")
+"""What a reader makes: the main job's folder, a file of a name of one's own."""
+
+
+def named(page: str) -> set[str]:
+    """Paths a page names: between backticks, in links, and in its commands."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"```.*?```", text, re.S)
+    found = set(re.findall(r"`([\w./<>-]+)`", re.sub(r"```.*?```", "", text, flags=re.S)))
+    found |= set(re.findall(r"\]\(([^)#:]+)\)", text))
+    found |= {word for block in blocks for word in re.findall(r"(?:tests|designs|clacad)/[\w./-]+", block)}
+    paths = {one for one in found if "/" in one or one.endswith((".py", ".md"))}
+    return {one.rstrip("/.") for one in paths if not any(made in one for made in MADE)}
+
+
+def there(path: str) -> bool:
+    """Whether a path is one of the repository, of the package, or a room within a room."""
+    return any((base / path).exists() for base in (ROOT, PACKAGE)) or any(
+        one.is_dir() for one in PACKAGE.glob(f"*/{path}")
+    )
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "exports/README.md"])
+def test_every_path_a_page_names_exists(page):
+    assert named(page)
+    assert [path for path in sorted(named(page)) if not there(path)] == []
+
+
+def test_every_room_is_on_the_map_of_the_house():
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    for page in ("README.md", "CONTRIBUTING.md"):
+        words = set(re.findall(r"\w+", (ROOT / page).read_text(encoding="utf-8")))
+        assert rooms <= words, page
+
+
+def test_where_is_it_computed_has_twenty_answers():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Where is it computed?")[2]
+    answers = re.findall(r"^\| .* \| .*`([\w/]+\.py)`.* \|$", text, re.M)
+    assert len(answers) >= 20
+    assert all((PACKAGE / answer).is_file() for answer in answers)
+
+
+def test_the_new_modules_of_the_changelog_exist():
+    """Rows of old → new: **package**: old → new, name, old → new and new; …"""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `[\w]+` \| (\*\*.*) \|$", text, re.M)
+    assert rows
+    for package, modules in re.findall(r"\*\*([\w.]+)\*\*: ([^;|]+)", ";".join(rows)):
+        folder = PACKAGE / package.replace(".", "/")
+        for entry in modules.strip().split(", "):
+            for new in entry.split(" → ")[-1].split(" and "):
+                assert any((folder / f"{new.strip()}{end}").exists() for end in (".py", "/__init__.py")), (
+                    package,
+                    new,
+                )
