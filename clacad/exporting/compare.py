@@ -12,15 +12,12 @@ from clacad.formats.mesh.closed_stream import Measure, crowded_edges
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.volume_and_extent import Integral, distance_to_face, least_extent, whole_extent
-from clacad.sheet.window import Window
+from clacad.sheet.window import WALL, Window
 from clacad.solid.marks import Pocket
 from clacad.storage.errors import FileDisagrees
 
 SAMPLES = 6000
 """Facets looked at closely in a file; about 1,000 and more on each optical face."""
-
-WALL = 0.05
-"""A facet whose |n_z| is less is a wall."""
 
 EDGE_COUNT_LIMIT = 3_000_000
 """Up to this many facets every edge is counted, beyond it only balanced."""
@@ -98,8 +95,7 @@ def compare_mesh(
     _compare_places(mesh, window, scale, name)
     slack = rounding(window, promise.single)
     _compare_box(found, window, promise, slack, name)
-    samples = _sampled(mesh, scale)
-    chord = _compare_shape(samples, window, promise, slack, name)
+    chord = _compare_shape(_sampled(mesh, scale), window, promise, slack, name)
     exact = None
     if volume is not None:
         exact = _compare_volume(found, window, promise, chord, slack, volume, name)
@@ -118,6 +114,7 @@ def rounding(window: Window, single: bool) -> float:
 
 
 def _compare_box(found: Measure, window: Window, promise: Promise, slack: float, name: str) -> None:
+    """Compare where a file ends on every side with where the design does."""
     x0, x1, y0, y1 = whole_extent(window)
     least = least_extent(window)
     pairs = [
@@ -178,22 +175,9 @@ def _compare_shape(
     length = np.linalg.norm(normal, axis=1)
     n_z = np.where(length > 0.0, normal[:, 2] / np.where(length > 0.0, length, 1.0), 0.0)
     optical = np.abs(n_z) >= WALL
-    middle = facets.mean(axis=1)
     if promise.bevel > 0.0:
-        optical &= ~in_corners(window, middle, promise.bevel)
-    points = np.concatenate([facets, middle[:, None]], axis=1)
-    off = np.full((len(facets), 4), np.inf)
-    for body in window.bodies:
-        for face in (body.front, body.back):
-            mine = np.flatnonzero(optical & (np.sign(n_z) == -face.side))
-            if len(mine):
-                off[mine] = np.minimum(
-                    off[mine], distance_to_face(window, face, points[mine], middle[mine, :2])
-                )
-    for pocket in promise.pockets:
-        floor = pocket.on_floor(facets, slack + promise.merge)
-        off[floor] = np.abs(points[floor, :, 2] - pocket.floor)
-    off = off[optical]
+        optical &= ~in_corners(window, facets.mean(axis=1), promise.bevel)
+    off = _off_surface(facets, np.where(optical, np.sign(n_z), 0.0), window, promise, slack)[optical]
     upright = np.abs(n_z[optical])
     at_corners = (off[:, :3].max(axis=1) * upright).max(initial=0.0)
     at_middle = (off[:, 3] * upright).max(initial=0.0)
@@ -209,6 +193,26 @@ def _compare_shape(
     share = 0.75 * off[:, 3] * area
     everything = len(facets) or 1
     return float(share.sum() / everything), float(share.std() / np.sqrt(everything))
+
+
+def _off_surface(facets: Floats, side: Floats, window: Window, promise: Promise, slack: float) -> Floats:
+    """Distance (n, 4) of the corners and the middle of each facet from the nearest face that looks its way.
+
+    side : (n,) +1 where a facet looks towards +z, −1 towards −z, 0 where it is no optical one (its distance is infinite)
+    """
+    middle = facets.mean(axis=1)
+    points = np.concatenate([facets, middle[:, None]], axis=1)
+    off = np.full((len(facets), 4), np.inf)
+    for body in window.bodies:
+        for face in (body.front, body.back):
+            mine = np.flatnonzero(side == -face.side)
+            if len(mine):
+                found = distance_to_face(window, face, points[mine], middle[mine, :2])
+                off[mine] = np.minimum(off[mine], found)
+    for pocket in promise.pockets:
+        floor = pocket.on_floor(facets, slack + promise.merge)
+        off[floor] = np.abs(points[floor, :, 2] - pocket.floor)
+    return off
 
 
 def _pitch(window: Window) -> float:

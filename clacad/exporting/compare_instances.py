@@ -18,10 +18,7 @@ from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.sheet.window import Body, Face, Window
-
-WALL = 0.05
-"""A facet whose |n_z| is less is a wall."""
+from clacad.sheet.window import WALL, Body, Face, Window
 
 COVERED = 0.02
 """Share of a cell's area that a part's facets must lie over to stand for that cell; lenses without land may be small."""
@@ -124,7 +121,7 @@ def _triple(values: Floats) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class PartPlaces:
     """Where the places of one object stand on the lattice.
 
     Parameters
@@ -159,9 +156,9 @@ class Standing:
 
     Parameters
     ----------
-    places : tuple of Places
+    places : tuple of PartPlaces
     count : int
-        Places that were compared.
+        PartPlaces that were compared.
     worst : float, design units
     worst_cell : (i, j) or None
         Cell of the place that is farthest off.
@@ -173,7 +170,7 @@ class Standing:
         How many of each.
     """
 
-    places: tuple[Places, ...]
+    places: tuple[PartPlaces, ...]
     count: int
     worst: float
     worst_cell: Cell | None
@@ -241,13 +238,14 @@ def placing_room(window: Window) -> float:
     return 2.0**-23 * reach
 
 
-def cell_of(places: Places) -> Cell:
+def cell_of(places: PartPlaces) -> Cell:
     """Cell under the place that is farthest off."""
     i, j = next(iter(places.cells.values()))[0] + places.step[int(np.argmax(places.off))]
     return int(i), int(j)
 
 
-def _stand(parts: list[Part], window: Window, factor: float) -> Places | None:
+def _stand(parts: list[Part], window: Window, factor: float) -> PartPlaces | None:
+    """Places of one repeated part among the cells of the window; None where it covers none."""
     placements = parts[0].placements
     turns = kinds(parts[0])
     usual, rows = turns[0]
@@ -267,7 +265,7 @@ def _stand(parts: list[Part], window: Window, factor: float) -> Places | None:
     for linear, turned in turns[1:]:
         bent = (corners - middle) @ (linear - usual) * factor
         distance[turned] = np.linalg.norm(off[turned, None] + bent, axis=2).max(axis=1)
-    return Places(tuple(parts), cells, step, distance, spills)
+    return PartPlaces(tuple(parts), cells, step, distance, spills)
 
 
 def _steps(centre: Floats, basis: Floats, first: int) -> tuple[Ints, Floats]:
@@ -324,7 +322,7 @@ def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats
 
 
 def _covering(
-    found: Sequence[Places], mesh: FileMesh, window: Window, factor: float
+    found: Sequence[PartPlaces], mesh: FileMesh, window: Window, factor: float
 ) -> tuple[list[Cell], list[Cell], list[Cell], tuple[int, int, int]]:
     """Cells without a place, cells with several, and places beside the sheet: the first few, and how many."""
     lattice = window.lattice

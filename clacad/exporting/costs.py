@@ -13,19 +13,19 @@ BASE = 0.02
 """Opening, hashing and reading back a file of next to nothing."""
 
 
-def prepare(quads: Sequence[int]) -> float:
+def prepare_seconds(quads: Sequence[int]) -> float:
     """Everything before the first file and after the last: prescribing, forecasting, meshing a cell at every grid and
     tracing it, publishing.
     """
     return 0.11 + 1.9e-4 * sum(grid * grid for grid in quads) + (1.6 if quads else 0.0)
 
 
-def stl(facets: int) -> float:
+def stl_seconds(facets: int) -> float:
     """Triangles streamed out and back."""
     return BASE + 4.4e-6 * facets
 
 
-def welded(name: str, held: int, places: int) -> float:
+def welded_seconds(name: str, held: int, places: int) -> float:
     """Shared vertices, exact normals and, where cells repeat, their places."""
     if name == "ply":
         return BASE + 4.2e-7 * held * log2(max(2, held))
@@ -35,13 +35,13 @@ def welded(name: str, held: int, places: int) -> float:
     return BASE + 0.01 + each * held + place * places
 
 
-def step(size: int, mode: str) -> float:
-    """STEP: text, and the kernel reading it in a process of its own."""
+def step_seconds(size: int, mode: str) -> float:
+    """STEP: text, and the CAD kernel reading it in a process of its own."""
     return 0.68 + 1.12e-6 * size if mode == "fused" else 0.85 + 2.8e-6 * size
 
 
-def kernel(size: int) -> float:
-    """Solids made by the kernel: frame, coupon, BREP."""
+def solid_seconds(size: int) -> float:
+    """Solids made by the CAD kernel: frame, coupon, BREP."""
     return 1.5 + 2.0e-6 * size
 
 
@@ -49,6 +49,6 @@ PER_DRAWN = {"tiff": 4.4e-7, "png": 2.2e-7, "xyz": 1.3e-6, "table": 4e-8, "mask"
 """Seconds a pixel or point; of tables and masks, a hundredth of a lenslet."""
 
 
-def map(name: str, drawn: int, faces: int) -> float:
+def map_seconds(name: str, drawn: int, faces: int) -> float:
     """Height maps, points, tables, masks; one cell of a face as a grid of sag costs the same however many there are."""
     return BASE + (0.015 * faces if name in ("sag", "pov") else PER_DRAWN.get(name, 4e-7) * drawn)

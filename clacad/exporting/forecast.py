@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Rates
 from clacad.base.units import millimetres
-from clacad.exporting import costs as cost
+from clacad.exporting import costs
 from clacad.exporting.format_names import MARKED_MESHES, SOLIDS, WELDED_FORMATS
 from clacad.exporting.limits import (
     MOST_BYTES,
@@ -143,10 +143,10 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
     if name == "baffle":
         sides = len(window.lattice.steps)
         row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None,
-                       cost.stl(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
+                       costs.stl_seconds(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
         return row
     size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
-    return Forecast(name, size, False, None, None, cost.kernel(size), (500_000_000, 2_500_000_000))
+    return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))
 
 
 def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
@@ -162,7 +162,7 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
         plain = replace(_forecast_welded(meshes, "3mf", quads), format=name)
     facets = plain.facets or 1
     share = (facets + letters) / facets
-    seconds = plain.modelled * share + cost.kernel(0)
+    seconds = plain.modelled * share + costs.solid_seconds(0)
     return replace(
         plain, bytes=int(plain.bytes * share), facets=facets + letters, modelled=seconds, stored=None
     )
@@ -170,10 +170,11 @@ def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
 
 def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -> Forecast:
     size = 84 * files + 50 * facets
-    return Forecast(name, size, exact, facets, quads, cost.stl(facets), (80_000_000, 400_000_000))
+    return Forecast(name, size, exact, facets, quads, costs.stl_seconds(facets), (80_000_000, 400_000_000))
 
 
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
+    """Price of a mesh of shared vertices: PLY, GLB or 3MF."""
     from clacad.exporting.file_sizes import glb_place_bytes, threemf_bytes, threemf_place_bytes
     from clacad.exporting.tessellations import instanceable
     from clacad.formats.mesh.ply import ply_bytes
@@ -195,7 +196,7 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
         nodes = threemf_place_bytes(window) if places else 0
         size = threemf_bytes(meshes, quads) + nodes
     memory = int(700 * held + 400 * places)
-    seconds = cost.welded(name, held, places)
+    seconds = costs.welded_seconds(name, held, places)
     return Forecast(
         name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000),
         stored=held, places=nodes,
@@ -213,10 +214,11 @@ def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast
     else:
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
     size = step_bytes(window, mode, pcurves)
-    return Forecast("step", size, False, None, None, cost.step(size, mode), memory)
+    return Forecast("step", size, False, None, None, costs.step_seconds(size, mode), memory)
 
 
 def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
+    """Price of maps, points, tables, masks and scenes; `levels` of GDSII."""
     from clacad.exporting import file_sizes
     from clacad.formats.maps.sag import samples_per_cell, structured_faces
 
@@ -242,7 +244,9 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
     drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
         name, 100 * cells * faces
     )
-    return Forecast(name, size, False, None, None, cost.map(name, drawn, faces), (100_000_000, 400_000_000))
+    return Forecast(
+        name, size, False, None, None, costs.map_seconds(name, drawn, faces), (100_000_000, 400_000_000)
+    )
 
 
 def outlook(window: Window) -> list[dict[str, Any]]:

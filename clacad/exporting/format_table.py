@@ -96,6 +96,7 @@ def _stl_parts(job: Job) -> list[FileRecord]:
 
 
 def _one_stl(job: Job, name: str, window: Window) -> FileRecord:
+    """Write some bodies of the sheet as one STL file, read it back, compare."""
     from clacad.exporting.compare import compare_mesh
     from clacad.formats.mesh.readers import read_mesh
     from clacad.formats.mesh.stl import check_stl_facets, write_stl
@@ -252,6 +253,7 @@ def _png(job: Job) -> list[FileRecord]:
 
 
 def _gds(job: Job) -> list[FileRecord]:
+    """One GDSII file a structured face, and one calibration file for them all."""
     from clacad.formats.maps.gds import check_gds, grey_cell, write_gds
     from clacad.formats.maps.sag import structured_faces
 
@@ -309,6 +311,7 @@ def _table(job: Job) -> list[FileRecord]:
 
 
 def _mask(job: Job) -> list[FileRecord]:
+    """Two masks a structured face, SVG and DXF."""
     from clacad.formats.maps.mask import check_mask, write_dxf, write_svg
     from clacad.formats.maps.sag import structured_faces
 

@@ -93,6 +93,7 @@ def refuse_cells(n1: int, n2: int) -> None:
 def _refuse_facets(
     format: str, facets: int, quads: int, count: tuple[int, int], at_least: bool = True
 ) -> None:
+    """Refuse an STL of more facets or bytes than the limits; `count`: cells each way, for the way out."""
     size = 84 + 50 * facets
     if facets <= MOST_FACETS and size <= MOST_BYTES:
         return

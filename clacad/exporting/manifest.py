@@ -130,6 +130,7 @@ def document(design: Design, window: Window, records: Sequence[FileRecord], opti
 
 
 def _window(design: Design, window: Window) -> dict[str, Any]:
+    """The window as the manifest keeps it: recipe, count and cells; lengths in mm."""
     scale = millimetres(window.unit)
     recipe = {k: plain(v, lambda _: "infinite") for k, v in window.recipe.items() if v is not None}
     for key in ("R", "f", "d", "T", "s"):

@@ -66,14 +66,46 @@ def _declared(default: Any, option: Option) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What was asked of an export; what each field means: see `clacad.exporting.export_design.export`.
+    """What was asked of an export.
 
     Parameters
     ----------
-    quads : mapping
-        Mesh format → facet grid asked for, as `asked_quads` gives it; formats of which nothing was said are left out.
-    role : mapping
-        Format → role declared, as `asked_roles` gives it.
+    formats : sequence of str
+        step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
+        `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
+        marked-stl (the same as meshes, one file a body), marked-3mf (in one file).
+    slope_error : float or "auto"
+        Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
+        cell side whose STL stays within 2 GB and 50 M facets. Files declared previews are left out.
+    quads : mapping; of `export` also int, "auto" or None
+        Facet grid a cell side of each mesh format, as in {"3mf": "auto", "stl": 4}; asked for as one, of all. Overrides
+        `slope_error`. "auto" is the smallest power of two from 4 to 1024 through which light is forecast to meet the
+        design's limits (within 95 %), if such a file stays within the limits of facets and bytes; else the finest
+        that does. Formats that repeat one cell (3MF, GLB) are held to the limits by the one they store.
+    step : "auto", "fused" or "instanced"
+        auto is fused up to 2,500 cells.
+    cells : (a, b) or None
+        The same design with another count, centred.
+    overwrite : bool
+        Replace files that no export of ours owns.
+    force : bool
+        Pass the limits on facets, bytes and memory.
+    step_schema : "ap242" or "ap214"
+        Application protocol of STEP files.
+    pcurves : bool
+        Whether fused STEP files hold the exact parameter curves; without them they are smaller and readers
+        recompute the curves.
+    saddle_bevel : float, length
+        Meshes: width of the bevels that give columns which touch at a saddle real contact; 0: none, the columns
+        touch and the surface is exact. STEP is exact always.
+    gpu_instancing : bool
+        GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
+    grey_levels : int
+        GDSII: number of layers from the lowest to the highest point of a face.
+    role : mapping; of `export` also "master", "preview" or None
+        What the files of each format are for, as in {"stl": "preview"}; asked for as one, of all. Not declared: a mesh
+        is a master where the light through it is forecast within the design's limits, else a preview (4 quads a cell
+        side where nothing else is said of one that is declared); everything else with optics is a master.
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
 from clacad.base.types import Progress
-from clacad.exporting import costs as cost
-from clacad.exporting import limits
+from clacad.exporting import costs, limits
 from clacad.exporting.forecast import Forecast, forecast
 from clacad.exporting.format_names import known_formats
 from clacad.exporting.format_table import WRITERS, Job
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 PREPARE = "export prepare"
 
-KERNEL = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
+CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 """What the worker loads while the parent still prepares the work."""
 
 
@@ -43,9 +42,9 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
     began, used = time.monotonic(), time.process_time()
-    with ended_by_signals(), Worker(memory=_worker_memory(), preload=KERNEL) as worker:
+    with ended_by_signals(), Worker(memory=_worker_memory(), preload=CAD_MODULES) as worker:
         if "step" in formats:
-            worker.start()  # the kernel loads while the design is prescribed and forecast
+            worker.start()  # the CAD kernel loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
         meshes = Meshes(window, request.saddle_bevel)
@@ -112,7 +111,7 @@ def _forecast(
 
 def prepare_seconds(quads: Iterable[int]) -> float:
     """Modelled seconds of an export before its first file; `quads`: the facet grids that are meshed."""
-    return cost.prepare(sorted(quads))
+    return costs.prepare_seconds(sorted(quads))
 
 
 def in_all(rows: Sequence[Forecast]) -> Span:
@@ -132,7 +131,7 @@ def _silent(_name: str, _done: float) -> None:
 
 
 def _worker_memory() -> int:
-    """Address space of the worker: what is free, but never less than the kernel itself maps."""
+    """Address space of the worker: what is free, but never less than the CAD kernel itself maps."""
     return max(4_000_000_000, int(limits.MEMORY_SHARE * limits.free_memory()))
 
 

@@ -101,28 +101,15 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
     ------
     FileDisagrees
     """
-    scale = millimetres(window.unit)
-    pitch = min(window.lattice.pitch) * scale
     if found["dangling"] or found["open_edges"]:
         raise FileDisagrees(
             f"{name}: {found['dangling']} references lead nowhere, {found['open_edges']} edges are open"
         )
     checks = ["closed"]
     if found["kernel"]:
-        for key in ("solids", "faces"):
-            if found[f"kernel_{key}"] != written[key]:
-                raise FileDisagrees(
-                    f"{name}: the kernel finds {found[f'kernel_{key}']} {key}, {written[key]} were written"
-                )
-        if not found["valid"]:
-            raise FileDisagrees(f"{name}: the kernel finds a solid that is not valid")
-        gap = TOLERANCE + 1.2 * written["largest_shift"] + 4.0 * (written["fit_error"] + written["rim_error"])
-        if not found["tolerance"] <= gap:
-            raise FileDisagrees(
-                f"{name}: the kernel had to bridge gaps of {found['tolerance']:.3g} mm between edges and faces; "
-                f"{gap:.2g} is what was written"
-            )
-    room = SHAPE_LIMIT * pitch + written["fit_error"] + written["largest_shift"]
+        _compare_solids(written, found, name)
+    scale = millimetres(window.unit)
+    room = SHAPE_LIMIT * min(window.lattice.pitch) * scale + written["fit_error"] + written["largest_shift"]
     measured = [found.get(key) for key in ("patch_error", "lens_error")]
     for error in measured:
         if error is not None and not error <= room:
@@ -145,8 +132,26 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
     return tuple(checks)
 
 
+def _compare_solids(written: dict[str, Any], found: dict[str, Any], name: str) -> None:
+    """Compare what the CAD kernel finds with what was written: solids, faces, and gaps between edges and faces."""
+    for key in ("solids", "faces"):
+        if found[f"kernel_{key}"] != written[key]:
+            raise FileDisagrees(
+                f"{name}: the kernel finds {found[f'kernel_{key}']} {key}, {written[key]} were written"
+            )
+    if not found["valid"]:
+        raise FileDisagrees(f"{name}: the kernel finds a solid that is not valid")
+    gap = TOLERANCE + 1.2 * written["largest_shift"] + 4.0 * (written["fit_error"] + written["rim_error"])
+    if not found["tolerance"] <= gap:
+        raise FileDisagrees(
+            f"{name}: the kernel had to bridge gaps of {found['tolerance']:.3g} mm between edges and faces; "
+            f"{gap:.2g} is what was written"
+        )
+
+
 def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral, scale: float, name: str
                     ) -> None:  # fmt: skip
+    """Compare the volume that the CAD kernel finds with the exact integral; `scale`: millimetres per design unit."""
     x0, x1, y0, y1 = whole_extent(window)
     area = (x1 - x0) * (y1 - y0) * scale**2 * 2 * len(window.bodies)
     want = exact.value * scale**3

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.exporting.compare import WALL, Promise
+from clacad.exporting.compare import Promise
 from clacad.exporting.format_names import REPEATING
 from clacad.formats.mesh.repeated_pieces import Piece, Places
-from clacad.sheet.window import Body, Face, Land, Window, lens_height_and_normal
+from clacad.sheet.window import WALL, Body, Face, Land, Window, lens_height_and_normal
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh

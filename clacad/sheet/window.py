@@ -34,6 +34,9 @@ Form = Literal["biconvex", "plano", "slab"]
 IDENTITY = np.eye(3)
 PLANE = Quadric(0.0, 0.0, 0.0)
 
+WALL = 0.05
+"""A face or facet whose unit normal has |n_z| below this is a wall."""
+
 
 @dataclass(frozen=True, eq=False)
 class Face:

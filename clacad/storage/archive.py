@@ -42,6 +42,8 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 
 
 def _judge(path: Path, entries: list[zipfile.ZipInfo]) -> None:
+    """Refuse an archive by what its directory says."""
+
     def refuse(why: str) -> None:
         raise UnreadableFile(f"{path.name}: {why}")
 
@@ -89,6 +91,30 @@ def parse_xml(stream: IO[bytes], name: str, start: Callable[[str, Attributes], N
     ------
     UnreadableFile
     """
+    parser = _guarded_parser(name, start, end)
+    if text is not None:
+        parser.buffer_text = True
+        parser.CharacterDataHandler = text
+    total = 0
+    try:
+        while block := stream.read(1 << 16):
+            total += len(block)
+            if total > MOST_BYTES:
+                raise UnreadableFile(f"{name}: more than {MOST_BYTES} bytes of XML")
+            parser.Parse(block, False)
+        parser.Parse(b"", True)
+    except (xml.parsers.expat.ExpatError, zipfile.BadZipFile, EOFError, OSError, zlib_error()) as error:
+        raise UnreadableFile(f"{name}: damaged ({error})") from error
+    except UnreadableFile:
+        raise
+    except (LookupError, ValueError) as error:  # an encoding that Python does not know, or not for XML
+        raise UnreadableFile(f"{name}: its XML is in no encoding that can be read ({error})") from error
+
+
+def _guarded_parser(
+    name: str, start: Callable[[str, Attributes], None], end: Callable[[str], None]
+) -> xml.parsers.expat.XMLParserType:
+    """Parser that refuses document types, entities and elements nested too deep."""
     parser = xml.parsers.expat.ParserCreate()
     depth = 0
 
@@ -112,26 +138,7 @@ def parse_xml(stream: IO[bytes], name: str, start: Callable[[str, Attributes], N
     parser.ExternalEntityRefHandler = forbidden
     parser.StartElementHandler = opened
     parser.EndElementHandler = closed
-    if text is not None:
-        parser.buffer_text = True
-        parser.CharacterDataHandler = text
-    total = 0
-    try:
-        while block := stream.read(1 << 16):
-            total += len(block)
-            if total > MOST_BYTES:
-                raise UnreadableFile(f"{name}: more than {MOST_BYTES} bytes of XML")
-            parser.Parse(block, False)
-        parser.Parse(b"", True)
-    except (xml.parsers.expat.ExpatError, zipfile.BadZipFile, EOFError, OSError, zlib_error()) as error:
-        raise UnreadableFile(f"{name}: damaged ({error})") from error
-    except UnreadableFile:
-        raise
-    except (
-        LookupError,
-        ValueError,
-    ) as error:  # the XML names an encoding that Python does not know, or not for XML
-        raise UnreadableFile(f"{name}: its XML is in no encoding that can be read ({error})") from error
+    return parser
 
 
 def zlib_error() -> type[Exception]:

@@ -150,6 +150,7 @@ class Stage:
         return [] if self._private is None else sorted(self._private.iterdir())
 
     def _may_replace(self, name: str) -> None:
+        """Refuse to write over a folder, or over what no export of ours wrote."""
         target = self.folder / name
         if not os.path.lexists(target):
             return
@@ -174,12 +175,8 @@ class Stage:
     ) -> None:
         """Make every file in the private folder visible; the manifest comes last.
 
-        Parameters
-        ----------
-        manifest : mapping or None
-            Written as `manifest.json`; None publishes the files alone.
-        extra : mapping or None
-            Run facts, written as `run.json`, outside the promise of equal bytes.
+        manifest : written as `manifest.json`; None publishes the files alone
+        extra : run facts, written as `run.json`, outside the promise of equal bytes
         """
         assert self._private is not None, "a Stage is used inside its with block"
         with translated(self.folder):

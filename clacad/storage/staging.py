@@ -24,22 +24,8 @@ def exchange(
 ) -> None:
     """Move files into place, old ones out of it, and one last; undo it all if one cannot be moved.
 
-    Parameters
-    ----------
-    private, folder : path
-        Where the files are, and where they shall be.
-    names : list of str
-        Files to be moved, under their names.
-    gone : list of str
-        Files of `folder` that go first and for good.
-    last : (str, str) or None
-        A private file and the name it is published by.
-
-    Raises
-    ------
-    OSError
-        Nothing has changed.
-    Unfinished
+    `names` are moved from `private` into `folder`; files `gone` leave it first and for good; `last` is a private file
+    and the name it is published by. OSError: nothing has changed. Unfinished: it could neither be done nor undone.
     """
 
     def kept(name: str) -> Path:

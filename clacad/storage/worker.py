@@ -112,24 +112,16 @@ class Worker:
             **options: Any) -> Any:  # fmt: skip
         """Call `function` ("module:name") in the child and return its JSON-able result.
 
-        Parameters
-        ----------
-        function : str
-        *arguments, **options
-            Passed on (pickled: they come from this program, never from a file).
-        timeout : float or None
-            Seconds after which the child is killed.
-        progress : callable or None
-            Receives the stages the function reports through `report_stage`.
+        arguments, options : passed on (pickled: they come from this program, never from a file)
+        timeout : seconds after which the child is killed
+        progress : receives the stages the function reports through `report_stage`
 
         Raises
         ------
         WorkerDied
             The child crashed, ran out of memory or time, or answered nonsense.
-        CannotWrite, LimitRefused, UnreadableFile, FileDisagrees, ExportRefused
-            Raised by the function itself.
-        NotPossible
-            Any other error of the function that has an exit status of its own.
+        CannotWrite, LimitRefused, UnreadableFile, FileDisagrees, ExportRefused, NotPossible
+            Raised by the function itself; the last for any other error that has an exit status of its own.
         """
         self.start()
         process = self._process
@@ -175,6 +167,7 @@ class Worker:
             self._errors.close()
 
     def _messages(self, deadline: float | None, timeout: float | None) -> Iterator[dict[str, Any]]:
+        """The child's messages as they come; ends with an exception, at the latest at the deadline (monotonic seconds)."""
         while True:
             line, newline, rest = self._pending.partition(b"\n")
             if newline:
@@ -229,6 +222,7 @@ class Worker:
 
 
 def _cause(status: int, peak: int, limits: tuple[int | None, int | None], stage: str, words: str) -> str:
+    """Why a process ended, as a sentence; `peak` bytes, `limits` (bytes, seconds of processor time)."""
     memory, cpu = limits
     at = f" at about {peak / 1e9:.1f} GB" if peak else ""
     limit = "" if memory is None else f" (limit {memory / 1e9:.1f} GB)"
@@ -341,6 +335,7 @@ def serve(answers: int, parent: int, memory: int | None, cpu: int | None, preloa
 
 
 def _called(request: tuple[str, tuple[Any, ...], dict[str, Any]]) -> dict[str, Any]:
+    """Answer to one call: a message with its result, or with what it raised."""
     import traceback
     from importlib import import_module
 

@@ -281,7 +281,7 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     from OCP.STEPControl import STEPControl_AsIs, STEPControl_Writer
 
     from clacad.exporting.export_design import export
-    from clacad.formats.step.read_back import kernel_shape
+    from clacad.formats.step.read_back import occ_shape
 
     export(DESIGN.with_cells((4, 3)), tmp_path / "made", ("step",))
     made = next((tmp_path / "made").glob("*.step"))
@@ -290,7 +290,7 @@ def test_a_step_file_of_a_few_cells_is_found_turned_and_elsewhere(tmp_path):
     moved.SetTranslation(gp_Vec(5, 6, 7))
     moved.Multiply(turned)
     writer = STEPControl_Writer()
-    writer.Transfer(BRepBuilderAPI_Transform(kernel_shape(made), moved, True).Shape(), STEPControl_AsIs)
+    writer.Transfer(BRepBuilderAPI_Transform(occ_shape(made), moved, True).Shape(), STEPControl_AsIs)
     writer.Write(str(tmp_path / "part.step"))
     report = verify(DESIGN, tmp_path / "part.step", rays=RAYS)
     about = {c.id: c for c in report.checks if c.subject == "part.step"}

@@ -62,10 +62,10 @@ def good(checks):
 # -- another program ----------------------------------------------------------------------------------
 
 
-def kernel_shape(path):
-    from clacad.formats.step.read_back import kernel_shape
+def occ_shape(path):
+    from clacad.formats.step.read_back import occ_shape
 
-    return kernel_shape(path)
+    return occ_shape(path)
 
 
 def solids(shape):
@@ -147,7 +147,7 @@ def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_s
 ):
     design, window = written[bodies]
     mode = "instanced" if structure == "instanced" else "fused"
-    shape = kernel_shape(written[bodies, mode])
+    shape = occ_shape(written[bodies, mode])
     shape = levels(shape) if structure == "levels" else shape
     path = written_by_another(shape, tmp_path / "x.step", unit, structure != "flat")
     assert scan_step(path).units == (pytest.approx(UNITS[unit]),)
@@ -166,7 +166,7 @@ def test_a_kernel_s_own_file_gets_the_same_rows(written, tmp_path, bodies, mode)
 
     design, window = written[bodies]
     path = tmp_path / "x.brep"
-    BRepTools.Write_s(kernel_shape(written[bodies, mode]), str(path))
+    BRepTools.Write_s(occ_shape(written[bodies, mode]), str(path))
     checks, facts = judged(design, window, path)
     assert good(checks) == []
     assert {checks[name].state for name in (*IDS, "placement")} == {"pass"}
@@ -177,7 +177,7 @@ def test_a_kernel_s_own_file_gets_the_same_rows(written, tmp_path, bodies, mode)
 @pytest.mark.parametrize("unit", ["MM", "INCH"])
 def test_a_part_a_thousandth_too_small_fails(written, tmp_path, unit, structure):
     design, window = written["two"]
-    shape = compound([moved(s, factor=0.999) for s in solids(kernel_shape(written["two", "fused"]))])
+    shape = compound([moved(s, factor=0.999) for s in solids(occ_shape(written["two", "fused"]))])
     checks, _ = judged(
         design, window, written_by_another(shape, tmp_path / "x.step", unit, structure != "flat")
     )
@@ -206,7 +206,7 @@ def test_lenses_whose_radius_is_off_by_a_hundredth_fail(tmp_path):
 def test_one_body_moved_by_a_two_hundredth_of_the_separation_fails(written, tmp_path, unit, axis):
     design, window = written["two"]
     far = 0.005 * window.thin.separation * window.unit * 1e3
-    first, second = solids(kernel_shape(written["two", "fused"]))
+    first, second = solids(occ_shape(written["two", "fused"]))
     path = written_by_another(
         compound([first, moved(second, **{axis: far})]), tmp_path / "x.step", unit, True
     )
@@ -269,7 +269,7 @@ def test_a_cell_left_out_and_a_cell_put_twice_are_named(written, tmp_path):
     assert facts["placement"]["missing"] == 2 * 4
     assert facts["placement"]["missing_cell"][2] == 1
     pitch = window.lattice.pitch[1] * window.unit * 1e3
-    shape = kernel_shape(written["one", "instanced"])
+    shape = occ_shape(written["one", "instanced"])
     first = solids(shape)[0]
     twice = compound([shape, first, moved(first, y=0.0)])
     checks, facts = judged(design, window, written_by_another(twice, tmp_path / "more.step", "MM", True))
@@ -283,7 +283,7 @@ def test_mapped_items_and_turned_parts_are_placed(tmp_path):
     design = design_of("slab", (2, 2))
     window = clacad.prescribe(design)
     write_step(window, tmp_path / "x.step", mode="fused")
-    part = kernel_shape(tmp_path / "x.step")
+    part = occ_shape(tmp_path / "x.step")
     parts = compound([moved(moved(part, turn=0.3), x=5.0 * k, y=1.0, z=2.0) for k in range(3)])
     path = written_by_another(compound([moved(parts, turn=-1.1)]), tmp_path / "y.step", "INCH", True)
     scan = scan_step(path)
@@ -298,7 +298,7 @@ def test_mapped_items_and_turned_parts_are_placed(tmp_path):
     from OCP.BRepExtrema import BRepExtrema_DistShapeShape
     from OCP.gp import gp_Pnt
 
-    read = kernel_shape(path)
+    read = occ_shape(path)
     for point in ours[:: len(ours) // 12]:
         vertex = BRepBuilderAPI_MakeVertex(gp_Pnt(*point.tolist())).Vertex()
         assert BRepExtrema_DistShapeShape(vertex, read).Value() < 1e-6
@@ -342,7 +342,7 @@ def rippled(shape, height):
 def test_lens_faces_that_another_program_fitted_closely_pass_by_their_light(written, tmp_path, bodies):
     design, window = written[bodies]
     pitch = min(window.lattice.pitch) * window.unit * 1e3
-    shape = fitted(kernel_shape(written[bodies, "fused"]), 1e-6 * pitch)
+    shape = fitted(occ_shape(written[bodies, "fused"]), 1e-6 * pitch)
     checks, facts = judged(design, window, written_by_another(shape, tmp_path / "x.step"))
     assert facts["patches"] == 0 or facts["uneven"] or facts["patch_error"] > 1e-12 * pitch
     assert good(checks) == []
@@ -352,7 +352,7 @@ def test_lens_faces_that_another_program_fitted_closely_pass_by_their_light(writ
 def test_lens_faces_that_another_program_fitted_badly_fail(written, tmp_path):
     design, window = written["one"]
     pitch = min(window.lattice.pitch) * window.unit * 1e3
-    shape = rippled(fitted(kernel_shape(written["one", "fused"]), 1e-6 * pitch), 0.01 * pitch)
+    shape = rippled(fitted(occ_shape(written["one", "fused"]), 1e-6 * pitch), 0.01 * pitch)
     checks, _ = judged(design, window, written_by_another(shape, tmp_path / "x.step"))
     assert checks["shape"].state == "fail"
     assert checks["faithful_rms"].state == "fail"
@@ -404,7 +404,7 @@ def test_a_piece_with_a_drilled_hole_is_recognised_and_the_hole_is_named(tmp_pat
     design = clacad.load(str(DESIGNS / "slab.toml"))
     write_step(clacad.prescribe(design.with_cells((4, 4))), tmp_path / "x.step", mode="fused")
     drill = BRepPrimAPI_MakeCylinder(gp_Ax2(gp_Pnt(0.7, -0.3, -5), gp_Dir(0, 0, 1)), 0.15, 40).Shape()
-    part = BRepAlgoAPI_Cut(kernel_shape(tmp_path / "x.step"), drill).Shape()
+    part = BRepAlgoAPI_Cut(occ_shape(tmp_path / "x.step"), drill).Shape()
     report = verify(design, written_by_another(part, tmp_path / "piece.step"), rays=2048)
     found = {check.id: check for check in report.checks if check.where == "file"}
     assert report.files[0].window.lattice.count == (4, 4)

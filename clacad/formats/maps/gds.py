@@ -114,31 +114,32 @@ def grey_cell(window: Window, body: Body, face: Face, label: str, levels: int, s
     """
     if not 2 <= levels <= MOST_LEVELS:
         raise NotPossible(f"gds: {levels} grey levels; 2 to {MOST_LEVELS} layers can be written")
-    lattice = window.lattice
-    one = window.with_cells((1, 1))
     map_ = height_map(window, body, face, label, PER_CELL)
     if not map_.high > map_.low:
         raise NotPossible(f"gds: {label} is flat; there is one level only")
-    tile = lattice.tile()
+    tile = window.lattice.tile()
     width, height = (float(np.ptp(tile[:, axis])) for axis in (0, 1))
-    across = width / PER_CELL
-    along = lattice.a2[1] / PER_CELL
+    across, along = width / PER_CELL, window.lattice.a2[1] / PER_CELL
     rows = 2 * int(np.ceil(0.5 * height / along - 1e-9))
     if min(across, along) * scale * 1e3 < 4.0 * GRID:
         raise NotPossible(f"gds: pixels of {across * scale * 1e6:.3g} nm lie below the file's grid of 1 nm")
     x, y = np.meshgrid(
         (np.arange(PER_CELL) + 0.5 - 0.5 * PER_CELL) * across, (np.arange(rows) + 0.5 - 0.5 * rows) * along
     )
-    index, _, _ = one.lattice.locate(x.ravel(), y.ravel())
-    inside = (index == 0).all(axis=1)
-    assert face.array is not None
-    dx, dy = one.shifts[face.array]
-    found = outward_height(one, body, face, x.ravel() + dx, y.ravel() + dy, map_.reference)
-    inside &= np.isfinite(found)
-    part = np.where(inside, (found - map_.low) / (map_.high - map_.low), 0.0)
-    level = np.where(inside, np.clip(np.rint(part * (levels - 1)), 0, levels - 1), -1).astype(np.int64)
+    level = _levels_at(window.with_cells((1, 1)), body, map_, levels, x.ravel(), y.ravel())
     um = scale * 1e3
     return GreyCell(map_, levels, (across * um, along * um), level.reshape(x.shape))
+
+
+def _levels_at(one: Window, body: Body, map_: HeightMap, levels: int, x: Floats, y: Floats) -> Ints:
+    """Level (n,) of a face at points (n,) from the centre of its cell, 0 the lowest; −1 outside the cell or the lens."""
+    assert map_.face.array is not None
+    index, _, _ = one.lattice.locate(x, y)
+    dx, dy = one.shifts[map_.face.array]
+    found = outward_height(one, body, map_.face, x + dx, y + dy, map_.reference)
+    inside = (index == 0).all(axis=1) & np.isfinite(found)
+    part = np.where(inside, (found - map_.low) / (map_.high - map_.low), 0.0)
+    return np.where(inside, np.clip(np.rint(part * (levels - 1)), 0, levels - 1), -1).astype(np.int64)
 
 
 def write_gds(cell: GreyCell, path: Path, scale: float) -> int:

@@ -224,6 +224,7 @@ Read = tuple[list[tuple[float, float]], list[tuple[float, float]]]
 
 
 def _read_svg(path: Path) -> Read:
+    """Outline and centres of an SVG mask, in the units of the file."""
     outline: list[tuple[float, float]] = []
     centres: list[tuple[float, float]] = []
 
@@ -246,6 +247,7 @@ def _read_svg(path: Path) -> Read:
 
 
 def _read_dxf(path: Path) -> Read:
+    """Outline and centres of a DXF mask, in the units of the file."""
     words = path.read_text(encoding="ascii", errors="replace").split("\n")
     pairs = list(zip(words[0::2], words[1::2]))
     outline: list[tuple[float, float]] = []

@@ -59,6 +59,7 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
 
 
 def _face(window: Window, body: str, face: Face, label: str, scale: float) -> dict[str, Any]:
+    """One face as the surface table lists it; `scale`: millimetres per design unit."""
     surface: Any = face.surface
     plain: dict[str, Any] = {
         "face": label, "body": body, "side": face.side, "curvature_x_per_mm": surface.curvature_x / scale,
@@ -152,6 +153,7 @@ def check_table(window: Window, json_path: Path, csv_path: Path, scale: float, c
 
 def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str, str], scale: float, name: str,
                 body: str) -> None:  # fmt: skip
+    """Refuse a row whose lens, put where it says, is not the one of the design there."""
     assert face.array is not None
     apex = np.array([float(row[f"apex_{axis}_mm"]) for axis in "xyz"])
     index = np.array([int(row["i"]), int(row["j"])])

@@ -279,6 +279,7 @@ _LINE = "%.9f %.9f %.9f %.12f %.12f %.12f"
 
 
 def _cell_points(window: Window, face: Face, per_cell: int) -> tuple[Floats, Floats, Floats]:
+    """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n, 3)."""
     tile = window.lattice.tile()
     x0, x1, y0, y1 = tile[:, 0].min(), tile[:, 0].max(), tile[:, 1].min(), tile[:, 1].max()
     u = x0 + (x1 - x0) * (np.arange(per_cell) + 0.5) / per_cell

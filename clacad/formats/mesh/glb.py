@@ -62,9 +62,17 @@ def write_glb(
     }  # fmt: skip
     for piece in pieces:
         _add_mesh(document, binary, piece, scale)
-        add = _add_instances if gpu_instancing and piece.places is not None else _add_nodes
-        add(document, binary, piece, len(document["meshes"]) - 1, scale)
+        mesh = len(document["meshes"]) - 1
+        if gpu_instancing and piece.places is not None:
+            _add_instances(document, binary, piece, mesh, scale)
+        else:
+            _add_nodes(document, piece, mesh, scale)
     document["buffers"] = [{"byteLength": len(binary)}]
+    _write_chunks(path, document, binary)
+
+
+def _write_chunks(path: Path, document: dict[str, Any], binary: bytearray) -> None:
+    """Write the JSON and the binary chunk of a GLB file."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     length = 12 + 8 + len(text) + 8 + len(binary)
@@ -82,6 +90,7 @@ def _words(*values: int) -> bytes:
 
 
 def _add_mesh(document: dict[str, Any], binary: bytearray, piece: Piece, scale: float) -> None:
+    """Append the triangles of a piece, and its glass as a material, to the document."""
     position, normal = (values.astype("<f4") + np.float32(0.0) for values in piece.sound(scale))
     material = {
         "name": f"{piece.name} material",
@@ -125,6 +134,7 @@ def _add_accessor(document: dict[str, Any], binary: bytearray, array: np.ndarray
 def _add_instances(
     document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float
 ) -> None:
+    """Append one node whose mesh stands at every place of the piece (EXT_mesh_gpu_instancing)."""
     assert piece.places is not None
     place = np.asarray(piece.places.centres() * scale, dtype="<f4") + np.float32(0.0)
     view = {"buffer": 0, "byteOffset": len(binary), "byteLength": place.nbytes}
@@ -144,7 +154,7 @@ def _add_instances(
     document["extensionsRequired"] = [INSTANCING]
 
 
-def _add_nodes(document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float) -> None:
+def _add_nodes(document: dict[str, Any], piece: Piece, mesh: int, scale: float) -> None:
     nodes, children = document["nodes"], document["nodes"][0]["children"]
     if piece.places is None:
         children.append(len(nodes))
@@ -189,6 +199,7 @@ def read_glb(path: Path) -> FileMesh:
 
 
 def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    """The JSON text of a GLB file as a mapping, and its binary chunk (bytes,)."""
     if len(data) < 20 or bytes(data[:4]) != _MAGIC:
         raise UnreadableFile("not a GLB file")
     version, length, size, kind = (int(v) for v in np.frombuffer(bytes(data[4:20]), "<u4"))
@@ -209,17 +220,33 @@ def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any,
 
 
 def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
+    """Meshes of the shown scene, each with every place it stands at."""
     if set(document.get("extensionsRequired", ())) - {INSTANCING}:
         raise UnreadableFile(f"needs the extensions {document['extensionsRequired']}, which are not read")
     if any("uri" in buffer for buffer in document["buffers"]) or len(document["buffers"]) != 1:
         raise UnreadableFile("its data lie in another file")
-    nodes = document["nodes"]
-    if len(nodes) > _MOST_NODES:
-        raise UnreadableFile(f"{len(nodes)} nodes are more than the {_MOST_NODES} allowed")
+    if len(document["nodes"]) > _MOST_NODES:
+        raise UnreadableFile(f"{len(document['nodes'])} nodes are more than the {_MOST_NODES} allowed")
     scene = document["scenes"][document.get("scene", 0)]
+    places = _places(document, binary, [int(n) for n in scene["nodes"]])
+    parts = [
+        part
+        for mesh in sorted(places)
+        for part in _parts(document, binary, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
+    ]
+    if not parts:
+        raise UnreadableFile("its scene shows no triangle")
+    return FileMesh("glb", tuple(parts), 1.0, str(scene.get("name", "")))
+
+
+def _places(
+    document: dict[str, Any], binary: np.ndarray[Any, Any], roots: list[int]
+) -> dict[int, list[Floats]]:
+    """Number of a mesh → blocks of places (k, 4, 3) at which it stands, the last first; row-vector matrices."""
+    nodes = document["nodes"]
     places: dict[int, list[Floats]] = {}
     seen: set[int] = set()
-    stack = [(int(n), np.eye(4)) for n in scene["nodes"]]
+    stack = [(n, np.eye(4)) for n in roots]
     while stack:
         number, above = stack.pop()
         if number in seen or number < 0:
@@ -241,14 +268,7 @@ def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
                 places.setdefault(mesh, []).append((found @ place)[::-1, :, :3])
             children = [n for n in children if n not in chosen]
         stack.extend((child, place) for child in children)
-    parts = [
-        part
-        for mesh in sorted(places)
-        for part in _parts(document, binary, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
-    ]
-    if not parts:
-        raise UnreadableFile("its scene shows no triangle")
-    return FileMesh("glb", tuple(parts), 1.0, str(scene.get("name", "")))
+    return places
 
 
 _LEAF = {"mesh", "name", "translation"}
@@ -307,6 +327,7 @@ def _local(node: dict[str, Any]) -> Floats:
 def _parts(
     document: dict[str, Any], binary: np.ndarray[Any, Any], number: int, placements: Floats
 ) -> list[Part]:
+    """Parts of one mesh, one a primitive, all at the same placements (k, 4, 3)."""
     mesh = document["meshes"][number]
     found = []
     for primitive in mesh["primitives"]:
@@ -339,6 +360,7 @@ def _parts(
 def _accessed(
     document: dict[str, Any], binary: np.ndarray[Any, Any], number: int, width: int
 ) -> np.ndarray[Any, Any]:
+    """The array (count, width) that an accessor describes."""
     accessor = document["accessors"][int(number)]
     view = document["bufferViews"][int(accessor["bufferView"])]
     kind = np.dtype(_COMPONENTS[accessor["componentType"]])

@@ -130,6 +130,7 @@ def read_ply(path: Path) -> FileMesh:
 
 
 def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], str]:
+    """Form of the data, elements in their order, and the comments."""
     form, comments = "", ""
     elements: list[_Element] = []
     for line in lines[1:]:
@@ -166,6 +167,7 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
 def _binary_body(
     path: Path, body: NDArray[np.uint8], order: str, vertex: _Element, face: _Element
 ) -> tuple[Floats, Ints]:
+    """Vertices (v, 3) and corners of facets (t, 3) of a binary file."""
     row = np.dtype([(name, order + kind) for name, kind in vertex.scalars])
     _, count_kind, index_kind = face.lists[0]
     fields: list[Any] = [(f"scalar {k}", order + kind) for k, (_, kind) in enumerate(face.scalars)]

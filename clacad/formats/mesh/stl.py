@@ -24,7 +24,7 @@ HEADER = 80
 LONGEST_ASCII = 1 << 30
 
 
-class Facets(Protocol):
+class FacetStream(Protocol):
     """What a body must offer to be written: its name, its facet count and its facets."""
 
     @property
@@ -44,12 +44,12 @@ def stl_bytes(facet_count: int) -> int:
     return HEADER + 4 + FACET.itemsize * facet_count
 
 
-def write_stl(bodies: Iterable[Facets], path: Path, scale: float, name: str) -> None:
+def write_stl(bodies: Iterable[FacetStream], path: Path, scale: float, name: str) -> None:
     """Write bodies into one binary STL file; memory is that of one chunk.
 
     Parameters
     ----------
-    bodies : iterable of Facets
+    bodies : iterable of FacetStream
     path : Path
     scale : float
         Millimetres per design unit.
@@ -173,6 +173,7 @@ _VERTEX = re.compile(rb"\s*vertex\s+(%s)\s+(%s)\s+(%s)\s*\Z" % ((_NUMBER,) * 3),
 
 
 def _read_ascii(path: Path, size: int) -> FileMesh:
+    """Read an ASCII STL file into memory; its corners are double precision."""
     if size > LONGEST_ASCII:
         raise UnreadableFile(
             f"{path.name}: {size} bytes of ASCII STL are more than the {LONGEST_ASCII} allowed"

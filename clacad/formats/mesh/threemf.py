@@ -97,6 +97,7 @@ def _blocks(lines: Iterator[str]) -> Iterator[bytes]:
 
 
 def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
+    """The lines of the model part: materials, meshes, components and what is built."""
     yield '<?xml version="1.0" encoding="UTF-8"?>\n'
     yield f'<model unit="millimeter" xml:lang="en-US" xmlns="{NAMESPACE}">\n'
     yield f'<metadata name="Title">{escape(name, quote=False)}</metadata>\n<metadata name="Application">clacad</metadata>\n'
@@ -234,6 +235,7 @@ def _model_name(path: Path, archive: zipfile.ZipFile) -> str:
 
 
 def _parsed(name: str, stream: IO[bytes]) -> _Model:
+    """Objects and places of one model part, as they stand in its XML."""
     model = _Model(name)
 
     def start(tag: str, attributes: Attributes) -> None:

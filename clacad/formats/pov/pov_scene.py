@@ -166,6 +166,7 @@ def _frustum(y0: float, y1: float, below: float, above: float) -> str:
 
 
 def _knight(scene: Scene, thing: SceneObject) -> Shapes:
+    """Shapes of a chess knight: a turned plinth, the outline as a prism, the eye."""
     s = SCALE * thing.size[0]
     shapes = [
         (_frustum(s * y0, s * y1, s * r0, s * r1), colour(thing.colour))
@@ -190,6 +191,7 @@ def _knight(scene: Scene, thing: SceneObject) -> Shapes:
 
 
 def _screen(scene: Scene, thing: SceneObject) -> Shapes:
+    """A flat screen with its pattern."""
     w, h = (SCALE * v for v in thing.size)
     sheet = f"box {{ <{number(-0.5 * w)}, {number(-0.5 * h)}, 0>, <{number(0.5 * w)}, {number(0.5 * h)}, {number(1e-3)}>"
     if thing.pattern == "coordinates":

@@ -27,7 +27,7 @@ BLACK = "texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emission 0 } }
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class HeightRange:
     """Heights between which something stands, window units."""
 
     low: float
@@ -79,9 +79,9 @@ def _columns(window: Window, body: Body, k: int, units: float) -> Iterator[str]:
         yield from _beside(window, array, units, web, _glass(body))
 
 
-def _web(body: Body) -> Span | None:
+def _web(body: Body) -> HeightRange | None:
     low, high = body.front.land, body.back.land
-    return None if low is None or high is None else Span(low, high)
+    return None if low is None or high is None else HeightRange(low, high)
 
 
 def _layers(window: Window, body: Body, k: int, units: float) -> Iterator[str]:
@@ -101,7 +101,7 @@ def _layers(window: Window, body: Body, k: int, units: float) -> Iterator[str]:
         raise NotForPov(
             f"{window.name}: the arrays of a sheet this thin reach into one another; export its mesh instead"
         )
-    yield f"object {{ {_outline(window, body, units, Span(ends[0], ends[1]))} {_glass(body)} }}"
+    yield f"object {{ {_outline(window, body, units, HeightRange(ends[0], ends[1]))} {_glass(body)} }}"
 
 
 def _layer(
@@ -111,12 +111,14 @@ def _layer(
     assert face.array is not None
     outer, inner = ends
     hair, side = GAP * min(window.lattice.pitch), 1.0 if outer < inner else -1.0
-    depth = Span(min(outer, inner), max(outer, inner))
+    depth = HeightRange(min(outer, inner), max(outer, inner))
     parts = [_meeting([_half_space(face, units), _prism(window, units, depth, zone=True)])]
-    land = None if face.land is None or isnan(face.land) else Span(*sorted((face.land, inner)))
+    land = None if face.land is None or isnan(face.land) else HeightRange(*sorted((face.land, inner)))
     if land is not None:
         # a hair inside the lens's own prism: where two solids share a face a merge may lose both
-        under = Span(*sorted((land.low if face.land == land.low else land.high, inner - side * 25.0 * hair)))
+        under = HeightRange(
+            *sorted((land.low if face.land == land.low else land.high, inner - side * 25.0 * hair))
+        )
         parts.append(_prism(window, units, under, spare=2.0 * hair))
     yield from _declared(window, name, parts, units, depth)
     yield from _all_cells(window, name, face.array, units, _glass(body))
@@ -125,39 +127,39 @@ def _layer(
     yield from _beside(window, face.array, units, land, _glass(body))
     if window.land.opaque:
         level = land.low if side > 0.0 else land.high
-        paint = Span(*sorted((level, level - side * hair)))
-        wider = Span(paint.low - hair, paint.high + hair)
+        paint = HeightRange(*sorted((level, level - side * hair)))
+        wider = HeightRange(paint.low - hair, paint.high + hair)
         rim = f"difference {{ {_prism(window, units, paint, spare=0.0)} {_prism(window, units, wider, zone=True)} }}"
         yield from _declared(window, f"{name}Land", [rim], units, depth)
         yield from _all_cells(window, f"{name}Land", face.array, units, BLACK)
         yield from _beside(window, face.array, units, paint, BLACK)
 
 
-def _heights(window: Window, face: Face) -> Span:
+def _heights(window: Window, face: Face) -> HeightRange:
     """Heights between which a face lies, lens and land; sampled over the cell and its border, with room."""
     tile = window.lattice.tile()
     if face.array is None:
-        return Span(face.vertex[2], face.vertex[2])
+        return HeightRange(face.vertex[2], face.vertex[2])
     along = np.linspace(0.0, 1.0, SAMPLES)[:, None, None]
     rim = (tile * (1.0 - along) + np.roll(tile, -1, axis=0) * along).reshape(-1, 2)
     points = (rim[None] * np.linspace(0.0, 1.0, SAMPLES)[:, None, None]).reshape(-1, 2)
     z, _ = lens_height_and_normal(face, points[:, 0], points[:, 1])
     z = np.append(z[np.isfinite(z)], [] if face.land is None or isnan(face.land) else [face.land])
     room = 0.01 * float(np.ptp(z))
-    return Span(float(z.min()) - room, float(z.max()) + room)
+    return HeightRange(float(z.min()) - room, float(z.max()) + room)
 
 
 def _glass(body: Body) -> str:
     return f"{GLASS} interior {{ ior {number(body.index)} }}"
 
 
-def _depth(window: Window, body: Body) -> Span:
+def _depth(window: Window, body: Body) -> HeightRange:
     """Heights between which a bundle lies, with room to spare: the mid plane between the arrays is never passed."""
     z0, z1 = window.z_range
     room = 0.05 * (z1 - z0)
     vertices = [face.vertex[2] for face in (body.front, body.back)]
     reach = 2.0 * max(window.lattice.pitch)
-    return Span(max(z0 - room, min(vertices) - reach), min(z1 + room, max(vertices) + reach))
+    return HeightRange(max(z0 - room, min(vertices) - reach), min(z1 + room, max(vertices) + reach))
 
 
 def _half_space(face: Face, units: float) -> str:
@@ -183,7 +185,9 @@ def _halves(window: Window, zone: bool, spare: float) -> list[float]:
     return [half - loss - spare for half in half_widths[: len(half_widths) // 2]]
 
 
-def _prism(window: Window, units: float, span: Span, zone: bool = False, spare: float | None = None) -> str:
+def _prism(
+    window: Window, units: float, span: HeightRange, zone: bool = False, spare: float | None = None
+) -> str:
     """A cell, or its optical zone, between two heights."""
     hair = GAP * min(window.lattice.pitch) if spare is None else spare
     halves = [units * half for half in _halves(window, zone, hair)]
@@ -202,13 +206,13 @@ def _prism(window: Window, units: float, span: Span, zone: bool = False, spare: 
     return f"intersection {{ {' '.join(sides)} plane {{ z, {high} }} plane {{ -z, {number(-units * span.low)} }} {_bounded(window, units, span)} }}"
 
 
-def _bounded(window: Window, units: float, span: Span) -> str:
+def _bounded(window: Window, units: float, span: HeightRange) -> str:
     reach = number(units * window.lattice.circumradius)
     low, high = number(units * span.low), number(units * span.high)
     return f"bounded_by {{ box {{ <-{reach}, -{reach}, {low}>, <{reach}, {reach}, {high}> }} }}"
 
 
-def _declared(window: Window, name: str, parts: list[str], units: float, span: Span) -> Iterator[str]:
+def _declared(window: Window, name: str, parts: list[str], units: float, span: HeightRange) -> Iterator[str]:
     kind = "merge" if len(parts) > 1 else "intersection"
     inside = "\n  ".join(parts)
     yield f"#declare {name} = {kind} {{\n  {inside}\n  {_bounded(window, units, span)}\n}}"
@@ -261,7 +265,7 @@ def _all_cells(
 # -- the rim -----------------------------------------------------------------------------------
 
 
-def _outline(window: Window, body: Body, units: float, span: Span) -> str:
+def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str:
     """The whole footprint of a body between two heights."""
     low, high = number(units * span.low), number(units * span.high)
     arrays = {face.array for face in (body.front, body.back) if face.array is not None}
@@ -285,12 +289,12 @@ def _outline(window: Window, body: Body, units: float, span: Span) -> str:
     return f"box {{ {', '.join(corners)} }}"
 
 
-def _beside(window: Window, array: int, units: float, span: Span, look: str) -> Iterator[str]:
+def _beside(window: Window, array: int, units: float, span: HeightRange, look: str) -> Iterator[str]:
     """Land between the cells and the outline: the outline less every cell."""
     if window.outline is None:
         return
     room = 0.5 * (span.high - span.low)
-    wider = Span(span.low - room, span.high + room)
+    wider = HeightRange(span.low - room, span.high + room)
     body = next(b for b in window.bodies if array in (b.front.array, b.back.array))
     yield "difference {"
     yield f"  {_outline(window, body, units, span)}"
@@ -311,12 +315,12 @@ def _honeycomb(window: Window, units: float) -> Iterator[str]:
     """Black walls between the arrays: each cell's border, sheared to its partner's, less the channel."""
     assert window.baffle is not None
     first, second = window.bodies[:2]
-    span = Span(_heights(window, first.back).high, _heights(window, second.front).low)
+    span = HeightRange(_heights(window, first.back).high, _heights(window, second.front).low)
     rise = span.high - span.low
     run = np.subtract(window.shifts[1], window.shifts[0]) / rise
     room = 0.01 * rise
-    channel = Span(-room, rise + room)
-    wall = _prism(window, units, Span(0.0, rise), spare=0.0)
+    channel = HeightRange(-room, rise + room)
+    wall = _prism(window, units, HeightRange(0.0, rise), spare=0.0)
     free = _prism(window, units, channel, spare=0.5 * window.baffle.wall)
     shear = (
         f"matrix <1, 0, 0, 0, 1, 0, {number(run[0])}, {number(run[1])}, 1, 0, 0, {number(units * span.low)}>"

@@ -35,7 +35,7 @@ SOLIDS = ("MANIFOLD_SOLID_BREP", "BREP_WITH_VOIDS", "FACETED_BREP", "SHELL_BASED
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class PlacedPart:
     """One part of a file and where it stands.
 
     name : str
@@ -101,22 +101,67 @@ class Lookup:
         return np.asarray(self.values[self.rows(np.array([number], dtype=np.int64))[0]])
 
 
+class Units:
+    """Collects what a file says of its units of length, representation by representation."""
+
+    def __init__(self) -> None:
+        self.context_of: dict[int, int] = {}
+        self._si: dict[int, float] = {}
+        self._converted: dict[int, int] = {}
+        self._measures: dict[int, tuple[float, int]] = {}
+        self._contexts: dict[int, list[int]] = {}
+
+    def collect(self, number: int, statement: str, references: list[int]) -> bool:
+        """Take one entity, as `Assembly.collect` does; whether it is one of a unit."""
+        if "LENGTH_UNIT" in statement:
+            if (si := _PREFIXED.search(statement)) is not None:
+                self._si[number] = PREFIXES[si.group(1)]
+            elif "CONVERSION_BASED_UNIT" in statement:
+                at = statement.index("CONVERSION_BASED_UNIT")
+                self._converted[number] = int(
+                    statement[statement.index("#", at) + 1 :].split(")")[0].split(",")[0]
+                )
+        elif (assigned := _ASSIGNED.search(statement)) is not None:
+            self._contexts[number] = [int(a) for a in re.findall(r"#(\d+)", assigned.group(1))]
+        elif "MEASURE_WITH_UNIT" in statement and (size := _MEASURE.search(statement)) is not None:
+            self._measures[number] = (float(size.group(1)), references[-1])
+        else:
+            return False
+        return True
+
+    def of(self, representation: int) -> float:
+        """Millimetres per unit of length of a representation; 1 where nothing is said."""
+        for unit in self._contexts.get(self.context_of.get(representation, 0), ()):
+            if (metres := self._metres(unit)) is not None:
+                return metres * MILLIMETRES
+        return 1.0
+
+    def every(self) -> set[float]:
+        """Millimetres per unit, of all representations that say so."""
+        return {self.of(r) for r, c in self.context_of.items() if c in self._contexts}
+
+    def _metres(self, unit: int, depth: int = 0) -> float | None:
+        if unit in self._si:
+            return self._si[unit]
+        size = self._measures.get(self._converted.get(unit, 0))
+        if size is None or depth > 8:
+            return None
+        base = self._metres(size[1], depth + 1)
+        return None if base is None else size[0] * base
+
+
 class Assembly:
     """Collects the entities of the assembly structure while a file is scanned, and composes them."""
 
     def __init__(self) -> None:
         self.directions = Vectors()
         self._axes: array[int] = array("q")  # number, location, axis, reference direction; 0 where not given
-        self._si: dict[int, float] = {}
-        self._converted: dict[int, int] = {}
-        self._measures: dict[int, tuple[float, int]] = {}
-        self._contexts: dict[int, list[int]] = {}
+        self.units = Units()
         self._operators: dict[int, tuple[list[int], float]] = {}
         self._moves: dict[int, tuple[int, int]] = {}
         self._maps: dict[int, tuple[int, int]] = {}
         self._mapped: dict[int, tuple[int, int]] = {}
         self._items: dict[int, list[int]] = {}
-        self._context_of: dict[int, int] = {}
         self._relations: dict[int, tuple[int, int, int]] = {}
         self._dependents: list[tuple[int, int]] = []
         self._shape_of: dict[int, int] = {}
@@ -160,32 +205,17 @@ class Assembly:
         ):
             self._operator(number, statement)
         elif kind.endswith("SHAPE_REPRESENTATION") or kind == "REPRESENTATION":
-            self._items[number], self._context_of[number] = references[:-1], references[-1]
-        else:
-            self._units_and_relations(number, statement, references)
+            self._items[number], self.units.context_of[number] = references[:-1], references[-1]
+        elif not self.units.collect(number, statement, references):
+            self._relation(number, statement, references)
 
-    def _units_and_relations(self, number: int, statement: str, references: list[int]) -> None:
-        if "LENGTH_UNIT" in statement:
-            if (si := _PREFIXED.search(statement)) is not None:
-                self._si[number] = PREFIXES[si.group(1)]
-            elif "CONVERSION_BASED_UNIT" in statement:
-                at = statement.index("CONVERSION_BASED_UNIT")
-                self._converted[number] = int(
-                    statement[statement.index("#", at) + 1 :].split(")")[0].split(",")[0]
-                )
-        elif (assigned := _ASSIGNED.search(statement)) is not None:
-            self._contexts[number] = [int(a) for a in re.findall(r"#(\d+)", assigned.group(1))]
-        elif "MEASURE_WITH_UNIT" in statement and (size := _MEASURE.search(statement)) is not None:
-            self._measures[number] = (float(size.group(1)), references[-1])
-        elif (
-            "RELATIONSHIP" in statement
-            and "REPRESENTATION_RELATIONSHIP" in statement
-            and len(references) >= 2
-        ):
-            moved = re.search(r"WITH_TRANSFORMATION\(\s*(?:'[^']*'\s*,[^#]*)?#(\d+)\s*\)", statement)
-            plain = [r for r in references if moved is None or r != int(moved.group(1))]
-            move = 0 if moved is None else int(moved.group(1))
-            self._relations[number] = (plain[0], plain[1], move)
+    def _relation(self, number: int, statement: str, references: list[int]) -> None:
+        """Take a relationship of two representations, with its transformation or 0 for none."""
+        if "REPRESENTATION_RELATIONSHIP" not in statement or len(references) < 2:
+            return
+        moved = re.search(r"WITH_TRANSFORMATION\(\s*(?:'[^']*'\s*,[^#]*)?#(\d+)\s*\)", statement)
+        plain = [r for r in references if moved is None or r != int(moved.group(1))]
+        self._relations[number] = (plain[0], plain[1], 0 if moved is None else int(moved.group(1)))
 
     def _operator(self, number: int, statement: str) -> None:
         """Axes 1 and 2, origin, scale and axis 3, as one list of texts or spread over a complex entity."""
@@ -195,31 +225,9 @@ class Assembly:
         numbers = [int(word[1:]) if word.startswith("#") else 0 for word in (first, second, at, third)]
         self._operators[number] = (numbers, 1.0 if scale == "$" else float(scale))
 
-    # -- units ----------------------------------------------------------------------------------
-
-    def unit(self, representation: int) -> float:
-        """Millimetres per unit of length of a representation; 1 where nothing is said."""
-        for unit in self._contexts.get(self._context_of.get(representation, 0), ()):
-            if (metres := self._metres(unit)) is not None:
-                return metres * MILLIMETRES
-        return 1.0
-
-    def units(self) -> set[float]:
-        """Millimetres per unit, of all representations that say so."""
-        return {self.unit(r) for r, c in self._context_of.items() if c in self._contexts}
-
-    def _metres(self, unit: int, depth: int = 0) -> float | None:
-        if unit in self._si:
-            return self._si[unit]
-        size = self._measures.get(self._converted.get(unit, 0))
-        if size is None or depth > 8:
-            return None
-        base = self._metres(size[1], depth + 1)
-        return None if base is None else size[0] * base
-
     # -- placements -----------------------------------------------------------------------------
 
-    def standing(self, points: Lookup) -> list[Standing]:
+    def standing(self, points: Lookup) -> list[PlacedPart]:
         """Every solid and bare shell of the file, with all its placements."""
         frames = _Frames(points, self.directions.lookup(), self._axes, self._operators)
         self._merge()
@@ -235,8 +243,8 @@ class Assembly:
                     kind, name, shells = self._solids[item]
                     numbers = tuple(self._turned_shells.get(shell, shell) for shell in shells)
                     found.append(
-                        Standing(
-                            name, kind != "SHELL_BASED_SURFACE_MODEL", numbers, self.unit(representation),
+                        PlacedPart(
+                            name, kind != "SHELL_BASED_SURFACE_MODEL", numbers, self.units.of(representation),
                             placed[self._of(representation)],
                         )
                     )  # fmt: skip
@@ -288,8 +296,8 @@ class Assembly:
                 if item in self._mapped:
                     source, target = self._mapped[item]
                     origin, inner = self._maps[source]
-                    there = frames.of(target, self.unit(representation))
-                    back = inverse(frames.of(origin, self.unit(inner)))
+                    there = frames.of(target, self.units.of(representation))
+                    back = inverse(frames.of(origin, self.units.of(inner)))
                     yield self._of(representation), self._of(inner), product(there, back)
 
     def _bare(self, frames: _Frames) -> Iterator[tuple[int, int, Floats]]:
@@ -306,10 +314,12 @@ class Assembly:
         if not move:
             return UNPLACED
         if move in self._operators:
-            there = frames.of(move, self.unit(second))
+            there = frames.of(move, self.units.of(second))
         else:
             before, after = self._moves[move]
-            there = product(frames.of(after, self.unit(second)), inverse(frames.of(before, self.unit(first))))
+            there = product(
+                frames.of(after, self.units.of(second)), inverse(frames.of(before, self.units.of(first)))
+            )
         return there if self._of(first) == child else inverse(there)
 
 

@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.step.placements import applied, inverse, product
-from clacad.sheet.window import Window, lens_height_and_normal
+from clacad.sheet.window import WALL, Window, lens_height_and_normal
 
 SAMPLE = 20_000
 """Patches, in their placements, whose points are held against the design; the place of every instance is checked."""
-
-WALL = 0.05
-"""A face whose normal has no larger z anywhere is a wall."""
 
 NEAR = 1e-5
 """Pitches within which a lens stands on its cell as far as telling where the whole part lies goes."""

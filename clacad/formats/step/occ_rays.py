@@ -14,17 +14,15 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.formats.step.ray_paths import RayPaths, media_of
 from clacad.optics.surface import refract
 
 NEAREST = 1e-6
 """Hits nearer than this (mm) are the face just left."""
 TOUCH = 2e-6
 """Faces met within this (mm) of one another are met at once."""
-WALL = 1e-6
+GRAZING = 1e-6
 """A face whose unit normal has no larger z is a wall."""
-
-ENDS = ("through", "nothing met", "wall", "total reflection")
-"""How a ray ended."""
 
 
 def cast_rays(
@@ -63,11 +61,8 @@ def follow_rays(
 
     Parameters
     ----------
-    path : path
-    position : (n, 3) mm
-    direction : (n, 3)
-    indices : sequence of float
-        Refractive index of the bodies in the order light meets them.
+    path, position, direction, indices
+        As for `cast_rays`.
     low, high : (2,) mm
         Column of x and y; faces that do not reach into it are left out.
 
@@ -84,26 +79,20 @@ def follow_rays(
         The kernel cannot read the file.
     """
     intersector = _column(path, tuple(low), tuple(high))
-    media = [1.0]
-    for index in indices:
-        media += [index, 1.0]
-    steps, many = len(media) - 1, len(position)
-    hits, curved = np.zeros((many, steps, 3)), np.zeros((many, steps), dtype=bool)
-    place, way = np.array(position, dtype=np.float64), np.array(direction, dtype=np.float64)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    end, crossings = np.zeros(many, dtype=int), np.zeros(many, dtype=int)
-    for k in range(many) if intersector is not None else ():
-        ray = _Ray(intersector, place[k], way[k])
-        end[k] = ray.follow(media)
-        crossings[k] = len(ray.hits)
-        hits[k, : len(ray.hits)], curved[k, : len(ray.hits)] = np.array(ray.hits).reshape(-1, 3), ray.curved
-        place[k], way[k] = ray.position, ray.direction
+    media, many = media_of(indices), len(position)
+    paths = RayPaths.begun(position, direction, len(media) - 1)
+    curved = np.zeros((many, len(media) - 1), dtype=bool)
     if intersector is None:
-        end[:] = 1
-    return {
-        "position": place.tolist(), "direction": way.tolist(), "end": end.tolist(), "crossings": crossings.tolist(),
-        "hits": hits.tolist(), "curved": curved.tolist(),
-    }  # fmt: skip
+        paths.end[:] = 1
+        return paths.to_lists(curved)
+    for k in range(many):
+        ray = _Ray(intersector, paths.position[k], paths.direction[k])
+        paths.end[k] = ray.follow(media)
+        found = len(ray.hits)
+        paths.crossings[k] = found
+        paths.hits[k, :found], curved[k, :found] = np.array(ray.hits).reshape(-1, 3), ray.curved
+        paths.position[k], paths.direction[k] = ray.position, ray.direction
+    return paths.to_lists(curved)
 
 
 _COLUMNS: dict[tuple[Any, ...], Any] = {}
@@ -152,7 +141,7 @@ class _Ray:
             if met is None:
                 return 1
             place, normal, curved = met
-            if abs(normal[2]) < WALL:
+            if abs(normal[2]) < GRAZING:
                 return 2
             normal = normal if normal @ self.direction > 0.0 else -normal
             bent, _ = refract(

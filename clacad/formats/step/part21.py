@@ -61,7 +61,7 @@ def weight(value: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Colour:
+class StepColour:
     """An sRGB colour, 0 … 1."""
 
     red: float
@@ -81,7 +81,7 @@ class Part21:
         self._next = 1
         # Twelve digits beyond the pitch: a thousand times finer than the 1e-9 pitch the faces are checked to.
         self._places = max(6, 12 + ceil(-log10(pitch)))
-        self._styles: dict[Colour, int] = {}
+        self._styles: dict[StepColour, int] = {}
         identifier, application, protocol, year = SCHEMAS[schema]
         self._raw(
             "ISO-10303-21;\nHEADER;\nFILE_DESCRIPTION((''),'2;1');\n"
@@ -127,22 +127,18 @@ class Part21:
         """Write an entity under a reserved number."""
         self._raw(f"#{number}={entity};\n")
 
-    def _raw(self, text: str) -> None:
+    def _raw(self, text: str, last: bool = False) -> None:
+        """Take text; a megabyte of it, or the last, is handed to the stream."""
         self._lines.append(text)
         self._pending += len(text)
-        if self._pending > _FLUSH:
-            self.flush()
-
-    def flush(self) -> None:
-        """Hand what is pending to the stream."""
-        self._stream.write("".join(self._lines))
-        self._lines.clear()
-        self._pending = 0
+        if last or self._pending > _FLUSH:
+            self._stream.write("".join(self._lines))
+            self._lines.clear()
+            self._pending = 0
 
     def close(self) -> None:
         """Write the end of the file."""
-        self._raw("ENDSEC;\nEND-ISO-10303-21;\n")
-        self.flush()
+        self._raw("ENDSEC;\nEND-ISO-10303-21;\n", last=True)
 
     def coordinate(self, value: float) -> str:
         """Write a length, rounded to 1e-12 of the pitch or finer."""
@@ -187,7 +183,7 @@ class Part21:
 
     # -- colours ----------------------------------------------------------------------------------
 
-    def style(self, colour: Colour) -> int:
+    def style(self, colour: StepColour) -> int:
         """The presentation style of a colour."""
         if colour not in self._styles:
             rgb = self.add(f"COLOUR_RGB('',{real(colour.red)},{real(colour.green)},{real(colour.blue)})")
@@ -199,8 +195,8 @@ class Part21:
             self._styles[colour] = self.add(f"PRESENTATION_STYLE_ASSIGNMENT((#{usage}))")
         return self._styles[colour]
 
-    def styled(self, item: int, colour: Colour, over: int | None = None) -> int:
-        """Colour an item; `over`: the styled item whose colour this one overrides."""
+    def styled(self, item: int, colour: StepColour, over: int | None = None) -> int:
+        """StepColour an item; `over`: the styled item whose colour this one overrides."""
         style = self.style(colour)
         if over is None:
             return self.add(f"STYLED_ITEM('',(#{style}),#{item})")

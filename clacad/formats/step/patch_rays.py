@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.formats.step.placements import applied
+from clacad.formats.step.ray_paths import RayPaths, media_of
 from clacad.formats.step.text_health import Scan, patches_of
 from clacad.optics.surface import refract
 from clacad.sheet.window import Face, Window
@@ -29,7 +30,7 @@ EDGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class PlacedPatch:
     """One lens patch where it stands.
 
     control : (m, n, 4) homogeneous, mm
@@ -60,7 +61,7 @@ class Cells:
         return self.window.lattice.locate(at[:, 0], at[:, 1])[0]
 
 
-def column_patches(scan: Scan, low: Floats, high: Floats) -> list[Patch]:
+def column_patches(scan: Scan, low: Floats, high: Floats) -> list[PlacedPatch]:
     """Patches of all instances whose poles reach into a column low … high (2,) of x and y."""
     found = []
     for group in patches_of(scan):
@@ -80,12 +81,12 @@ def column_patches(scan: Scan, low: Floats, high: Floats) -> list[Patch]:
                 control = np.concatenate([placed * weights[..., None], weights[..., None]], axis=-1)
                 half = np.array([0.5])
                 middle = _surface(control, half, half)[0][0, :2]
-                found.append(Patch(control, float(sense), middle))
+                found.append(PlacedPatch(control, float(sense), middle))
     return found
 
 
 def first_hits(
-    patches: Sequence[Patch], cells: Cells, position: Floats, direction: Floats, entering: bool
+    patches: Sequence[PlacedPatch], cells: Cells, position: Floats, direction: Floats, entering: bool
 ) -> tuple[Floats, Floats]:
     """Distance (n,) to the first patch that faces against the light (entering) or along it, NaN for none; unit normals
     (n, 3) turned the way the light goes. A patch counts only over its own cell.
@@ -110,7 +111,7 @@ def plane_hits(face: Face, scale: float, position: Floats, direction: Floats) ->
     return np.where(away > 0.0, away, np.nan), np.broadcast_to([0.0, 0.0, 1.0], direction.shape)
 
 
-def _meet(patch: Patch, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
+def _meet(patch: PlacedPatch, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
     """Distance (n,) along rays, NaN where the patch is not met, and outward unit normal (n, 3)."""
     helper = np.where(np.abs(direction[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     one = np.cross(direction, helper)
@@ -167,22 +168,17 @@ def follow_patches(
     ----------
     path, position, direction, indices, low, high
         As for `clacad.formats.step.occ_rays.follow_rays`.
-    window : Window
-    faces : sequence of int
-        Which faces of the window the light meets, one after another.
+    window, faces
+        Which faces (numbers) of a window the light meets, one after another.
 
     Returns
     -------
-    dict of lists
-        What `clacad.formats.step.occ_rays.follow_rays` says; `curved` is everywhere true.
+    dict of lists : as of `clacad.formats.step.occ_rays.follow_rays`; `curved` is everywhere true
     """
     patches = _kept(path, tuple(low), tuple(high))
-    place, way = np.array(position, dtype=np.float64), np.array(direction, dtype=np.float64)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    many, steps = len(place), len(faces)
-    hits, end, crossings = np.zeros((many, steps, 3)), np.zeros(many, dtype=int), np.zeros(many, dtype=int)
-    media = [1.0, *(one for index in indices for one in (index, 1.0))]
-    live = np.arange(many)
+    paths, media = RayPaths.begun(position, direction, len(faces)), media_of(indices)
+    place, way = paths.position, paths.direction
+    live = np.arange(len(place))
     for step, number in enumerate(faces):
         face = window.faces[number]
         if face.array is None:
@@ -191,26 +187,23 @@ def follow_patches(
             cells = Cells(window, face.array)
             distance, normal = first_hits(patches, cells, place[live], way[live], step % 2 == 0)
         met = np.isfinite(distance)
-        end[live[~met]] = 1
+        paths.end[live[~met]] = 1
         live, distance, normal = live[met], distance[met], normal[met]
         place[live] += distance[:, None] * way[live]
-        hits[live, step], crossings[live] = place[live], step + 1
+        paths.hits[live, step], paths.crossings[live] = place[live], step + 1
         root = np.einsum("ij,ij->i", normal, way[live])
         bent, _ = refract(way[live], normal, root, media[step], media[step + 1])
         out = np.isfinite(bent).all(axis=1)
-        end[live[~out]] = 3
+        paths.end[live[~out]] = 3
         live = live[out]
         way[live] = bent[out]
-    return {
-        "position": place.tolist(), "direction": way.tolist(), "end": end.tolist(), "crossings": crossings.tolist(),
-        "hits": hits.tolist(), "curved": np.ones((many, steps), dtype=bool).tolist(),
-    }  # fmt: skip
+    return paths.to_lists(np.ones((len(place), len(faces)), dtype=bool))
 
 
-_COLUMNS: dict[tuple[object, ...], list[Patch]] = {}
+_COLUMNS: dict[tuple[object, ...], list[PlacedPatch]] = {}
 
 
-def _kept(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> list[Patch]:
+def _kept(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> list[PlacedPatch]:
     """The patches of a column; kept for the next call in this process."""
     from clacad.formats.step.read_back import scanned
 

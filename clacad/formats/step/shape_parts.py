@@ -18,7 +18,7 @@ CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class ShapePart:
     """A solid, or a shell or face that belongs to none, and where it stands.
 
     shape : kernel shape, unplaced
@@ -35,7 +35,7 @@ class Piece:
     placements: Floats
 
 
-def pieces(shape: Any) -> list[Piece]:
+def pieces(shape: Any) -> list[ShapePart]:
     """The pieces of a shape, in the order they are met.
 
     Raises
@@ -44,11 +44,36 @@ def pieces(shape: Any) -> list[Piece]:
         A part holds itself, or stands too often.
     """
     from OCP.TopAbs import TopAbs_FACE, TopAbs_SHELL, TopAbs_SOLID
-    from OCP.TopoDS import TopoDS_Iterator
 
     if shape.IsNull():
         return []
-    order, held, shapes = [], {}, {}
+    shapes, held = _parts_held(shape)
+    top = placement_of(shape.Location())
+    placed = composed(held, list(shapes))
+    found = []
+    for key, one in shapes.items():
+        kind = one.ShapeType()
+        if kind.value < TopAbs_SOLID.value or kind.value > TopAbs_FACE.value:
+            continue
+        where = placed[key]
+        linear = top[:, :3] @ where[:, :, :3]
+        move = top[:, :3] @ where[:, :, 3:] + top[:, 3:]
+        found.append(
+            ShapePart(
+                one, kind == TopAbs_SOLID, explored(one, TopAbs_FACE), len(explored(one, TopAbs_SHELL)),
+                np.concatenate([linear, move], axis=2),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, Floats]]]]:
+    """Every part of a shape by its own key, unplaced, in the order met; what each holds, with placements (k, 3, 4)."""
+    from OCP.TopAbs import TopAbs_SOLID
+    from OCP.TopoDS import TopoDS_Iterator
+
+    shapes: dict[Any, Any] = {}
+    held: dict[Any, list[tuple[Any, Floats]]] = {}
     waiting = [shape]
     while waiting:
         one = waiting.pop()
@@ -56,7 +81,6 @@ def pieces(shape: Any) -> list[Piece]:
         if key in shapes:
             continue
         shapes[key] = one.Located(_nowhere())
-        order.append(key)
         if one.ShapeType().value >= TopAbs_SOLID.value:
             continue
         own: dict[Any, list[Floats]] = {}
@@ -67,24 +91,7 @@ def pieces(shape: Any) -> list[Piece]:
             waiting.append(child)
             inside.Next()
         held[key] = [(child, np.array(many)) for child, many in own.items()]
-    top = placement_of(shape.Location())
-    placed = composed(held, order)
-    found = []
-    for key in order:
-        one = shapes[key]
-        kind = one.ShapeType()
-        if kind.value < TopAbs_SOLID.value or kind.value > TopAbs_FACE.value:
-            continue
-        where = placed[key]
-        linear = top[:, :3] @ where[:, :, :3]
-        move = top[:, :3] @ where[:, :, 3:] + top[:, 3:]
-        found.append(
-            Piece(
-                one, kind == TopAbs_SOLID, explored(one, TopAbs_FACE), len(explored(one, TopAbs_SHELL)),
-                np.concatenate([linear, move], axis=2),
-            )
-        )  # fmt: skip
-    return found
+    return shapes, held
 
 
 def _nowhere() -> Any:
@@ -136,7 +143,7 @@ def box(shape: Any) -> list[list[float]]:
     return [[low.X(), low.Y(), low.Z()], [high.X(), high.Y(), high.Z()]]
 
 
-def whole_box(several: list[Piece]) -> list[list[float]]:
+def whole_box(several: list[ShapePart]) -> list[list[float]]:
     """Lowest and highest corner of all pieces in all their placements."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for piece in several:
@@ -161,7 +168,7 @@ def boxes_of(faces: list[Any]) -> Floats:
     return np.array([box(face) for face in faces]).reshape(-1, 2, 3)
 
 
-def reaching(piece: Piece, boxes: Floats, low: Floats, high: Floats) -> Iterator[Any]:
+def reaching(piece: ShapePart, boxes: Floats, low: Floats, high: Floats) -> Iterator[Any]:
     """Faces of a piece, placed, whose boxes reach into the column low … high (2,) of x and y."""
     whole = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     for row in np.flatnonzero(_reach(whole[None], piece.placements, low, high)):

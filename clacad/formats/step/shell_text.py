@@ -41,6 +41,106 @@ class Recent:
         return number
 
 
+class SharedGeometry:
+    """Points, directions, curves and surfaces of a file; equal ones are written once.
+
+    Parameters
+    ----------
+    part : Part21
+    """
+
+    def __init__(self, part: Part21) -> None:
+        self.part = part
+        self._places, self._lines, self._planes = Recent(), Recent(), Recent()
+        self._kept: dict[int, tuple[object, object]] = {}
+        self._directions: dict[tuple[float, ...], int] = {}
+        self._vectors: dict[tuple[float, ...], int] = {}
+
+    def line(self, first: int, arc: Arc, offset: Floats) -> int:
+        """A line through the point `first`; edges one behind the other share it, for a line has no ends in STEP."""
+        start = arc.poles[0] + offset
+        way = arc.poles[-1] - arc.poles[0]
+        way = way / np.linalg.norm(way)
+        unit = tuple(way.tolist())
+        if unit not in self._vectors:
+            self._vectors[unit] = self.part.add(f"VECTOR('',#{self._direction(unit)},1.)")
+        vector = self._vectors[unit]
+        foot = start - float(start @ way) * way
+        text = f"{vector}{self.part.coordinates(foot.tolist())}"
+        return self._lines.find(text) or self._lines.keep(text, self.part.add(f"LINE('',#{first},#{vector})"))
+
+    def curve(self, first: int, last: int, arc: Arc, offset: Floats) -> int:
+        """A curve between the points `first` and `last`, displaced by `offset` (3,), mm."""
+        inner = (arc.poles[1:-1] + offset).tolist()
+        coordinates = self.part.coordinates
+        points = [first, *(self.point(coordinates(p)) for p in inner), last]
+        before, after = self._template(arc)
+        return self.part.add(f"{before}{','.join([f'#{p}' for p in points])}{after}")
+
+    def _template(self, arc: Arc) -> tuple[str, str]:
+        """Everything but the poles of a curve, the same for all instances of its class."""
+        found = self._kept.get(id(arc))
+        if found is None:
+            found = self._kept[id(arc)] = (arc, _curve_text(arc.weights, weight))
+        text = found[1]
+        assert isinstance(text, tuple)
+        return text
+
+    def parameter_curve(self, parameters: Arc) -> int:
+        """The representation of a parameter curve, written once for all instances of its class."""
+        found = self._kept.get(id(parameters))
+        if found is None:
+            part = self.part
+            points = [
+                part.add(f"CARTESIAN_POINT('',({real(u)},{real(v)}))") for u, v in parameters.poles.tolist()
+            ]
+            before, after = _curve_text(parameters.weights, real)
+            curve = part.add(f"{before}{','.join(f'#{p}' for p in points)}{after}")
+            number = part.add(f"DEFINITIONAL_REPRESENTATION('',(#{curve}),#{part.parameter_space})")
+            found = self._kept[id(parameters)] = (parameters, number)
+        number_found = found[1]
+        assert isinstance(number_found, int)
+        return number_found
+
+    def plane(self, plane: Plane, offset: Floats) -> int:
+        """A plane; faces in one plane share it, for a plane has no ends in STEP."""
+        part = self.part
+        origin = plane.origin + offset
+        normal, across = (self._direction(tuple(way.tolist())) for way in (plane.normal, plane.across))
+        text = f"{normal},{across},{part.coordinate(float(origin @ plane.normal))}"
+        found = self._planes.find(text)
+        if found is not None:
+            return found
+        at = self.point(part.coordinates(origin.tolist()))
+        place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{normal},#{across})")
+        return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
+
+    def patch(self, patch: RationalPatch, offset: Floats) -> int:
+        """A patch displaced by `offset` (3,), mm."""
+        part = self.part
+        m, n = patch.weights.shape
+        found = self._kept.get(id(patch))
+        if found is None:
+            found = self._kept[id(patch)] = (patch, _patch_text(patch.weights))
+        text = found[1]
+        assert isinstance(text, tuple)
+        poles = (patch.poles.reshape(-1, 3) + offset).tolist()
+        ids = [f"#{self.point(part.coordinates(pole))}" for pole in poles]
+        rows = ",".join([f"({','.join(ids[i * n : (i + 1) * n])})" for i in range(m)])
+        return part.add(f"{text[0]}{rows}{text[1]}")
+
+    def _direction(self, way: tuple[float, ...]) -> int:
+        if way not in self._directions:
+            self._directions[way] = self.part.add(f"DIRECTION('',({','.join(real(value) for value in way)}))")
+        return self._directions[way]
+
+    def point(self, text: str) -> int:
+        """A point; equal points written not long ago are written once."""
+        return self._places.find(text) or self._places.keep(
+            text, self.part.add(f"CARTESIAN_POINT('',{text})")
+        )
+
+
 class TextWriter:
     """Write shells as text; see `clacad.solid.shells.Writer`.
 
@@ -60,10 +160,7 @@ class TextWriter:
         self._surfaces: list[int] = []
         self.faces: list[int] = []
         self.roles: list[Role] = []
-        self._places, self._lines, self._planes = Recent(), Recent(), Recent()
-        self._kept: dict[int, tuple[object, object]] = {}
-        self._directions: dict[tuple[float, ...], int] = {}
-        self._vectors: dict[tuple[float, ...], int] = {}
+        self._geometry = SharedGeometry(part)
 
     @property
     def unfinished(self) -> int:
@@ -72,7 +169,7 @@ class TextWriter:
 
     def vertex(self, point: Floats, tolerance: float) -> int:
         """Write a vertex (text carries no tolerance: readers find it from the geometry)."""
-        at = self._point(self.part.coordinates(point.tolist()))
+        at = self._geometry.point(self.part.coordinates(point.tolist()))
         self._points.append(at)
         self._vertices.append(self.part.add(f"VERTEX_POINT('',#{at})"))
         return len(self._vertices) - 1
@@ -87,9 +184,9 @@ class TextWriter:
     def surface(self, surface: Surface, offset: Floats) -> int:
         """Write a surface."""
         if isinstance(surface, Plane):
-            number = self._plane(surface, offset)
+            number = self._geometry.plane(surface, offset)
         else:
-            number = self._patch(surface, offset)
+            number = self._geometry.patch(surface, offset)
         self._surfaces.append(number)
         return len(self._surfaces) - 1
 
@@ -123,15 +220,13 @@ class TextWriter:
         shell = self.part.add(f"CLOSED_SHELL('',({listed}))")
         return self.part.add(f"MANIFOLD_SOLID_BREP({quoted(name)},#{shell})")
 
-    # -- edges ------------------------------------------------------------------------------------
-
     def _use(self, edge: int, forward: bool, parameters: Arc | None, surface: int) -> None:
         if edge not in self._open:
             raise ValueError("an edge is used by more than two faces; please report the design")
         first, last, arc, offset, curves, senses = self._open[edge]
         senses.append(forward)
         if parameters is not None and self._with_curves:
-            shared = self._shared(parameters)
+            shared = self._geometry.parameter_curve(parameters)
             number = self.part.add(f"PCURVE('',#{self._surfaces[surface]},#{shared})")
             curves.append(f"#{number}")
         if len(senses) == 2:
@@ -142,101 +237,15 @@ class TextWriter:
 
     def _finish(self, edge: int, first: int, last: int, arc: Arc, offset: Floats, curves: list[str]) -> None:
         part = self.part
-        curve = (
-            self._straight(first, arc, offset)
-            if arc.straight and not curves
-            else self._curve(first, last, arc, offset)
-        )
+        ends = self._points[first], self._points[last]
+        if arc.straight and not curves:
+            curve = self._geometry.line(ends[0], arc, offset)
+        else:
+            curve = self._geometry.curve(*ends, arc, offset)
         if curves:
             curve = part.add(f"SURFACE_CURVE('',#{curve},({','.join(curves)}),.PCURVE_S1.)")
         part.put(
             self._edges[edge], f"EDGE_CURVE('',#{self._vertices[first]},#{self._vertices[last]},#{curve},.T.)"
-        )
-
-    def _straight(self, first: int, arc: Arc, offset: Floats) -> int:
-        """A line; edges one behind the other share it, for a line has no ends in STEP."""
-        start = arc.poles[0] + offset
-        way = arc.poles[-1] - arc.poles[0]
-        way = way / np.linalg.norm(way)
-        unit = tuple(way.tolist())
-        if unit not in self._vectors:
-            self._vectors[unit] = self.part.add(f"VECTOR('',#{self._direction(unit)},1.)")
-        vector = self._vectors[unit]
-        foot = start - float(start @ way) * way
-        text = f"{vector}{self.part.coordinates(foot.tolist())}"
-        return self._lines.find(text) or self._lines.keep(
-            text, self.part.add(f"LINE('',#{self._points[first]},#{vector})")
-        )
-
-    def _curve(self, first: int, last: int, arc: Arc, offset: Floats) -> int:
-        inner = (arc.poles[1:-1] + offset).tolist()
-        coordinates = self.part.coordinates
-        points = [self._points[first], *(self._point(coordinates(p)) for p in inner), self._points[last]]
-        before, after = self._template(arc)
-        return self.part.add(f"{before}{','.join([f'#{p}' for p in points])}{after}")
-
-    def _template(self, arc: Arc) -> tuple[str, str]:
-        """Everything but the poles of a curve, the same for all instances of its class."""
-        found = self._kept.get(id(arc))
-        if found is None:
-            found = self._kept[id(arc)] = (arc, _curve_text(arc.weights, weight))
-        text = found[1]
-        assert isinstance(text, tuple)
-        return text
-
-    def _shared(self, parameters: Arc) -> int:
-        """The representation of a parameter curve, written once for all instances of its class."""
-        found = self._kept.get(id(parameters))
-        if found is None:
-            part = self.part
-            points = [
-                part.add(f"CARTESIAN_POINT('',({real(u)},{real(v)}))") for u, v in parameters.poles.tolist()
-            ]
-            before, after = _curve_text(parameters.weights, real)
-            curve = part.add(f"{before}{','.join(f'#{p}' for p in points)}{after}")
-            number = part.add(f"DEFINITIONAL_REPRESENTATION('',(#{curve}),#{part.parameter_space})")
-            found = self._kept[id(parameters)] = (parameters, number)
-        number_found = found[1]
-        assert isinstance(number_found, int)
-        return number_found
-
-    # -- surfaces and points ----------------------------------------------------------------------
-
-    def _plane(self, plane: Plane, offset: Floats) -> int:
-        """A plane; faces in one plane share it, for a plane has no ends in STEP."""
-        part = self.part
-        origin = plane.origin + offset
-        normal, across = (self._direction(tuple(way.tolist())) for way in (plane.normal, plane.across))
-        text = f"{normal},{across},{part.coordinate(float(origin @ plane.normal))}"
-        found = self._planes.find(text)
-        if found is not None:
-            return found
-        at = self._point(part.coordinates(origin.tolist()))
-        place = part.add(f"AXIS2_PLACEMENT_3D('',#{at},#{normal},#{across})")
-        return self._planes.keep(text, part.add(f"PLANE('',#{place})"))
-
-    def _patch(self, patch: RationalPatch, offset: Floats) -> int:
-        part = self.part
-        m, n = patch.weights.shape
-        found = self._kept.get(id(patch))
-        if found is None:
-            found = self._kept[id(patch)] = (patch, _patch_text(patch.weights))
-        text = found[1]
-        assert isinstance(text, tuple)
-        poles = (patch.poles.reshape(-1, 3) + offset).tolist()
-        ids = [f"#{self._point(part.coordinates(pole))}" for pole in poles]
-        rows = ",".join([f"({','.join(ids[i * n : (i + 1) * n])})" for i in range(m)])
-        return part.add(f"{text[0]}{rows}{text[1]}")
-
-    def _direction(self, way: tuple[float, ...]) -> int:
-        if way not in self._directions:
-            self._directions[way] = self.part.add(f"DIRECTION('',({','.join(real(value) for value in way)}))")
-        return self._directions[way]
-
-    def _point(self, text: str) -> int:
-        """A point; equal points written not long ago are written once."""
-        return self._places.find(text) or self._places.keep(
-            text, self.part.add(f"CARTESIAN_POINT('',{text})")
         )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.step.part21 import Colour, Part21
+from clacad.formats.step.part21 import Part21, StepColour
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
 from clacad.sheet.window import Body, Window
@@ -31,7 +31,7 @@ from clacad.solid.describe_body import (
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.tiling_borders import Layer
 
-__all__ = ["BodyFacts", "chosen_mode", "read_step", "step_text_length", "write_step"]
+__all__ = ["StepBodyFacts", "chosen_mode", "read_step", "step_text_length", "write_step"]
 
 Mode = Literal["auto", "fused", "instanced"]
 Schema = Literal["AP242", "AP214"]
@@ -42,8 +42,8 @@ FUSED_CELLS = 2500
 
 PROGRAM = "clacad"
 
-BODY_COLOURS = (Colour(0.62, 0.78, 0.90), Colour(0.90, 0.80, 0.62))
-LAND_COLOUR = Colour(0.25, 0.25, 0.28)
+BODY_COLOURS = (StepColour(0.62, 0.78, 0.90), StepColour(0.90, 0.80, 0.62))
+LAND_COLOUR = StepColour(0.25, 0.25, 0.28)
 """Land has its own colour so that it can be found and painted black."""
 
 
@@ -132,7 +132,7 @@ def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
 
 
 @dataclass(frozen=True, slots=True)
-class BodyFacts:
+class StepBodyFacts:
     """What was written of one body; solids and faces counted as placed."""
 
     name: str
@@ -146,7 +146,7 @@ class BodyFacts:
     rim_error: float
 
 
-def _total(bodies: Sequence[BodyFacts]) -> dict[str, Any]:
+def _total(bodies: Sequence[StepBodyFacts]) -> dict[str, Any]:
     return {
         "solids": sum(body.solids for body in bodies),
         "faces": sum(sum(body.faces.values()) for body in bodies),
@@ -160,11 +160,11 @@ def _total(bodies: Sequence[BodyFacts]) -> dict[str, Any]:
     }
 
 
-def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) -> BodyFacts:
+def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) -> StepBodyFacts:
     faces = [face for part in parts for face in part.cell.faces]
     fit = max((face.lens.error for face in faces if face.lens is not None), default=0.0)
     rim = max((face.rim_error for face in faces), default=0.0)
-    return BodyFacts(
+    return StepBodyFacts(
         name, solids, dict(sorted(counts.faces.items())), counts.saddles, counts.wedges, counts.merged_steps,
         counts.largest_shift, fit, rim,
     )  # fmt: skip
@@ -173,7 +173,7 @@ def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) 
 # -- fused ------------------------------------------------------------------------------------------
 
 
-def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> list[BodyFacts]:
+def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> list[StepBodyFacts]:
     facts, items, styles = [], [part.origin], []
     for n, body in enumerate(window.bodies):
         writer = TextWriter(part, pcurves)
@@ -198,7 +198,7 @@ def _solids(writer: TextWriter, shells: Shells, name: str) -> list[int]:
 
 
 def _coloured(
-    part: Part21, writer: TextWriter, shells: Shells, solids: Sequence[int], colour: Colour
+    part: Part21, writer: TextWriter, shells: Shells, solids: Sequence[int], colour: StepColour
 ) -> list[int]:
     styles = []
     for number, faces in zip(solids, shells.pieces()):
@@ -215,7 +215,7 @@ def _coloured(
 # -- instanced --------------------------------------------------------------------------------------
 
 
-def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) -> list[BodyFacts]:
+def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) -> list[StepBodyFacts]:
     facts, styles, children = [], [], []
     for n, body in enumerate(window.bodies):
         fact, child, style = _instanced_body(window, body, part, pcurves, merge, BODY_COLOURS[n % 2])
@@ -229,8 +229,8 @@ def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) 
     return facts
 
 
-def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: Colour
-                    ) -> tuple[BodyFacts, Part, list[int]]:  # fmt: skip
+def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour
+                    ) -> tuple[StepBodyFacts, Part, list[int]]:  # fmt: skip
     """One body as an assembly: rows of cells, and the land round them as a part of its own.
 
     A slab whose arrays are displaced has no common cell: it is cut at a plane half way into cells of the front

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from clacad.formats.step.read_back import kernel_shape
+from clacad.formats.step.read_back import occ_shape
 from clacad.storage.errors import UnreadableFile
 
 
@@ -33,7 +33,7 @@ def facets(path: str, target: str, deflection: float) -> int:
     from OCP.BRepMesh import BRepMesh_IncrementalMesh
     from OCP.StlAPI import StlAPI_Writer
 
-    shape = kernel_shape(path)
+    shape = occ_shape(path)
     BRepMesh_IncrementalMesh(shape, deflection, False, 0.2, True)
     writer = StlAPI_Writer()
     writer.ASCIIMode = False
@@ -69,5 +69,5 @@ def set_down(path: str, target: str, turn: Sequence[Sequence[float]], move: Sequ
 
     pose = gp_Trsf()
     pose.SetValues(*(value for row, at in zip(turn, move, strict=True) for value in (*row, at)))
-    BRepTools.Write_s(kernel_shape(path).Moved(TopLoc_Location(pose)), target)
+    BRepTools.Write_s(occ_shape(path).Moved(TopLoc_Location(pose)), target)
     return Path(target).stat().st_size

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.formats.step.assembly_text import NUMBER, SHELLS, Assembly, Lookup, Standing, Vectors
+from clacad.formats.step.assembly_text import NUMBER, SHELLS, Assembly, Lookup, PlacedPart, Vectors
 from clacad.formats.step.lens_placements import LensPoints
 from clacad.storage.errors import UnreadableFile
 
@@ -56,7 +56,7 @@ class Scan:
     solids, faces, shells : counted once per instance in the assembly
     dangling : number of references to entities that are not there
     open_edges : number of edges not used once in each direction
-    parts : list of Standing
+    parts : list of PlacedPart
         Every solid and bare shell, with its placements.
     points : Vectors
         All 3-D points, in the file's unit.
@@ -79,7 +79,7 @@ class Scan:
     shells: int = 0
     dangling: int = 0
     open_edges: int = 0
-    parts: list[Standing] = field(default_factory=list)
+    parts: list[PlacedPart] = field(default_factory=list)
     points: Vectors = field(default_factory=Vectors)
     patches: dict[int, tuple[list[int], tuple[int, int], list[float]]] = field(default_factory=dict)
     uneven: int = 0
@@ -146,6 +146,7 @@ def scan_step(path: str | os.PathLike[str]) -> Scan:
 
 
 def _scanned(path: str | os.PathLike[str]) -> Scan:
+    """Go through the text of a file once."""
     scan, edges, assembly = Scan(), _Edges(), Assembly()
     defined, referred = array("q"), array("q")
     last = ""
@@ -188,7 +189,7 @@ def _title(scan: Scan, kind: str, body: str) -> str:
 
 
 def _place(scan: Scan, assembly: Assembly) -> None:
-    scan.units = tuple(sorted(assembly.units()))
+    scan.units = tuple(sorted(assembly.units.every()))
     scan.millimetres = scan.units == (1.0,)
     scan.parts = assembly.standing(scan.points.lookup())
     for part in scan.parts:
@@ -206,6 +207,7 @@ def _header(scan: Scan, statement: str) -> None:
 
 
 def _collect(scan: Scan, edges: _Edges, number: int, kind: str, body: str, references: list[int]) -> None:
+    """Take what one entity says of points, edges, faces and shells."""
     if kind == "CARTESIAN_POINT":
         scan.points.add(number, body)
     elif kind == "ORIENTED_EDGE":
@@ -254,6 +256,7 @@ def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
 
 
 def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
+    """Keep a patch of second order or more, its poles and weights; others are walls."""
     body = "".join(body.split())
     degrees = re.search(r"B_SPLINE_SURFACE(?:_WITH_KNOTS)?\(\s*(?:''\s*,)?\s*(\d+)\s*,\s*(\d+)", body)
     if degrees is None:

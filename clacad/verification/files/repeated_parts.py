@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.exporting.compare_instances import MOST_KINDS, Places, Standing
+from clacad.exporting.compare_instances import MOST_KINDS, PartPlaces, Standing
 from clacad.formats.mesh.file_mesh import Part, kinds
 from clacad.verification.checks import Check
 from clacad.verification.files.cell_triangles import Gatherer
@@ -38,13 +38,13 @@ def placement_check(design: Design, found: Standing, name: str) -> Check:
     )  # fmt: skip
 
 
-def look_at_places(gatherer: Gatherer, places: Places, factor: float, limit: float) -> None:
+def look_at_places(gatherer: Gatherer, places: PartPlaces, factor: float, limit: float) -> None:
     """Gather the facets of a repeated object over the chosen cells, and hold it against the design where it is worst.
 
     Parameters
     ----------
     gatherer : Gatherer
-    places : Places
+    places : PartPlaces
     factor : float
         Design units per file unit.
     limit : float, design units
@@ -58,7 +58,7 @@ def look_at_places(gatherer: Gatherer, places: Places, factor: float, limit: flo
 
 
 def _look_at_kind(
-    gatherer: Gatherer, part: Part, places: Places, rows: Ints, factor: float, limit: float
+    gatherer: Gatherer, part: Part, places: PartPlaces, rows: Ints, factor: float, limit: float
 ) -> None:
     """The same for the places `rows` where a part is turned alike."""
     over = _over(gatherer, places, rows)
@@ -80,7 +80,7 @@ def _look_at_kind(
 
 
 def _to_look_at(
-    gatherer: Gatherer, part: Part, places: Places, rows: Ints, factor: float, over: Ints, sound: Bools
+    gatherer: Gatherer, part: Part, places: PartPlaces, rows: Ints, factor: float, over: Ints, sound: Bools
 ) -> tuple[int, list[int]]:
     """The place that a part is counted at, and others that are looked at for what they have over chosen cells."""
     near = _near(gatherer, part, rows, factor)
@@ -106,7 +106,7 @@ def _repeat(gatherer: Gatherer, source: int, cell: int, shift: Floats) -> None:
             found.repeats[body, side, cell] = [(source, shift)]
 
 
-def _over(gatherer: Gatherer, places: Places, rows: Ints) -> Ints:
+def _over(gatherer: Gatherer, places: PartPlaces, rows: Ints) -> Ints:
     """Number of the chosen cell (k,) that each place of an object stands over; −1 for the other cells."""
     index = next(iter(places.cells.values()))[0] + places.step[rows]
     found = np.full(len(rows), -1, dtype=np.int64)
