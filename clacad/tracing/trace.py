@@ -40,17 +40,11 @@ def worth_compiled(rays: int, faces: int) -> bool:
 
 
 def trace(
-    window: Window,
-    rays: Rays,
-    rung: Rung = "surfaces",
-    effects: Sequence[str | Effect] = (),
-    record: bool = False,
-    mesh: Mesh | TriangleSoup | str | os.PathLike[str] | None = None,
-    normals: Normals = "facet",
-    threads: int | None = None,
-    path: Literal["numpy", "numba"] | None = None,
+    window: Window, rays: Rays, rung: Rung = "surfaces", effects: Sequence[str | Effect] = (), record: bool = False,
+    mesh: Mesh | TriangleSoup | str | os.PathLike[str] | None = None, normals: Normals = "facet",
+    threads: int | None = None, path: Literal["numpy", "numba"] | None = None,
     precision: Literal["float64", "float32"] = "float64",
-) -> TraceResult:
+) -> TraceResult:  # fmt: skip
     """Trace rays through a window.
 
     Parameters
@@ -89,8 +83,7 @@ def trace(
         wavelength outside a material's data.
     """
     _refuse_words(rung, effects, mesh, normals, path, precision)
-    single = precision == "float32"
-    if single and (rung != "surfaces" or effects or record or path == "numpy"):
+    if precision == "float32" and (rung != "surfaces" or effects or record or path == "numpy"):
         raise ValueError(
             'precision "float32" is for rung "surfaces", compiled, with no effects and no record'
         )
@@ -105,11 +98,14 @@ def trace(
     recorded = faces if record else 0
     if rung == "mesh":
         return _through_mesh(window, rays, mesh, normals, recorded, threads)
-    layout = lay_out(window)
-    if single or (
-        rung == "surfaces" and (path == "numba" or (path is None and worth_compiled(len(rays), faces)))
-    ):
-        return _compiled(layout, rays, recorded, threads, single=single)
+    compiled = path == "numba" or (path is None and worth_compiled(len(rays), faces))
+    if rung == "surfaces" and (compiled or precision == "float32"):
+        return _compiled(lay_out(window), rays, recorded, threads, single=precision == "float32")
+    return _by_numpy(lay_out(window), rays, rung, recorded)
+
+
+def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int) -> TraceResult:
+    """Rungs law, thin and surfaces in numpy, hits kept at so many faces."""
     ledger = Ledger.opened(rays, recorded)
     rows = ledger.launchable()
     if rung == "law":
