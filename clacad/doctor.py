@@ -26,12 +26,12 @@ LEAST_SPEED = 10e6
 """Writing speed below which the disk decides how long an export takes, bytes per second."""
 
 PROBE_BYTES = 32 << 20
-KERNEL_SECONDS = 120.0
+OCC_SECONDS = 120.0
 _REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*([^;]*?)\s*(?:;\s*extra\s*==\s*['\"]([^'\"]+)['\"]\s*)?\Z")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Diagnosis:
     """One thing that was looked at.
 
     Parameters
@@ -57,7 +57,7 @@ class Finding:
         return asdict(self)
 
 
-def examine(folder: str | os.PathLike[str] = ".") -> tuple[Finding, ...]:
+def examine(folder: str | os.PathLike[str] = ".") -> tuple[Diagnosis, ...]:
     """Look at this installation and at one folder.
 
     Parameters
@@ -67,24 +67,24 @@ def examine(folder: str | os.PathLike[str] = ".") -> tuple[Finding, ...]:
 
     Returns
     -------
-    tuple of Finding
+    tuple of Diagnosis
     """
     return (
-        *_versions(), *_packages(), *_kernel(), *_memory(), *_disk(Path(folder)), *_cache(), *_rates(), *_threads(), *_fonts(),
+        *_versions(), *_packages(), *_occ(), *_memory(), *_disk(Path(folder)), *_cache(), *_rates(), *_threads(), *_fonts(),
     )  # fmt: skip
 
 
-def sound(findings: tuple[Finding, ...]) -> bool:
+def sound(findings: tuple[Diagnosis, ...]) -> bool:
     """Tell whether nothing failed."""
     return all(finding.state != "fail" for finding in findings)
 
 
-def _versions() -> Iterator[Finding]:
+def _versions() -> Iterator[Diagnosis]:
     from clacad import __version__
 
-    yield Finding("packages", "clacad", "ok", __version__, "")
+    yield Diagnosis("packages", "clacad", "ok", __version__, "")
     old = sys.version_info < (3, 11)
-    yield Finding(
+    yield Diagnosis(
         "packages", "python", "fail" if old else "ok", platform.python_version(),
         "3.11 or later is needed" if old else f"{platform.python_implementation()}, {platform.system()} {platform.machine()}",
     )  # fmt: skip
@@ -93,7 +93,8 @@ def _versions() -> Iterator[Finding]:
 # -- packages ---------------------------------------------------------------------------------------
 
 
-def _packages() -> Iterator[Finding]:
+def _packages() -> Iterator[Diagnosis]:
+    """Each package that clacad needs or can use: version found against the versions that will do."""
     for name, bounds, extra in requirements():
         if extra == "test":
             continue
@@ -103,12 +104,12 @@ def _packages() -> Iterator[Finding]:
         if found is None:
             state: State = "fail" if extra is None else "absent"
             purpose = "needed" if extra is None else f"extra '{extra}'"
-            yield Finding("packages", name, state, None, f"not installed ({purpose}): {install}")
+            yield Diagnosis("packages", name, state, None, f"not installed ({purpose}): {install}")
         elif not satisfies(found, bounds):
-            yield Finding("packages", name, "fail" if extra is None else "warn", found,
+            yield Diagnosis("packages", name, "fail" if extra is None else "warn", found,
                           f"{bounds} is needed: {install}")  # fmt: skip
         else:
-            yield Finding("packages", name, "ok", found, bounds if extra is None else f"extra '{extra}'")
+            yield Diagnosis("packages", name, "ok", found, bounds if extra is None else f"extra '{extra}'")
 
 
 def requirements() -> list[tuple[str, str, str | None]]:
@@ -169,7 +170,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 # -- kernel, fonts ---------------------------------------------------------------------------------
 
 
-def probe_kernel() -> dict[str, Any]:
+def probe_occ() -> dict[str, Any]:
     """Load the CAD kernel and judge one solid; runs in a worker."""
     from OCP.BRepCheck import BRepCheck_Analyzer
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
@@ -178,27 +179,28 @@ def probe_kernel() -> dict[str, Any]:
     return {"valid": bool(BRepCheck_Analyzer(solid).IsValid())}
 
 
-def _kernel() -> Iterator[Finding]:
+def _occ() -> Iterator[Diagnosis]:
+    """Whether the CAD kernel loads in a process of its own and makes a valid box, and how long that takes."""
     from clacad.storage.errors import ExportError
     from clacad.storage.worker import Worker
 
     began = time.monotonic()
     try:
         with Worker() as worker:
-            found = worker.run("clacad.doctor:probe_kernel", timeout=KERNEL_SECONDS)
+            found = worker.run("clacad.doctor:probe_occ", timeout=OCC_SECONDS)
     except ExportError as error:
-        yield Finding("kernel", "CAD kernel", "fail", None, f"{error}; STEP files cannot be written")
+        yield Diagnosis("kernel", "CAD kernel", "fail", None, f"{error}; STEP files cannot be written")
         return
     seconds = round(time.monotonic() - began, 2)
     if found["valid"]:
-        yield Finding(
+        yield Diagnosis(
             "kernel", "CAD kernel", "ok", seconds, "loads in a process of its own and builds a solid"
         )
     else:
-        yield Finding("kernel", "CAD kernel", "fail", seconds, "loads, but finds its own box invalid")
+        yield Diagnosis("kernel", "CAD kernel", "fail", seconds, "loads, but finds its own box invalid")
 
 
-def _fonts() -> Iterator[Finding]:
+def _fonts() -> Iterator[Diagnosis]:
     """The one font of plots and reports travels with matplotlib; it is looked for without loading matplotlib."""
     from importlib.util import find_spec
 
@@ -207,9 +209,9 @@ def _fonts() -> Iterator[Finding]:
     for root in roots:
         font = Path(root) / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf"
         if font.is_file():
-            yield Finding("fonts", "DejaVu Sans", "ok", str(font), "text of plots and reports")
+            yield Diagnosis("fonts", "DejaVu Sans", "ok", str(font), "text of plots and reports")
             return
-    yield Finding(
+    yield Diagnosis(
         "fonts", "DejaVu Sans", "warn", None, "not found: text in plots falls back to another font, and "
         "pictures are no longer the same bytes as elsewhere",
     )  # fmt: skip
@@ -218,43 +220,44 @@ def _fonts() -> Iterator[Finding]:
 # -- memory, threads, disk, cache ---------------------------------------------------------------------
 
 
-def _memory() -> Iterator[Finding]:
+def _memory() -> Iterator[Diagnosis]:
     from clacad.exporting.limits import free_memory
 
     free = free_memory()
     low = free < LEAST_MEMORY
-    yield Finding(
+    yield Diagnosis(
         "memory", "free", "warn" if low else "ok", free,
         "the CAD kernel may starve: close other programs, or export with fewer --cells" if low
         else "exports that would take more than 80 % of it are refused beforehand",
     )  # fmt: skip
 
 
-def _threads() -> Iterator[Finding]:
+def _threads() -> Iterator[Diagnosis]:
     from clacad.tracing.compiled.surfaces import thread_count
 
     asked = os.environ.get("CLACAD_THREADS")
     try:
         count = thread_count(None)
     except ValueError as error:
-        yield Finding("threads", "threads", "fail", asked, str(error))
+        yield Diagnosis("threads", "threads", "fail", asked, str(error))
         return
     origin = "CLACAD_THREADS" if asked else "one for each core; CLACAD_THREADS sets another number"
-    yield Finding("threads", "threads", "ok", count, origin)
+    yield Diagnosis("threads", "threads", "ok", count, origin)
 
 
-def _disk(folder: Path) -> Iterator[Finding]:
+def _disk(folder: Path) -> Iterator[Diagnosis]:
+    """Room in a folder, and how fast a file is written there."""
     from clacad.exporting.limits import free_disk
     from clacad.storage.atomic import Stage, translated
     from clacad.storage.errors import CannotWrite
     from clacad.storage.staging import flush
 
     if not folder.is_dir():
-        yield Finding("disk", "folder", "fail", str(folder), "no such folder")
+        yield Diagnosis("disk", "folder", "fail", str(folder), "no such folder")
         return
     free = free_disk(folder)
     full = free < 10 * PROBE_BYTES
-    yield Finding("disk", "free", "warn" if full else "ok", free, f"in {folder.absolute()}")
+    yield Diagnosis("disk", "free", "warn" if full else "ok", free, f"in {folder.absolute()}")
     try:
         with Stage(folder) as stage, translated(folder):
             path = stage.path("speed.bin")
@@ -267,10 +270,10 @@ def _disk(folder: Path) -> Iterator[Finding]:
             flush(path)
             speed = path.stat().st_size / max(1e-9, time.monotonic() - began)
     except CannotWrite as error:
-        yield Finding("disk", "writing", "fail", None, str(error))
+        yield Diagnosis("disk", "writing", "fail", None, str(error))
         return
     slow = speed < LEAST_SPEED
-    yield Finding(
+    yield Diagnosis(
         "disk", "writing", "warn" if slow else "ok", round(speed),
         "bytes per second, flushed" + ("; slow: prefer a local folder" if slow else ""),
     )  # fmt: skip
@@ -298,41 +301,41 @@ def _writable(folder: Path) -> bool:
     return place.is_dir() and os.access(place, os.W_OK | os.X_OK)
 
 
-def _cache() -> Iterator[Finding]:
+def _cache() -> Iterator[Diagnosis]:
     place, kept = kernel_cache()
     if place is None:
-        yield Finding(
+        yield Diagnosis(
             "cache", "kernels", "warn", None, "no folder for compiled kernels can be written: they are compiled "
             "again by every command; set NUMBA_CACHE_DIR to a folder that can",
         )  # fmt: skip
         return
     size = sum(path.stat().st_size for path in kept)
     many = f"{len(kept)} compiled, {size / 1e6:.1f} MB" if kept else "none yet; the first trace compiles them"
-    yield Finding("cache", "kernels", "ok", str(place), many)
+    yield Diagnosis("cache", "kernels", "ok", str(place), many)
 
 
-def _rates() -> Iterator[Finding]:
+def _rates() -> Iterator[Diagnosis]:
     """What forecasts of seconds rest on: the machine's speed, and what each task took here."""
     from clacad.base.machine_rates import MACHINE, REFERENCE, Rates
 
     took = Rates.here().calibrate()
     rates = Rates.here()
     if rates.path is None or not rates.path.is_file():
-        yield Finding(
+        yield Diagnosis(
             "rates", "seconds seen", "warn", None, "are not kept: forecasts stay wide; set CLACAD_CACHE_DIR to a "
             "folder that can be written",
         )  # fmt: skip
     else:
-        yield Finding(
+        yield Diagnosis(
             "rates", "seconds seen", "ok", str(rates.path), "kept for forecasts; delete it to start anew"
         )
-    yield Finding(
+    yield Diagnosis(
         "rates", "machine", "ok", round(took / REFERENCE, 2), "times the reference machine's seconds"
     )
     for task, noted in sorted(rates.tasks.items()):
         if task != MACHINE:
             model, last = noted[-1]
             now = rates.span(task, model)
-            yield Finding(
+            yield Diagnosis(
                 "rates", task, "ok", round(last, 3), f"seconds of the last run of {len(noted)}; again {now}"
             )

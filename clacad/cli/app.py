@@ -111,10 +111,7 @@ def export(
                                                "rms direction error of the exact surfaces, e.g. '0.5 mrad'.")] = None,
     normals: Annotated[str, typer.Option("--normals", help="With --target, what the file is read by: facet or vertex.")]
     = "facet",
-    set: Set = None,
-    json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    set: Set = None, json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
 ) -> int:  # fmt: skip
     """Write the part: files and manifest.json; prints the fabrication table."""
     from clacad.cli.export_command import ExportWords, export_design

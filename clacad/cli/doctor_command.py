@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.console import show_json, show_text, size, table
 
 if TYPE_CHECKING:
-    from clacad.doctor import Finding
+    from clacad.doctor import Diagnosis
 
 MARKS = {"ok": "ok", "warn": "warn", "fail": "FAIL", "absent": "-"}
 
@@ -26,7 +26,7 @@ def show_findings(folder: Path, *, json: bool, quiet: bool) -> int:
     return 0 if sound(findings) else 1
 
 
-def findings_text(findings: tuple[Finding, ...]) -> str:
+def findings_text(findings: tuple[Diagnosis, ...]) -> str:
     """One block a topic, one line a finding."""
     topics: dict[str, list[list[str]]] = {}
     for finding in findings:
@@ -37,7 +37,7 @@ def findings_text(findings: tuple[Finding, ...]) -> str:
     return "\n".join([*(f"{topic}\n{table(rows)}" for topic, rows in topics.items()), verdict])
 
 
-def value_text(finding: Finding) -> str:
+def value_text(finding: Diagnosis) -> str:
     """Bytes and seconds with their unit."""
     value = finding.value
     if value is None:

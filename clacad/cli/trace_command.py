@@ -165,8 +165,13 @@ def _cost(request: TraceRequest, rays: int, faces: int) -> tuple[str, float]:
     )
 
 
-def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
-    options: dict[str, Any] = {"rung": request.rung, "effects": request.effects}
+def _refuse_options(request: TraceRequest) -> None:
+    """Refuse options that are no words known here, or not of this rung.
+
+    Raises
+    ------
+    BadRays
+    """
     if request.rung not in ("law", "thin", "surfaces", "mesh"):
         raise BadRays(f"--rung {request.rung}: it is one of law, thin, surfaces, mesh")
     if request.search not in ("tree", "embree"):
@@ -190,6 +195,17 @@ def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
         unknown = [name for name in request.effects if name not in NAMES]
         if unknown:
             raise BadRays(f"--effects {unknown[0]}: it is one of {', '.join(NAMES)}")
+
+
+def _options(window: Any, request: TraceRequest) -> dict[str, Any]:
+    """Arguments of `trace` besides window and rays; a mesh is made, or read, here.
+
+    Raises
+    ------
+    BadRays
+    """
+    _refuse_options(request)
+    options: dict[str, Any] = {"rung": request.rung, "effects": request.effects}
     if request.rung == "mesh":
         from clacad.mesh import tessellate
 

@@ -110,7 +110,7 @@ class WordOr:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class InlineTable:
     """A small inline table; `exactly_one` for one key out of several."""
 
     kinds: tuple[tuple[str, Kind], ...]

@@ -26,7 +26,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class KeyPlaces:
     """Places of the keys and of the values of a file, by key path; JSON: also of keys that stand twice."""
 
     keys: dict[KeyPath, Place]
@@ -77,8 +77,9 @@ def located(
 
 
 def _one(
-    mistake: Mistake, places: Places | None, lines: list[str], path: str, overrides: Sequence[tuple[KeyPath, str]]
+    mistake: Mistake, places: KeyPlaces | None, lines: list[str], path: str, overrides: Sequence[tuple[KeyPath, str]]
 ) -> Mistake:  # fmt: skip
+    """The mistake at its place: the last override that set its key, else the key or the value in the file."""
     if mistake.line is not None or mistake.path == "--set":
         return mistake
     key = split_key(mistake.key)
@@ -98,7 +99,7 @@ def _one(
     )
 
 
-def find(text: str, path: str) -> Places:
+def find(text: str, path: str) -> KeyPlaces:
     """Return the places of everything in a valid TOML text (or JSON, by the file's name)."""
     return _json_places(text) if path.lower().endswith(".json") else _toml_places(text)
 
@@ -106,11 +107,12 @@ def find(text: str, path: str) -> Places:
 # --- TOML -------------------------------------------------------------------------------------------------
 
 
-def _toml_places(text: str) -> Places:
+def _toml_places(text: str) -> KeyPlaces:
+    """Places in a valid TOML text, by the tree of its syntax."""
     import tree_sitter_toml
     from tree_sitter import Language, Parser
 
-    found = Places({}, {})
+    found = KeyPlaces({}, {})
     lines = text.encode().split(b"\n")
     tree = Parser(Language(tree_sitter_toml.language())).parse(text.encode())
     arrays: dict[KeyPath, int] = {}
@@ -164,7 +166,7 @@ def _place(node: Node, lines: list[bytes]) -> Place:
     return Place(row + 1, column + 1, max(1, len(lines[row][start:end].decode(errors="replace").rstrip())))
 
 
-def _pair(node: Node, prefix: KeyPath, found: Places, lines: list[bytes]) -> None:
+def _pair(node: Node, prefix: KeyPath, found: KeyPlaces, lines: list[bytes]) -> None:
     children = node.named_children
     if len(children) < 2 or children[0].type not in _KEYS:
         return
@@ -175,7 +177,7 @@ def _pair(node: Node, prefix: KeyPath, found: Places, lines: list[bytes]) -> Non
     _value(children[1], path, found, lines)
 
 
-def _value(node: Node, path: KeyPath, found: Places, lines: list[bytes]) -> None:
+def _value(node: Node, path: KeyPath, found: KeyPlaces, lines: list[bytes]) -> None:
     found.values[path] = _place(node, lines)
     if node.type == "array":
         items = [child for child in node.named_children if child.type != "comment"]
@@ -192,8 +194,8 @@ def _value(node: Node, path: KeyPath, found: Places, lines: list[bytes]) -> None
 _SPACE = re.compile(r"[ \t\r\n]*")
 
 
-def _json_places(text: str) -> Places:
-    found = Places({}, {})
+def _json_places(text: str) -> KeyPlaces:
+    found = KeyPlaces({}, {})
     starts = [0] + [match.end() for match in re.finditer("\n", text)]
     _json_value(text, _skip(text, 0), (), found, starts)
     return found
@@ -212,7 +214,7 @@ def _spot(starts: list[int], begin: int, end: int, text: str) -> Place:
     return Place(row + 1, begin - starts[row] + 1, max(1, (end if stop < 0 else stop) - begin))
 
 
-def _json_value(text: str, at: int, path: KeyPath, found: Places, starts: list[int]) -> int:
+def _json_value(text: str, at: int, path: KeyPath, found: KeyPlaces, starts: list[int]) -> int:
     """Walk one value of a text that json.loads accepted; return where it ends."""
     decoder = json.JSONDecoder()
     begin = at

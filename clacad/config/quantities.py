@@ -97,6 +97,7 @@ class Quantity:
         return number
 
     def _with_unit(self, value: str, unit: Unit) -> float:
+        """Value of a number with a unit word, as `read` gives it."""
         parts = units.split(value)
         if parts is None:
             raise self._refused("CL104", "is not a number with a unit", value, unit)

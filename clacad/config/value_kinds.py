@@ -107,7 +107,7 @@ class Whole:
     most: int = LARGEST_COUNT
 
     def read(self, value: object, unit: Unit) -> int:
-        """Return the number."""
+        """Return the number; refuse fractions, truth values and what is out of range."""
         if isinstance(value, bool) or not isinstance(value, int):
             whole = isinstance(value, float) and value.is_integer() and abs(value) < LARGEST_COUNT
             hint = f"write {int(value)} without a decimal point" if whole and isinstance(value, float) else ""
@@ -132,7 +132,7 @@ class Word:
     words: tuple[str, ...]
 
     def read(self, value: object, unit: Unit) -> str:
-        """Return the word."""
+        """Return the word; refuse another with the nearest one known."""
         if not isinstance(value, str):
             raise Refusal("CL104", not_this(value, "a text"), value, self.allowed(unit))
         if value not in self.words:
@@ -182,7 +182,7 @@ class Text:
     pattern: str = ""
 
     def read(self, value: object, unit: Unit) -> str:
-        """Return the text."""
+        """Return the text; refuse an empty or too long one, and characters it may not hold."""
         if not isinstance(value, str):
             raise Refusal("CL104", not_this(value, "a text"), value, self.what)
         if not 1 <= len(value) <= self.longest:

@@ -12,7 +12,7 @@ from typing import Any, Final
 from clacad.base import units
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
-from clacad.config.compound_kinds import ListOf, Several, Table, WordOr
+from clacad.config.compound_kinds import InlineTable, ListOf, Several, WordOr
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import (
     LARGEST_COUNT,
@@ -78,7 +78,7 @@ class FormatVersion:
     """The value of `format`: the version of the file format, so that old files are read for ever."""
 
     def read(self, value: object, unit: Unit) -> int:
-        """Return the version."""
+        """Return the version; refuse one that is not read."""
         if isinstance(value, bool) or not isinstance(value, int):
             raise Refusal("CL104", not_this(value, "a whole number"), value, self.allowed(unit))
         if value != FORMAT:
@@ -160,7 +160,7 @@ LATTICE: Final[dict[str, Key]] = {
     "seam": Key(_FROM_0, "width of the land along cell borders", 0.0),
     "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),
     "outline": Key(
-        Table(
+        InlineTable(
             (("circle", _ABOVE_0), ("rectangle", Several(_ABOVE_0, ("width", "height")))), exactly_one=True
         ),
         "outer shape; cells wholly inside are kept",
@@ -178,7 +178,7 @@ BODY: Final[dict[str, Key]] = {
     "baffle": Key(Flag(), "opaque honeycomb between the arrays", False),
     "baffle_wall": Key(_ABOVE_0, "wall thickness of the baffle"),
     "frame": Key(
-        Table((("width", _ABOVE_0), ("height", _ABOVE_0)), required=("width",)),
+        InlineTable((("width", _ABOVE_0), ("height", _ABOVE_0)), required=("width",)),
         "opaque frame round the sheet",
     ),
     "roughness": Key(_FROM_0, "rms roughness of the optical faces", 0.0),
@@ -224,7 +224,7 @@ CHECK: Final[dict[str, Key]] = {
     "fresnel_number": Key(_FACTOR, "Fresnel number below which a warning is given", 10.0),
     "allow": Key(
         ListOf(
-            Table(
+            InlineTable(
                 (
                     ("code", Text("a code such as CL311", 5, pattern="CL[0-9]{3}")),
                     ("reason", Text("a text of 1 to 500 characters", 500)),

@@ -11,7 +11,7 @@ from math import inf, pi, radians
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class ProcessProfile:
     """Limits of one process, lengths in metres.
 
     Parameters
@@ -66,42 +66,42 @@ class Profile:
 
 
 _PROFILES = (
-    Profile("none", 0.0, 0.0, 0.0, inf, 0.0, 0.0, 0.0, inf, 0.0, 0.5 * pi, 0.0, 0.0, inf, True, "geometry only"),
-    Profile(
+    ProcessProfile("none", 0.0, 0.0, 0.0, inf, 0.0, 0.0, 0.0, inf, 0.0, 0.5 * pi, 0.0, 0.0, inf, True, "geometry only"),
+    ProcessProfile(
         "diamond-turning", 0.5e-3, 50e-6, 50e-6, 2e-3, 100e-6, 50e-6, 25e-6, 1e-6, radians(5.0), radians(45.0), 0.0,
         0.0, 1.0, False,
         "single-crystal tool nose radii of 25 to 50 micrometres, clearance angles of 5 to 15 degrees and servo strokes "
         "of a few millimetres; no vertical walls (slow tool servo: Micromachines 13, 1564 (2022))",
     ),
-    Profile(
+    ProcessProfile(
         "two-photon", 2e-6, 1e-6, 2e-6, 0.5e-3, 5e-6, 5e-6, 0.0, inf, 0.0, 0.5 * pi, 0.5e-6, 1e-6, 10.0, True,
         "voxels of 0.2 to 0.5 micrometres laterally and about 1 micrometre along the axis; objective working "
         "distances of a few hundred micrometres",
     ),
-    Profile(
+    ProcessProfile(
         "greyscale", 100e-6, 1e-6, 5e-6, 100e-6, 5e-6, 10e-6, 0.0, 5e-6, radians(15.0), radians(60.0), 1e-6, 0.1e-6,
         1.0, False,
         "laser spots of about 1 micrometre, grey levels of about 0.1 micrometre, walls that come out at 75 degrees at "
         "best and resist films of up to about 100 micrometres",
     ),
-    Profile(
+    ProcessProfile(
         "moulding", 0.8e-3, 0.1e-3, 20e-6, 5e-3, 50e-6, 0.1e-3, 20e-6, 10e-6, radians(1.0), radians(60.0), 0.0, 0.0,
         2.0, False,
         "least wall of about 0.8 mm for filling acrylic; draft of 1 degree for release; the insert is diamond machined",
     ),
-    Profile(
+    ProcessProfile(
         "sla", 0.5e-3, 0.2e-3, 0.1e-3, 50e-3, 0.3e-3, 0.1e-3, 0.0, inf, 0.0, 0.5 * pi, 50e-6, 25e-6, 10.0, True,
         "pixels and layers of 25 to 50 micrometres; the thinnest self-supporting wall of about 0.2 mm",
     ),
 )  # fmt: skip
 
 
-def profiles() -> tuple[Profile, ...]:
+def profiles() -> tuple[ProcessProfile, ...]:
     """All process profiles, "none" first."""
     return _PROFILES
 
 
-def profile(name: str) -> Profile:
+def profile(name: str) -> ProcessProfile:
     """Profile of that name.
 
     Raises

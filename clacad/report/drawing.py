@@ -55,12 +55,7 @@ def assembly(report: Report) -> str:
     left += 0.5 * ((WIDTH - left - right) - (x1 - x0) * mm * scale)
 
     def at(x: Floats | float, z: Floats | float) -> Floats:
-        return np.stack(
-            np.broadcast_arrays(
-                left + (np.asarray(x) - x0) * mm * scale, top + (high - np.asarray(z)) * mm * scale
-            ),
-            axis=-1,
-        )
+        return _points(left + (np.asarray(x) - x0) * mm * scale, top + (high - np.asarray(z)) * mm * scale)
 
     _, y = across_cell(window, 0)
     for body in window.bodies:
@@ -84,6 +79,11 @@ def assembly(report: Report) -> str:
     canvas.text((left, bottom + 60), "Light comes from below. Section along x through the row of cells nearest the middle.",
                 "start", "note")  # fmt: skip
     return canvas.svg()
+
+
+def _points(across: Floats, down: Floats) -> Floats:
+    """Points (…, 2) of a drawing, px."""
+    return np.stack(np.broadcast_arrays(across, down), axis=-1)
 
 
 def _draw_body(canvas: Canvas, window: Window, body: Body, y: float, at: Callable[..., Floats]) -> None:
@@ -152,13 +152,8 @@ def telescopelet(report: Report) -> str:
     middle = 0.5 * (x[0] + x[-1])
 
     def at(x: Floats | float, z: Floats | float) -> Floats:
-        return np.stack(
-            np.broadcast_arrays(
-                left + (np.asarray(z) - low) * mm * scale,
-                top + (above - (np.asarray(x) - middle) * mm) * scale,
-            ),
-            axis=-1,
-        )
+        down = top + (above - (np.asarray(x) - middle) * mm) * scale
+        return _points(left + (np.asarray(z) - low) * mm * scale, down)
 
     spans = _spans(window, at, canvas)
     bottom = top + tall
@@ -266,12 +261,8 @@ def lens_detail(report: Report, array: int) -> str:
     canvas = Canvas(380.0, base + 80.0, label)
 
     def at(x_: Floats | float, z: Floats | float) -> Floats:
-        return np.stack(
-            np.broadcast_arrays(
-                left + (np.asarray(x_) - x[0]) * mm * scale, base - (np.asarray(z) - bottom) * mm * scale
-            ),
-            axis=-1,
-        )
+        down = base - (np.asarray(z) - bottom) * mm * scale
+        return _points(left + (np.asarray(x_) - x[0]) * mm * scale, down)
 
     for piece in outlines(x, np.maximum(front, bottom), drawn_top):
         canvas.polygon(at(piece[:, 0], piece[:, 1]), "body" if curved is None else "cut")
@@ -298,15 +289,10 @@ def _depth(front: Floats, back: Floats) -> float:
 
 
 def _detail_dimensions(
-    canvas: Canvas,
-    x: Floats,
-    front: Floats,
-    back: Floats,
-    at: Callable[..., Floats],
-    mm: float,
-    curved: int | None,
+    canvas: Canvas, x: Floats, front: Floats, back: Floats, at: Callable[..., Floats], mm: float, curved: int | None,
     base: float,
-) -> None:
+) -> None:  # fmt: skip
+    """Draw pitch, and sag of a lens on a plate, or thicknesses of a lens of its own at the middle and the edge."""
     pitch = (x[-1] - x[0]) * mm
     (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
     canvas.across(

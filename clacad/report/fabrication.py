@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class FabricationLine:
     """One line of the table.
 
     about, name : str
@@ -51,7 +51,7 @@ class Line:
         return {"about": self.about, "name": self.name, "value": value, "unit": self.unit}
 
 
-def fabrication(report: Report) -> tuple[Line, ...]:
+def fabrication(report: Report) -> tuple[FabricationLine, ...]:
     """Lines of the fabrication table, lengths in millimetres."""
     window, facts = report.window, report.facts
     mm = millimetres(window.unit)
@@ -61,73 +61,81 @@ def fabrication(report: Report) -> tuple[Line, ...]:
     for body in facts.bodies:
         lines += _body(window, body, mm)
     if isfinite(facts.clearance):
-        lines.append(Line("assembly", "gap between the bodies, least", (facts.clearance * mm,)))
+        lines.append(FabricationLine("assembly", "gap between the bodies, least", (facts.clearance * mm,)))
     lines += _smallest(report, mm)
     lines += _calipers(window, mm)
     return tuple(lines)
 
 
-def _sheet(window: Window, mm: float) -> list[Line]:
+def _sheet(window: Window, mm: float) -> list[FabricationLine]:
+    """Lines about the array: lattice, pitch, cells, extent, fill, land, outline, displacement."""
     lattice = window.lattice
     zone = polygon_area(optical_tile(window)) / lattice.cell_area
     x0, x1, y0, y1 = lattice.extent()
     lines = [
-        Line("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
+        FabricationLine("array", "lattice", "hexagonal" if lattice.hexagonal else "square" if lattice.pitch[0] == lattice.pitch[1]
              else "rectangular", ""),
-        Line("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
-        Line("array", "cells", f"{lattice.count[0]} × {lattice.count[1]} ({lattice.cell_count} kept)", ""),
-        Line("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
-        Line("array", "fill: optical zone over cell", (zone,), ""),
+        FabricationLine("array", "pitch x, y", tuple(p * mm for p in lattice.pitch)),
+        FabricationLine("array", "cells", f"{lattice.count[0]} × {lattice.count[1]} ({lattice.cell_count} kept)", ""),
+        FabricationLine("array", "extent of the cells x, y", ((x1 - x0) * mm, (y1 - y0) * mm)),
+        FabricationLine("array", "fill: optical zone over cell", (zone,), ""),
     ]  # fmt: skip
     if window.land.seam or window.land.border:
-        lines.append(Line("array", "seam, border", (window.land.seam * mm, window.land.border * mm)))
+        lines.append(
+            FabricationLine("array", "seam, border", (window.land.seam * mm, window.land.border * mm))
+        )
     if isinstance(window.outline, Circle):
-        lines.append(Line("array", "round outline, diameter", (window.outline.diameter * mm,)))
+        lines.append(FabricationLine("array", "round outline, diameter", (window.outline.diameter * mm,)))
     shift = window.shifts[1]
     if shift != (0.0, 0.0):
-        lines.append(Line("array", "array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm)))
-    return lines
-
-
-def _lens(lens: LensFacts, mm: float) -> list[Line]:
-    about = f"lens {lens.array + 1}"
-    conic = ", ".join("–" if k is None else digits(k) for k in lens.conic)
-    return [
-        Line(about, "apex radius x, y", tuple(r * mm for r in lens.radius)),
-        Line(about, "conic constant x, y", conic, ""),
-        Line(about, "sag over the cell", (lens.sag * mm,)),
-        Line(about, "centre thickness", (lens.thickness * mm,)),
-        Line(about, "steepest slope", (float(np.degrees(np.arccos(min(1.0, lens.least_normal_z)))),), "deg"),
-        Line(about, "fill: lens over its zone", (lens.cover,), ""),
-    ]
-
-
-def _body(window: Window, body: BodyFacts, mm: float) -> list[Line]:
-    built = next(b for b in window.bodies if b.name == body.name)
-    material = built.material
-    named = f"{material.name}, n = {built.index:.6g}" if material is not None else f"n = {built.index:.6g}"
-    lines = [
-        Line(body.name, "material", named, ""),
-        Line(body.name, "edge thickness, least", (body.edge * mm,)),
-        Line(body.name, "steps between cells, greatest", (body.step * mm,)),
-        Line(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
-    ]
-    if isfinite(body.neck):
-        lines.insert(2, Line(body.name, "neck between cells, least", (body.neck * mm,)))
-    volume = body_volume(window, built)
-    if volume is not None:
-        cubic = volume.value * mm**3
-        lines.append(Line(body.name, "volume", (cubic,), "mm³"))
-        density = None if material is None else material.density_kg_m3
         lines.append(
-            Line(body.name, "mass, no density given", "not known", "")
-            if density is None
-            else Line(body.name, "mass", (cubic * density * 1e-6,), "g")
+            FabricationLine("array", "array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm))
         )
     return lines
 
 
-def _smallest(report: Report, mm: float) -> list[Line]:
+def _lens(lens: LensFacts, mm: float) -> list[FabricationLine]:
+    about = f"lens {lens.array + 1}"
+    conic = ", ".join("–" if k is None else digits(k) for k in lens.conic)
+    return [
+        FabricationLine(about, "apex radius x, y", tuple(r * mm for r in lens.radius)),
+        FabricationLine(about, "conic constant x, y", conic, ""),
+        FabricationLine(about, "sag over the cell", (lens.sag * mm,)),
+        FabricationLine(about, "centre thickness", (lens.thickness * mm,)),
+        FabricationLine(
+            about, "steepest slope", (float(np.degrees(np.arccos(min(1.0, lens.least_normal_z)))),), "deg"
+        ),
+        FabricationLine(about, "fill: lens over its zone", (lens.cover,), ""),
+    ]
+
+
+def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
+    """Lines about one body: material, thicknesses, edge, neck, volume."""
+    built = next(b for b in window.bodies if b.name == body.name)
+    material = built.material
+    named = f"{material.name}, n = {built.index:.6g}" if material is not None else f"n = {built.index:.6g}"
+    lines = [
+        FabricationLine(body.name, "material", named, ""),
+        FabricationLine(body.name, "edge thickness, least", (body.edge * mm,)),
+        FabricationLine(body.name, "steps between cells, greatest", (body.step * mm,)),
+        FabricationLine(body.name, "pieces, holes", f"{body.pieces}, {body.holes}", ""),
+    ]
+    if isfinite(body.neck):
+        lines.insert(2, FabricationLine(body.name, "neck between cells, least", (body.neck * mm,)))
+    volume = body_volume(window, built)
+    if volume is not None:
+        cubic = volume.value * mm**3
+        lines.append(FabricationLine(body.name, "volume", (cubic,), "mm³"))
+        density = None if material is None else material.density_kg_m3
+        lines.append(
+            FabricationLine(body.name, "mass, no density given", "not known", "")
+            if density is None
+            else FabricationLine(body.name, "mass", (cubic * density * 1e-6,), "g")
+        )
+    return lines
+
+
+def _smallest(report: Report, mm: float) -> list[FabricationLine]:
     """Least radius and least feature of the whole part: what a tool, a voxel or a pixel must reach."""
     facts = report.facts
     radii = [abs(r) for lens in facts.lenses for r in lens.radius if isfinite(r)]
@@ -140,13 +148,13 @@ def _smallest(report: Report, mm: float) -> list[Line]:
     }
     features = {k: v for k, v in features.items() if v > 0.0}  # what is not there is judged by a check
     name = min(features, key=lambda k: features[k])
-    lines = [Line("smallest", f"feature: {name}", (features[name] * mm,))]
+    lines = [FabricationLine("smallest", f"feature: {name}", (features[name] * mm,))]
     if radii:
-        lines.insert(0, Line("smallest", "apex radius", (min(radii) * mm,)))
+        lines.insert(0, FabricationLine("smallest", "apex radius", (min(radii) * mm,)))
     return lines
 
 
-def _calipers(window: Window, mm: float) -> list[Line]:
+def _calipers(window: Window, mm: float) -> list[FabricationLine]:
     """Outer sizes that a caliper can check, as built."""
     from clacad.sheet.feasibility import body_range
 
@@ -156,11 +164,11 @@ def _calipers(window: Window, mm: float) -> list[Line]:
         a0, a1, b0, b1 = body_extent(window, body)
         low, high = body_range(window, body)
         size = ((a1 - a0) * mm, (b1 - b0) * mm, (high - low) * mm)
-        lines.append(Line("caliper", f"{body.name}: width, height, thickness", size))
+        lines.append(FabricationLine("caliper", f"{body.name}: width, height, thickness", size))
     if len(window.bodies) > 1:
         low, high = window.z_range
         size = ((x1 - x0) * mm, (y1 - y0) * mm, (high - low) * mm)
-        lines.append(Line("caliper", "assembly: width, height, thickness", size))
+        lines.append(FabricationLine("caliper", "assembly: width, height, thickness", size))
     return lines
 
 

@@ -161,17 +161,7 @@ def spots(report: Report) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.subplots(3, 3, sharex=True, sharey=True)
         # the middle of the field in the middle, its rim round it as seen: +x to the right, +y up
-        place = {
-            0: (1, 1),
-            1: (1, 2),
-            2: (0, 2),
-            3: (0, 1),
-            4: (0, 0),
-            5: (1, 0),
-            6: (2, 0),
-            7: (2, 1),
-            8: (2, 2),
-        }
+        place = ((1, 1), (1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
         points = report.optics.points
         reach = max(
             (1e3 * float(np.percentile(np.abs(p.deviation), 99)) for p in points if len(p.deviation)),

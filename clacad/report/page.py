@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.report import drawing, figures, plots
-from clacad.report.content import Content, data_uri, number
+from clacad.report.content import Content, data_uri
+from clacad.report.light_rows import number
 
 if TYPE_CHECKING:
     from jinja2 import Environment

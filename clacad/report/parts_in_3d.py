@@ -22,7 +22,7 @@ PICTURE = (720, 400)
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class BodyTriangles:
     """Triangles of one body: vertices (v, 3) lengths, outward normals (v, 3), triangles (t, 3)."""
 
     name: str
@@ -41,7 +41,7 @@ class Parts:
         Along z between the bodies; 0 for a slab.
     """
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[BodyTriangles, ...]
     rays: tuple[Floats, ...]
     cells: int
     gap_built: float
@@ -84,13 +84,13 @@ def parts(window: Window) -> Parts:
     return Parts(tuple(pieces), tuple(middle) if cells % 2 else (), cells, gap, shown)
 
 
-def _welded(name: str, corners: Floats, normals: Floats) -> Piece:
+def _welded(name: str, corners: Floats, normals: Floats) -> BodyTriangles:
     """Corners with equal place and normal made one vertex."""
     keys = np.concatenate([corners.reshape(-1, 3), normals.reshape(-1, 3)], axis=1)
     size = np.abs(corners).max() or 1.0
     whole = np.rint(keys * np.array([1e6 / size] * 3 + [120.0] * 3)).astype(np.int64)
     _, first, number = np.unique(whole, axis=0, return_index=True, return_inverse=True)
-    return Piece(name, keys[first, :3], keys[first, 3:], number.reshape(-1, 3))
+    return BodyTriangles(name, keys[first, :3], keys[first, 3:], number.reshape(-1, 3))
 
 
 def packed(shown: Parts) -> tuple[str, str]:

@@ -78,6 +78,7 @@ def _with_namespaces(svg: bytes) -> bytes:
 
 
 def _document(content: Content, shelf: _Shelf) -> dict[str, Any]:
+    """All that the typesetter is given: head, verdict, tally of the checks, and blocks in their order."""
     report = content.report
     counts = report.counts()
     n1, n2 = report.window.lattice.count
@@ -142,6 +143,7 @@ def _table(
 
 
 def _fabrication(content: Content, shelf: _Shelf) -> list[Block]:
+    """Blocks for the workshop: table, files, how to hold the part, drawings."""
     report = content.report
     rows = [
         (about, line.name, line.text, line.unit) for about, lines in content.fabrication for line in lines
@@ -203,6 +205,7 @@ def _asked(content: Content) -> list[Block]:
 
 
 def _light(content: Content, shelf: _Shelf) -> list[Block]:
+    """Blocks for the referee: views, transfer, transmission, maps, spots, foci."""
     report, evidence = content.report, content.evidence
     views: Mapping[str, tuple[bytes, str]] = {
         "without": (content.look.without, "Without the sheet."), "through": (content.look.through, f"Through it: {content.look.how}.")
@@ -224,7 +227,7 @@ def _light(content: Content, shelf: _Shelf) -> list[Block]:
         _figure(shelf, "residual", figures.residual_map(report), "Angle to the law over aperture and field."),
         _figure(shelf, "spots", figures.spots(report), "Spots about the law's direction over the field.", 66),
     ]
-    if content.foci:
+    if content.light.foci:
         head = (
             "meridian",
             "focus of lens 1 (mm)",
@@ -237,16 +240,19 @@ def _light(content: Content, shelf: _Shelf) -> list[Block]:
             _figure(
                 shelf, "foci", plots.foci(report, evidence), "Both foci in both meridians, and the caustics."
             ),
-            _table(head, content.foci, (1, 2, 3, 4, 5)),
+            _table(head, content.light.foci, (1, 2, 3, 4, 5)),
         ]
     return blocks
 
 
 def _errors(content: Content, shelf: _Shelf) -> list[Block]:
+    """Blocks that tell errors apart, and the budget."""
     report = content.report
     blocks = [_heading("Where errors come from")]
     head = ("part", "rms (mrad)", "half below", "largest", "share", "what it is")
-    for k, (one, found) in enumerate(zip(content.attributions, content.evidence.attributions, strict=True)):
+    for k, (one, found) in enumerate(
+        zip(content.light.attributions, content.evidence.attributions, strict=True)
+    ):
         drawn = plots.parts_of_error(found, report.design.check.law_rms)
         rows = [
             *one["parts"],
@@ -255,20 +261,21 @@ def _errors(content: Content, shelf: _Shelf) -> list[Block]:
         blocks += [_heading(one["about"], 2), _figure(shelf, f"parts{k}", drawn, "Five parts of the error."),
                    _table(head, rows, (1, 2, 3, 4))]  # fmt: skip
     return [
-        *blocks, _heading("Budget", 2), _table(("contribution", "mrad", "measured as"), content.budget, (1,)),
+        *blocks, _heading("Budget", 2), _table(("contribution", "mrad", "measured as"), content.light.budget, (1,)),
     ]  # fmt: skip
 
 
 def _rest(content: Content, shelf: _Shelf) -> list[Block]:
+    """Blocks at the end: accuracy, effects, the design, how to make the report again."""
     report = content.report
     rungs = ("rung", "setting", "model error (mrad)", "law error (mrad)", "other fate (%)", "µs a ray")
     effects = ("effect", "in a picture", "mrad", "% of light", "time", "why")
     drawn = plots.accuracy(report, content.evidence, content.timings)
     blocks: list[Block] = [
         _heading("Accuracy against time"), _figure(shelf, "accuracy", drawn, "What each rung leaves out, and what it costs."),
-        _table(rungs, content.ladder, (2, 3, 4, 5), 1),
-        _heading("Effects"), {"kind": "text", "text": content.effects_sentence},
-        *([_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.effects], (2, 3, 4))] if content.effects else []),
+        _table(rungs, content.light.ladder, (2, 3, 4, 5), 1),
+        _heading("Effects"), {"kind": "text", "text": content.light.effects_sentence},
+        *([_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.light.effects], (2, 3, 4))] if content.light.effects else []),
     ]  # fmt: skip
     if report.design.notes:
         blocks += [

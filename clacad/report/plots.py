@@ -42,6 +42,7 @@ def foci(report: Report, evidence: Evidence) -> str:
 
 
 def _overview(panel: Any, focus: MeridianFocus, mm: float, name: str) -> None:
+    """Draw the fans of rays of both lenses from lens to lens, in one meridian."""
     reach = focus.distance
     low, high = 0.0, reach
     for fan in (focus.lens1, focus.lens2):
@@ -76,6 +77,7 @@ def _rays(
 
 
 def _close_up(panel: Any, focus: MeridianFocus, mm: float) -> None:
+    """Draw foci and caustics of both lenses enlarged, or say that there is no focus."""
     known = [fan for fan in (focus.lens1, focus.lens2) if np.isfinite(fan.focus).all()]
     if not known:
         panel.set_axis_off()

@@ -26,15 +26,9 @@ PDF_MARK = b"%PDF"
 
 
 def write_report(
-    report: Report | Content,
-    folder: str | os.PathLike[str],
-    overwrite: bool = False,
-    *,
-    progress: Progress | None = None,
-    more: Sequence[Section] = (),
-    pdf: bool = False,
-    timings: bool = False,
-) -> tuple[Path, ...]:
+    report: Report | Content, folder: str | os.PathLike[str], overwrite: bool = False, *, progress: Progress | None = None,
+    more: Sequence[Section] = (), pdf: bool = False, timings: bool = False,
+) -> tuple[Path, ...]:  # fmt: skip
     """Write the page and its numbers.
 
     Parameters
@@ -64,30 +58,36 @@ def write_report(
     PdfMissing
         The extra package that sets the PDF is not installed.
     """
-    from clacad.report import content as contents
-    from clacad.report.page import page
-
-    tell = progress if progress is not None else _silent
     if pdf:
         from clacad.report.pdf import typesetter
 
         typesetter()  # said before the work is done, not after it
+    return _write_all(report, Path(folder), overwrite, progress or _silent, more, pdf=pdf, timings=timings)
+
+
+def _write_all(
+    report: Report | Content, folder: Path, overwrite: bool, tell: Progress, more: Sequence[Section], *, pdf: bool,
+    timings: bool,
+) -> tuple[Path, ...]:  # fmt: skip
+    """Gather what is shown, write page, numbers, PDF and run facts; paths of all but the last."""
+    from clacad.report import content as contents
+    from clacad.report.page import page
+
     began = time.monotonic()
     made = report if isinstance(report, contents.Content) else contents.content(report, tell, timings)
-    place = Path(folder)
-    html, numbers = place / "report.html", place / "report.json"
-    written: list[Path] = [html, numbers]
-    texts = ((numbers, _json(made.numbers())), (html, page(made, MARK, more, tell)))
+    html, numbers = folder / "report.html", folder / "report.json"
+    written = [html, numbers]
+    texts = ((numbers, _json(contents.numbers(made))), (html, page(made, MARK, more, tell)))
     for path, text in texts:
         write_file(path, partial(_put, text=text), overwrite=overwrite or is_report(path))
     if pdf:
         from clacad.report.pdf import pdf_bytes
 
         tell("setting the PDF", 0.0)
-        paper, data = place / "report.pdf", pdf_bytes(made)
+        paper, data = folder / "report.pdf", pdf_bytes(made)
         write_file(paper, partial(_put_bytes, data=data), overwrite=overwrite or is_report(paper))
         written.append(paper)
-    _write_run(place / "run.json", made.evidence.ladder.measured(), time.monotonic() - began)
+    _write_run(folder / "run.json", made.evidence.ladder.measured(), time.monotonic() - began)
     return tuple(written)
 
 

@@ -93,6 +93,7 @@ def _width(window: Window) -> float:
 
 
 def _scene(design: Design, window: Window, folder: str) -> Scene:
+    """The scene that is looked at: a chess knight on a floor behind the sheet, in the middle of the field of view."""
     from clacad.scene import Scene
 
     wide = _width(window)

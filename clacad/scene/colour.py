@@ -18,7 +18,7 @@ def linear(encoded: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Colour:
+class ColourValue:
     """A colour of a file: "#rrggbb" (sRGB-encoded) or [r, g, b] in linear light, 0 to 1000."""
 
     def read(self, value: object, unit: Unit) -> Rgb:

@@ -11,7 +11,7 @@ from clacad.config.compound_kinds import ListOf, Several, WordOr
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import Flag, JsonSchema, Refusal, Text, Whole, Word, not_this
 from clacad.design.keys import REQUIRED, FormatVersion, Key, UnitWord
-from clacad.scene.colour import Colour
+from clacad.scene.colour import ColourValue
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ _ANGLE = Quantity("angle", "an angle from -36000 to 36000 deg", least=-36000.0, 
 _SHARE = Quantity("ratio", "a number from 0 to 1000", least=0.0, most=1000.0)
 _SMALL = Quantity("ratio", "a number from 0 to 1", least=0.0, most=1.0)
 _PIXELS = Whole("a whole number from 1 to 32768", 1, 32768)
-_COLOURS = Several(Colour(), ("first", "second"))
+_COLOURS = Several(ColourValue(), ("first", "second"))
 _EFFECT = Text("the name of an effect", 40, pattern="[a-z_]+")
 _FILE = Text("a relative file name of 1 to 300 characters", 300)
 
@@ -168,8 +168,8 @@ LIGHT: Final[dict[str, Key]] = {
     "analyser": Key(_ANGLE, "direction of an analyser before the camera"),
 }  # fmt: skip
 BACKGROUND: Final[dict[str, Key]] = {
-    "sky": Key(Several(Colour(), ("zenith", "horizon")), "colours of the sky", ((0.275, 0.468, 0.745), (0.855, 0.896, 0.939))),
-    "ground": Key(Colour(), "seen below the horizon where there is no floor", (0.1845, 0.1845, 0.1845)),
+    "sky": Key(Several(ColourValue(), ("zenith", "horizon")), "colours of the sky", ((0.275, 0.468, 0.745), (0.855, 0.896, 0.939))),
+    "ground": Key(ColourValue(), "seen below the horizon where there is no floor", (0.1845, 0.1845, 0.1845)),
 }  # fmt: skip
 EFFECTS: Final[dict[str, Key]] = {
     "mode": Key(Word(("auto", "list", "none")), "how effects are chosen", "auto"),
@@ -215,7 +215,7 @@ OBJECT: Final[dict[str, Key]] = {
     "at": Key(_POINT, "where it is: centre of sphere, box and screen, middle of the foot of all else", (0.0, 0.0, 0.0)),
     "size": Key(Size(), "how large it is"),
     "turn": Key(Several(_ANGLE, _XYZ), "turns about the fixed x, y, z axes through `at`, in this order", (0.0, 0.0, 0.0)),
-    "colour": Key(Colour(), "its colour", (0.5, 0.5, 0.5)),
+    "colour": Key(ColourValue(), "its colour", (0.5, 0.5, 0.5)),
     "height": Key(LENGTH, "checker: y of the floor", 0.0),
     "tile": Key(LENGTH_ABOVE_0, "checker: side of a tile", 1.0),
     "reach": Key(LENGTH_ABOVE_0, "checker: how far along a ray the floor is drawn"),

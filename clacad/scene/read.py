@@ -119,7 +119,7 @@ def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[Scene
     top = {name: value for name, value in data.items() if name not in keys.SECTIONS and name != "object"}
     root = reader.table("", top, keys.ROOT)
     parts = {name: _section(reader, data, name) for name in keys.SECTIONS}
-    objects = _objects(reader, data.get("object", []), "object", path)
+    objects = _objects(reader, data.get("object", []), "object")
     moves = _moves(reader, parts.get("animation", {}).pop("move", None), data)
     if reader.mistakes:
         return None, reader.mistakes
@@ -170,7 +170,7 @@ def _flat(table: Mapping[str, Any] | None, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _objects(reader: Reader, listed: Any, where: str, path: str) -> tuple[SceneObject, ...]:
+def _objects(reader: Reader, listed: Any, where: str) -> tuple[SceneObject, ...]:
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
         complaint = (
             "is not a list of tables" if isinstance(listed, list) else not_this(listed, "a list of tables")
@@ -183,11 +183,12 @@ def _objects(reader: Reader, listed: Any, where: str, path: str) -> tuple[SceneO
             Mistake("CL108", f"{where} has {len(listed)} tables", where, allowed="at most 1000")
         )
         return ()
-    found = [_object(reader, one, f"{where}.{k}", path) for k, one in enumerate(listed)]
+    found = [_object(reader, one, f"{where}.{k}") for k, one in enumerate(listed)]
     return tuple(one for one in found if one is not None)
 
 
-def _object(reader: Reader, table: dict[str, Any], where: str, path: str) -> SceneObject | None:
+def _object(reader: Reader, table: dict[str, Any], where: str) -> SceneObject | None:
+    """One object with the keys its kind takes, a group with its parts; None where something is wrong with it."""
     kind = table.get("kind")
     taken = keys.KEYS_OF.get(kind) if isinstance(kind, str) else None
     known: dict[str, Key] = keys.OBJECT
@@ -196,7 +197,7 @@ def _object(reader: Reader, table: dict[str, Any], where: str, path: str) -> Sce
     before = len(reader.mistakes)
     parts: tuple[SceneObject, ...] = ()
     if kind == "group":
-        parts = _objects(reader, table.get("parts", []), f"{where}.parts", path)
+        parts = _objects(reader, table.get("parts", []), f"{where}.parts")
         for k, part in enumerate(parts):
             if part.kind in ("checker", "group"):
                 what = "floor" if part.kind == "checker" else "group"
@@ -253,6 +254,7 @@ def _moves(reader: Reader, listed: Any, data: dict[str, Any]) -> tuple[Move, ...
 
 
 def _move(reader: Reader, table: dict[str, Any], where: str, data: dict[str, Any]) -> Move | None:
+    """One moved key with its times and values; None where something is wrong with it."""
     before = len(reader.mistakes)
     values = reader.table(where, table, keys.MOVE)
     if len(reader.mistakes) > before:

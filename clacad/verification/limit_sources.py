@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.process_profiles import Profile
+    from clacad.design.process_profiles import ProcessProfile
 
 
 class Origin(Enum):
@@ -77,7 +77,7 @@ def from_key(name: str) -> LimitSource:
     return LimitSource(Origin.OTHER_KEY, name)
 
 
-def from_profile(rules: Profile) -> LimitSource:
+def from_profile(rules: ProcessProfile) -> LimitSource:
     """Source of a limit of a process profile."""
     return LimitSource(Origin.PROFILE, rules.name, rules.source)
 

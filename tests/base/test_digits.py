@@ -14,7 +14,7 @@ from clacad.cli.tables import checks_text
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe
 from clacad.report.content import row
-from clacad.report.fabrication import Line
+from clacad.report.fabrication import FabricationLine
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.verification.checks import Check, judge
 
@@ -67,7 +67,7 @@ def test_a_short_number_stays_short():
 @pytest.mark.parametrize("left", [-1.11e-16, 2.2e-16, -0.0, 0.0, 3e-17])
 def test_what_rounding_leaves_of_zero_is_zero_wherever_a_design_is_shown(left):
     assert digits(left) == "0"
-    assert Line("lens 1", "conic constant x, y", (left, left), "").text == "0"
+    assert FabricationLine("lens 1", "conic constant x, y", (left, left), "").text == "0"
 
 
 def test_the_conic_constant_of_a_sphere_prints_as_zero():

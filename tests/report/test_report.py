@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from clacad.design import Design, load
+from clacad.report import content as contents
 from clacad.report import write_report
 from clacad.report.content import content
 from clacad.report.page import Section, number
@@ -232,7 +233,7 @@ def test_names_inside_the_drawings_are_each_used_once(page):
 
 
 def test_the_numbers_hold_what_the_page_shows(made, page):
-    numbers = json.loads(json.dumps(made.numbers()))
+    numbers = json.loads(json.dumps(contents.numbers(made)))
     text = "".join(outline(page).text)
     for key in (
         "attribution",
@@ -258,7 +259,7 @@ def test_the_numbers_hold_what_the_page_shows(made, page):
 
 
 def test_seconds_of_the_run_are_in_the_report_only_when_asked_for(made, page, short, tmp_path):
-    assert "timings" not in made.numbers()
+    assert "timings" not in contents.numbers(made)
     assert "--timings" not in page
     html, told = write_report(replace(made, timings=True), tmp_path)
     assert json.loads(told.read_text())["timings"][0]["seconds"] >= 0.0
@@ -321,7 +322,7 @@ def test_the_paper_version_says_the_same_and_is_the_same_every_time(made, short,
     for about, lines in made.fabrication:
         assert about in said
         assert all(json.dumps(line.text, ensure_ascii=False) in said for line in lines)
-    for part in made.attributions[0]["parts"]:
+    for part in made.light.attributions[0]["parts"]:
         assert all(json.dumps(value, ensure_ascii=False) in said for value in part)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import degrees, inf, pi
 from typing import TYPE_CHECKING
 
-from clacad.design.process_profiles import Profile, profile
+from clacad.design.process_profiles import ProcessProfile, profile
 from clacad.sheet.feasibility import Feasibility
 from clacad.sheet.feasibility.process_features import (
     FINE,
@@ -88,7 +88,7 @@ def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Ch
     return found
 
 
-def process_limit(design: Design, rules: Profile, name: str) -> tuple[float, LimitSource]:
+def process_limit(design: Design, rules: ProcessProfile, name: str) -> tuple[float, LimitSource]:
     """Limit (lengths in design units) and where it comes from: the design's own key, else the process profile."""
     own = getattr(design.check, name)
     if own is not None:
@@ -115,7 +115,7 @@ def _rule(
     )  # fmt: skip
 
 
-def _undercut(facts: Feasibility, rules: Profile) -> Check:
+def _undercut(facts: Feasibility, rules: ProcessProfile) -> Check:
     lens = min(facts.lenses, key=lambda lens: lens.least_normal_z)
     return _rule(
         "undercut", Named(lens.least_normal_z, f"lens {lens.array + 1}"), 0.0, ">=", "",

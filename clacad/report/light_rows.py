@@ -1,0 +1,114 @@
+"""What a report says of light, as rows of text: budget, errors told apart, foci, rungs, effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.digits import plainly
+from clacad.base.units import millimetres
+
+if TYPE_CHECKING:
+    from clacad.verification import Report
+    from clacad.verification.evidence import Evidence
+
+STATES = {"on": "simulated", "forced": "simulated, as asked", "off": "left out", "without": "left out, as asked",
+          "unknown": "left out, not bounded"}  # fmt: skip
+
+
+def number(value: float | str | None, unit: str = "") -> str:
+    """A value as the page shows it."""
+    return plainly(value, unit)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class LightRows:
+    """Rows of tables, made from a report and what was measured beside its checks.
+
+    Parameters
+    ----------
+    report : Report
+    evidence : Evidence
+    timings : bool
+        Whether seconds of this run may be shown.
+    """
+
+    report: Report
+    evidence: Evidence
+    timings: bool
+
+    @property
+    def budget(self) -> list[tuple[str, str, str]]:
+        """Contributions to the direction error, mrad."""
+        from clacad.report.figures import budget_rows
+
+        return [(name, f"{1e3 * value:.4g}", what) for name, value, what in budget_rows(self.report)]
+
+    @property
+    def attributions(self) -> list[dict[str, Any]]:
+        """Errors told apart, mrad."""
+        return [
+            {
+                "about": found.about, "cell": f"{found.cell[0]}, {found.cell[1]}", "bundle": found.bundle,
+                "used": f"{found.used} of {found.rays}", "rms": f"{1e3 * found.rms:.4g}",
+                "parts": [
+                    (p.name, f"{1e3 * p.rms:.3g}", f"{1e3 * p.half:.3g}", f"{1e3 * p.worst:.3g}", f"{1e3 * p.share:+.3g}",
+                     p.meaning) for p in found.parts
+                ],
+            }
+            for found in self.evidence.attributions
+        ]  # fmt: skip
+
+    @property
+    def foci(self) -> list[tuple[str, str, str, str, str, str]]:
+        """Foci of both lenses in both meridians, mm."""
+        if self.evidence.foci is None:
+            return []
+        mm = millimetres(self.report.window.unit)
+        return [
+            (name, number(f.lens1.focus[0] * mm), number(f.lens2.focus[0] * mm), number(f.gap * mm),
+             f"{abs(f.gap) / f.distance:.2g}", ", ".join(number(v * mm) for v in f.length))
+            if f.gap == f.gap
+            else (name, "no power", "no power", "–", "–", "–")
+            for name, f in zip("xy", self.evidence.foci, strict=True)
+        ]  # fmt: skip
+
+    @property
+    def ladder(self) -> list[tuple[str, str, str, str, str, str]]:
+        """Rungs: name, setting, model error, law error, share in another fate, microseconds a ray."""
+        found = self.evidence.ladder
+        return [
+            (r.rung, r.setting, f"{1e3 * r.model_rms:.3g}", f"{1e3 * r.law_rms:.4g}", f"{100 * r.disagree:.2g}",
+             f"{1e6 * r.seconds / r.rays:.3g}" if self.timings else f"{us:.2g}")
+            for r, us in zip(found.rows, found.forecast, strict=True)
+        ]  # fmt: skip
+
+    @property
+    def effects(self) -> list[tuple[str, str, str, str, str, str]]:
+        """Effects: name, state, why, angle, radiance, cost."""
+        plan = self.evidence.plan
+        if plan is None:
+            return []
+        return [
+            (r.effect, STATES[r.state], r.why, f"{1e3 * r.angle:.3g}" if r.angle else "",
+             f"{100 * r.radiance:.3g}" if r.radiance else "", f"×{r.cost:.3g}")
+            for r in plan.rows
+        ]  # fmt: skip
+
+    @property
+    def effects_sentence(self) -> str:
+        """What is simulated and what is left out, in one sentence."""
+        plan = self.evidence.plan
+        if plan is None:
+            return "The effects could not be planned: a wavelength lies outside the material's data."
+        left = [
+            f"{r.effect} ≤ {1e3 * r.angle:.2g} mrad"
+            if r.angle
+            else f"{r.effect} ≤ {100 * r.radiance:.2g} % of the light"
+            for r in plan.rows
+            if not r.on and r.known and (r.angle or r.radiance) and r.effect != "facets"
+        ]
+        unknown = [r.effect for r in plan.rows if not r.on and not r.known]
+        text = f"A picture would simulate: {', '.join(plan.names) or 'nothing beyond refraction'}; left out: "
+        text += ", ".join(left) or "nothing that changes anything"
+        return text + (f"; not bounded: {', '.join(unknown)}." if unknown else ".")
