@@ -21,7 +21,6 @@ from clacad.design.sections import (
     Allowed,
     BodySpec,
     CheckSpec,
-    DesignFields,
     Frame,
     LatticeSpec,
     LawSpec,
@@ -34,15 +33,15 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 
-def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> DesignFields:
-    """Read a design file; see `load`."""
+def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
+    """Read a design file; the fields of a `Design`, see `load`."""
     name = os.fspath(path)
     text = read_text(name)
     return _read(parse(text, name), tuple(overrides), text, name)
 
 
-def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> DesignFields:
-    """Read a design from nested dictionaries; see `Design.from_dict`."""
+def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Read nested dictionaries; the fields of a `Design`, see `Design.from_dict`."""
     given = plain(data, float)
     if not isinstance(given, dict):
         raise DesignError([Mistake("CL104", f"a design is a table, not {kind_of(given)}")])
@@ -51,8 +50,8 @@ def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> DesignFields
     return _read(given, tuple(overrides), None, "")
 
 
-def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> DesignFields:
-    """Read a design's keys as written, some of them changed; see `Design.replace`."""
+def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Read a design's keys as written, some of them changed; the fields of a `Design`, see `Design.replace`."""
     data: Any = given
     mistakes = []
     for key, value in changes.items():
@@ -68,7 +67,7 @@ def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]
 # --- checking ---------------------------------------------------------------------------------------------
 
 
-def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> DesignFields:
+def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
     """Lay overrides over the data, check everything, convert it; every mistake at its place."""
     changed, places, mistakes = override.apply(data, texts)
     values, found = _checked(changed)
@@ -184,8 +183,8 @@ def _refused(key: str, refusal: Refusal) -> Mistake:
 # --- building ---------------------------------------------------------------------------------------------
 
 
-def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> DesignFields:
-    """Sections from converted values by dotted key; what follows from other keys is filled in."""
+def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> dict[str, Any]:
+    """Fields of a `Design` from converted values by dotted key; what follows from other keys is filled in."""
     part = {
         section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()
     }

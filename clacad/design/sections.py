@@ -7,9 +7,8 @@ kept in degrees too, as written, so that 90 degrees stays exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypedDict
+from typing import Literal
 
 Pair2 = tuple[float, float]
 
@@ -296,21 +295,3 @@ NO_TOLERANCES = TolerancesSpec(
     (0.0, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 0.0, "normal", 1000, 0, None, None, None, None
 )
 """A design that states none."""
-
-
-class DesignFields(TypedDict):
-    """What a `Design` is made of, read and checked; see there."""
-
-    name: str
-    unit: str
-    unit_m: float
-    law_spec: LawSpec
-    pair: PairSpec
-    lattice: LatticeSpec
-    body: BodySpec
-    check: CheckSpec
-    tolerances: TolerancesSpec
-    notes: tuple[str, ...]
-    given: Mapping[str, Any]
-    source: str | None
-    path: str

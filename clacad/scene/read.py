@@ -27,14 +27,13 @@ from clacad.scene.sections import (
     EffectsSpec,
     Light,
     Move,
-    SceneFields,
     SceneObject,
     SheetSpec,
 )
 
 
-def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> SceneFields:
-    """Read a scene file; see `load_scene`."""
+def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
+    """Read a scene file; the fields of a `Scene`, see `load_scene`."""
     name = os.fspath(path)
     try:
         text = read_text(name, "scene")
@@ -44,8 +43,8 @@ def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> SceneFi
     return _read(data, tuple(overrides), text, name)
 
 
-def read_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> SceneFields:
-    """Read a scene from nested dictionaries; see `Scene.from_dict`."""
+def read_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) -> dict[str, Any]:
+    """Read nested dictionaries; the fields of a `Scene`, see `Scene.from_dict`."""
     given = plain(data, float)
     if not isinstance(given, dict):
         raise SceneError([Mistake("CL104", f"a scene is a table, not {kind_of(given)}")])
@@ -54,8 +53,8 @@ def read_dict(data: Mapping[str, Any], overrides: Sequence[str], folder: str) ->
     return _read(given, tuple(overrides), None, os.path.join(folder, ""))
 
 
-def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> SceneFields:
-    """Read a scene's keys as written, some of them changed; see `Scene.replace`."""
+def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Read a scene's keys as written, some of them changed; the fields of a `Scene`, see `Scene.replace`."""
     data: Any = given
     mistakes = []
     for key, value in changes.items():
@@ -91,7 +90,7 @@ def put(data: Any, key: str, value: Any) -> Any:
     return override.put(data, split_key(".".join(steps)), value)
 
 
-def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> SceneFields:
+def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
     """Lay overrides over the data, check everything, convert it; every mistake at its place."""
     mistakes: list[Mistake] = []
     for text in texts:
@@ -111,8 +110,10 @@ def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path
     return fields
 
 
-def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[SceneFields | None, list[Mistake]]:
-    """Converted sections, None if some cannot be read, and every mistake."""
+def _checked(
+    data: dict[str, Any], source: str | None, path: str
+) -> tuple[dict[str, Any] | None, list[Mistake]]:
+    """Fields of a `Scene`, None if some cannot be read, and every mistake."""
     word = data.get("unit")
     unit = (units.design_unit(word) if isinstance(word, str) else None) or Unit("1", units.LENGTHS["m"])
     reader = Reader(unit)
@@ -128,7 +129,7 @@ def _checked(data: dict[str, Any], source: str | None, path: str) -> tuple[Scene
     effects = parts["effects"]
     effects["angle"] = None if effects["angle"] == "auto" else effects["angle"]
     animation = Animation(**parts["animation"], moves=moves) if "animation" in data else None
-    fields: SceneFields = {
+    fields = {
         "name": root["name"], "unit": root["unit"], "unit_m": float(unit.metres), "sheet": SheetSpec(**sheet),
         "camera": Camera(**parts["camera"]), "light": Light(**parts["light"]),
         "background": Background(**parts["background"]), "objects": objects, "effects": EffectsSpec(**effects),

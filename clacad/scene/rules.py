@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from clacad.config.mistakes import Mistake
 from clacad.scene.named_files import folder_of, outside
-from clacad.scene.sections import Camera, EffectsSpec, Light, SceneFields, SceneObject
+from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
 
 
-def broken(scene: SceneFields) -> list[Mistake]:
-    """Return the rules a scene breaks."""
+def broken(fields: Mapping[str, Any]) -> list[Mistake]:
+    """Return the rules that the fields of a `Scene` break."""
+    objects, folder = fields["objects"], folder_of(fields["path"])
     return [
-        *_camera(scene["camera"]), *_light(scene["light"]), *_ids(scene["objects"]), *_files(scene),
-        *_effects(scene["effects"]),
+        *_camera(fields["camera"]), *_light(fields["light"]), *_ids(objects), *_files(fields["sheet"], objects, folder),
+        *_effects(fields["effects"]),
     ]  # fmt: skip
 
 
@@ -59,11 +61,10 @@ def _effects(effects: EffectsSpec) -> Iterator[Mistake]:
             yield Mistake("CL113", f'effects.{name} needs mode = "auto"', f"effects.{name}")
 
 
-def _files(scene: SceneFields) -> Iterator[Mistake]:
+def _files(sheet: SheetSpec, objects: tuple[SceneObject, ...], folder: str) -> Iterator[Mistake]:
     """Files that are missing from an object, have no use, or lie outside the scene's folder."""
-    sheet, folder = scene["sheet"], folder_of(scene["path"])
     named = [("sheet.design", sheet.design, 1), ("sheet.mesh", sheet.mesh, 2)]
-    for key, thing in _walk(scene["objects"], "object"):
+    for key, thing in _walk(objects, "object"):
         named.append((f"{key}.file", thing.file, 1))
         needs = thing.kind == "mesh" or (thing.kind == "screen" and thing.pattern == "image")
         if needs and thing.file is None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal
 
 Vector = tuple[float, float, float]
 Rgb = tuple[float, float, float]
@@ -229,22 +229,3 @@ class Animation:
     frames: int
     fps: float
     moves: tuple[Move, ...]
-
-
-class SceneFields(TypedDict):
-    """What a `Scene` is made of, read and checked; see there."""
-
-    name: str
-    unit: str
-    unit_m: float
-    sheet: SheetSpec
-    camera: Camera
-    light: Light
-    background: Background
-    objects: tuple[SceneObject, ...]
-    effects: EffectsSpec
-    animation: Animation | None
-    notes: tuple[str, ...]
-    given: Mapping[str, Any]
-    source: str | None
-    path: str
