@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from clacad.verification.checks import CODES, Check, passed
     from clacad.verification.design.design_rules import design_checks
-    from clacad.verification.files.find_files import CannotRegister
+    from clacad.verification.files.unit_and_cells import CannotRegister
     from clacad.verification.run import verify
     from clacad.verification.verification_report import Report
 
 __all__ = ["CODES", "CannotRegister", "Check", "Report", "design_checks", "passed", "verify"]
 
 _HOME = {
-    "CODES": "checks", "Check": "checks", "passed": "checks", "CannotRegister": "files.find_files",
+    "CODES": "checks", "Check": "checks", "passed": "checks", "CannotRegister": "files.unit_and_cells",
     "design_checks": "design.design_rules", "Report": "verification_report", "verify": "run",
 }  # fmt: skip
 

@@ -11,19 +11,12 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 from clacad.verification.checks import Check, not_run
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
-from clacad.verification.files.find_files import (
-    Delivery,
-    Subject,
-    held_bodies,
-    integrity,
-    same_design,
-    unit_of,
-    written_window,
-)
+from clacad.verification.files.find_files import Delivery, Subject, integrity, same_design
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.map_file import format_of, judge_map
 from clacad.verification.files.mesh_file import judge_mesh
 from clacad.verification.files.step_file import judge_solid, lies_elsewhere
+from clacad.verification.files.unit_and_cells import held_bodies, unit_of, written_window
 from clacad.verification.returned.judge_part import judge_placed
 from clacad.verification.returned.registration import place
 from clacad.verification.returned.turned_step_file import judge_turned

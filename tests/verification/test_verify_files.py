@@ -13,7 +13,8 @@ from oracle.plain_mesh import facets, sheet_facets, write_stl
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import CannotRegister, passed, verify
-from clacad.verification.files.find_files import find_files, register
+from clacad.verification.files.find_files import find_files
+from clacad.verification.returned.registration import place
 
 DESIGN = Design.from_dict({
     "format": 1, "name": "good", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.0]},
@@ -192,10 +193,11 @@ def test_unit_and_cells_are_found_without_a_manifest(tmp_path, soup, unit, word)
 
     path = tmp_path / "part.stl"
     write_stl(path, soup * MM * unit)
-    window, factor, found = register(DESIGN, find_files(path).subjects[0], read_mesh(path), None)
-    assert window.lattice.count == (5, 4)
-    assert factor * unit * MM == pytest.approx(1.0)
-    assert word in found
+    placed = place(DESIGN, find_files(path).subjects[0], read_mesh(path), None)
+    assert placed.window.lattice.count == (5, 4)
+    assert placed.pose.factor * unit * MM == pytest.approx(1.0)
+    assert placed.pose.unit == word
+    assert f"read in {word}, 5 x 4 cells" in placed.note
 
 
 def test_fewer_cells_than_designed_are_found(tmp_path):

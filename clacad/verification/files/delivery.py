@@ -20,8 +20,9 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.find_files import FACTORS, SAME_EXTENT, SUFFIXES, Subject
+from clacad.verification.files.find_files import SUFFIXES, Subject
 from clacad.verification.files.map_file import format_of
+from clacad.verification.files.unit_and_cells import FACTORS, SAME_EXTENT
 from clacad.verification.limit_sources import derived
 
 FIXTURES = frozenset({"baffle", "spacer", "retainer1", "retainer2", "coupon"})

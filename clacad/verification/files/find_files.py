@@ -1,21 +1,13 @@
-"""Which files there are to judge, in what unit they are and how many cells they hold."""
+"""Which files there are to judge, what each is for, and whether they are those that were written."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from clacad.base.units import millimetres
 from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
-from clacad.formats.mesh.file_mesh import FileMesh
-from clacad.prescription.prescribe import prescribe
-from clacad.sheet.feasibility import body_range
-from clacad.sheet.volume_and_extent import whole_extent
-from clacad.sheet.window import Window
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.verification.checks import Check
 
@@ -28,24 +20,6 @@ SUFFIXES: Mapping[str, str] = {
     ".stl": "stl", ".3mf": "3mf", ".ply": "ply", ".glb": "glb", ".obj": "obj", ".step": "step", ".stp": "step",
     ".brep": "brep",
 }  # fmt: skip
-UNITS: Mapping[str, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-
-FACTORS: tuple[tuple[str, float], ...] = (
-    ("mm", 1e-3), ("m", 1.0), ("um", 1e-6), ("in", 0.0254), ("mm / 25.4", 1e-3 / 25.4),
-)  # fmt: skip
-"""Units in metres that a file without a manifest may be in, if its format has none."""
-
-STATED = ("3mf", "glb", "step")
-"""Formats whose files are in a unit that every reader takes them to be in."""
-
-SAME_EXTENT = 0.02
-"""Relative difference up to which two extents are the same."""
-
-
-class CannotRegister(ValueError):
-    """A file whose unit or number of cells cannot be told; the message names what was tried."""
-
-    exit_status = 2
 
 
 class UnknownRole(ValueError):
@@ -267,143 +241,3 @@ def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:
         required=False,
         subject="manifest.json",
     )
-
-
-def written_window(
-    design: Design, manifest: Mapping[str, Any] | None, cells: tuple[int, int] | None
-) -> Window | None:
-    """Window with the cells that were written, as the manifest or the caller says; None if neither does."""
-    if cells is not None:
-        return prescribe(design.with_cells(cells))
-    if manifest is None:
-        return None
-    stated = manifest.get("window", {})
-    count = stated.get("cells_written") if isinstance(stated, dict) else None
-    if not (isinstance(count, list) and len(count) == 2 and all(isinstance(n, int) and n > 0 for n in count)):
-        return None
-    if tuple(count) == design.lattice.count:
-        return prescribe(design)
-    return prescribe(design.with_cells((count[0], count[1])))
-
-
-def unit_of(subject: Subject, mesh: FileMesh) -> float | None:
-    """Metres per unit of the file, as it says itself, as a reader elsewhere takes it; else as its manifest says."""
-    if mesh.unit is not None or not subject.entry:
-        return mesh.unit
-    return UNITS.get(str(subject.entry.get("unit", "mm")), 1e-3)
-
-
-def held_bodies(window: Window, subject: Subject, height: float) -> tuple[tuple[str, ...], ...]:
-    """What a file may hold, names of bodies: as the manifest says, else told from its height (design units); several
-    where two bodies are as high as each other.
-    """
-    names = tuple(body.name for body in window.bodies)
-    if subject.bodies:
-        return (tuple(name for name in names if name in subject.bodies),)
-    whole = window.z_range[1] - window.z_range[0]
-    if len(names) == 1 or abs(height / whole - 1.0) <= SAME_EXTENT:
-        return (names,)
-    tall = {body.name: -np.subtract(*body_range(window, body)) for body in window.bodies}
-    near = tuple((name,) for name, h in tall.items() if abs(height / h - 1.0) <= SAME_EXTENT)
-    return near or (names,)
-
-
-def register(
-    design: Design, subject: Subject, mesh: FileMesh, window: Window | None
-) -> tuple[Window, float, str]:
-    """Find the unit and the cells of a file that came without a manifest.
-
-    Returns
-    -------
-    window : Window
-        With the cells of the file.
-    factor : float
-        Design units per file unit.
-    found : str
-        What was found, in words.
-
-    Raises
-    ------
-    CannotRegister
-        No unit or several make the file as large as the design; or only another one than the file states.
-    """
-    low, high = mesh.box()
-    extent = high - low
-    whole = prescribe(design) if window is None else window
-    heights = [whole.z_range[1] - whole.z_range[0]]
-    heights += [high - low for low, high in (body_range(whole, body) for body in whole.bodies)]
-
-    def matching(units: Iterable[tuple[str, float]]) -> list[tuple[str, float, Window]]:
-        tried = [(name, metres / design.unit_m) for name, metres in units]
-        found = [
-            (name, f, fitting_window(design, whole, window is not None, heights, extent * f))
-            for name, f in tried
-        ]
-        return [(name, factor, fitting) for name, factor, fitting in found if fitting is not None]
-
-    own = None if mesh.unit is None or mesh.format not in STATED else mesh.unit
-    matches = matching(FACTORS if own is None else [("its own unit", own)])
-    size = " x ".join(f"{v:.4g}" for v in extent)
-    if len(matches) == 1:
-        name, factor, fitting = matches[0]
-        count = fitting.lattice.count
-        return fitting, factor, f"read in {name}, {count[0]} x {count[1]} cells"
-    x0, x1, y0, y1 = whole_extent(whole)
-    want = " x ".join(
-        f"{v * millimetres(design.unit_m):.4g}" for v in (x1 - x0, y1 - y0, np.subtract(*whole.z_range[::-1]))
-    )
-    tried = ", ".join(name for name, _ in FACTORS)
-    if matches:
-        raise CannotRegister(
-            f"{subject.name} measures {size}; that is the design in {' as well as in '.join(m[0] for m in matches)}: "
-            "give the cells (--cells), or a format that states its unit"
-        )
-    if own is not None:
-        others = " or ".join(name for name, _, _ in matching(FACTORS))
-        only = f"; it is the design only if its numbers are in {others}" if others else ""
-        raise CannotRegister(
-            f"{subject.name} measures {size} in units of {own:g} m and the design {want} mm{only}"
-        )
-    raise CannotRegister(
-        f"{subject.name} measures {size} and the design {want} mm; in none of the units {tried} are they the same part"
-    )
-
-
-def fitting_window(
-    design: Design,
-    whole: Window,
-    fixed: bool,
-    heights: Sequence[float],
-    extent: np.ndarray[Any, np.dtype[np.float64]],
-) -> Window | None:
-    """The design with as many cells as fit an extent (design units), or None if its height or sides do not fit."""
-    if not any(abs(extent[2] / h - 1.0) <= SAME_EXTENT for h in heights):
-        return None
-    if not fixed:
-        border = 2.0 * design.body.border
-        step = (design.lattice.pitch[0], whole.lattice.a2[1])
-        count = [max(1, round((float(e) - border) / p)) for e, p in zip(extent[:2], step, strict=True)]
-        if whole.lattice.hexagonal:  # odd rows stand half a pitch aside; rows overlap by a third
-            aside = 0.5 * step[0] if extent[1] > 1.5 * step[1] else 0.0
-            count = [
-                max(1, round((float(extent[0]) - border - aside) / step[0])),
-                max(1, round((float(extent[1]) - border) / step[1] - 1.0 / 3.0)),
-            ]
-        spec = design.lattice
-        if tuple(count) != spec.count or spec.outline is not None:
-            whole_box = whole_extent(whole)
-            if not _alike(whole_box, extent):
-                whole = whole.with_cells((count[0], count[1]))
-    return whole if _alike(whole_extent(whole), extent) or _one_body_alike(whole, extent) else None
-
-
-def _alike(box: Sequence[float], extent: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
-    return all(
-        abs(e / s - 1.0) <= SAME_EXTENT
-        for e, s in zip(extent[:2], (box[1] - box[0], box[3] - box[2]), strict=True)
-    )
-
-
-def _one_body_alike(window: Window, extent: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
-    """A file of one body need not span the displacement between the two."""
-    return any(_alike(whole_extent(replace(window, bodies=(body,))), extent) for body in window.bodies)

@@ -23,8 +23,8 @@ from clacad.verification.files.facet_deviation import (
     deviation,
     forecast_rms,
 )
-from clacad.verification.files.find_files import UNITS
 from clacad.verification.files.inspection import Inspection
+from clacad.verification.files.unit_and_cells import UNITS
 from clacad.verification.limit_sources import LimitSource, derived, other
 
 if TYPE_CHECKING:

@@ -18,12 +18,12 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.verification.files.cell_triangles import levels
 from clacad.verification.files.face_distance import FaceDistance, distance_to_faces, drawn_in
-from clacad.verification.files.find_files import (
+from clacad.verification.files.find_files import Subject
+from clacad.verification.files.unit_and_cells import (
     FACTORS,
     SAME_EXTENT,
     STATED,
     CannotRegister,
-    Subject,
     fitting_window,
     held_bodies,
 )

@@ -18,10 +18,8 @@ from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window, lens_height
 from clacad.verification.checks import Check, State
-from clacad.verification.files.find_files import (
-    CannotRegister,
-    Subject,
-)
+from clacad.verification.files.find_files import Subject
+from clacad.verification.files.unit_and_cells import CannotRegister
 from clacad.verification.limit_sources import other
 from clacad.verification.returned.part_frames import PartFrame, frames, sampled, sixths
 from clacad.verification.returned.pose_fit import (
