@@ -6,7 +6,7 @@ table has a reference, and the reference has an error of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
@@ -14,7 +14,7 @@ from clacad.verification.accuracy.rows import AccuracyRow, AccuracyTable, Target
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.optics.rays import Rays
+    from clacad.verification.accuracy.measure_rungs import TracedRays
 
 __all__ = ["AccuracyRow", "AccuracyTable", "TargetOutOfReach", "accuracy"]
 
@@ -34,10 +34,6 @@ def accuracy(
     progress : callable or None
         Called with a stage's name and the part done.
 
-    Returns
-    -------
-    AccuracyTable
-
     Raises
     ------
     DesignError
@@ -48,33 +44,42 @@ def accuracy(
     from clacad.exporting.limits import refuse_early
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
-    from clacad.verification.accuracy.file_floors import floors, probe
-    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, exact_rows, mesh_rows, reference
-    from clacad.verification.accuracy.step_rung import step_row
+    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays
 
     report = progress or silent
     refuse_early(design, (), {})
     window = prescribe(design)
     report("tracing the truth", 0.0)
 
-    def lit(count: int) -> Rays:
-        return bundle(window, count, design.check.field, design.check.field_centre).rays
+    def traced(count: int) -> TracedRays:
+        lit = bundle(window, count, design.check.field, design.check.field_centre)
+        return TracedRays.raised(window, lit.rays)
 
-    ladder = TracedRays.raised(window, lit(rays))
+    return _measured(design.name, traced, rays, tuple(quads or QUADS), report)
+
+
+def _measured(
+    name: str, traced: Callable[[int], TracedRays], rays: int, grids: Sequence[int], progress: Progress
+) -> AccuracyTable:
+    """The table of a design; `traced` gives so many rays with their truth."""
+    from clacad.verification.accuracy.file_floors import floors, probe
+    from clacad.verification.accuracy.measure_rungs import exact_rows, mesh_rows, reference
+    from clacad.verification.accuracy.step_rung import step_row
+
+    ladder = traced(rays)
     checked = reference(ladder)
-    report("law, thin, surfaces", 0.05)
+    progress("law, thin, surfaces", 0.05)
     rows = exact_rows(ladder, checked)
-    grids = tuple(quads or QUADS)
     for number, grid in enumerate(grids):
-        report(f"mesh of {grid} quads a cell side", 0.1 + 0.7 * number / len(grids))
+        progress(f"mesh of {grid} quads a cell side", 0.1 + 0.7 * number / len(grids))
         rows += mesh_rows(ladder, grid)
-    report("STEP", 0.8)
-    step, note = step_row(ladder, lambda count: TracedRays.raised(window, lit(count)))
+    progress("STEP", 0.8)
+    step, note = step_row(ladder, traced)
     rows += [] if step is None else [step]
-    report("floors of the file formats", 0.9)
-    found = floors(probe(window, ladder.rays, ladder.truth))
-    report("done", 1.0)
-    return AccuracyTable(design.name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
+    progress("floors of the file formats", 0.9)
+    found = floors(probe(ladder.window, ladder.rays, ladder.truth))
+    progress("done", 1.0)
+    return AccuracyTable(name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
 def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:

@@ -98,6 +98,7 @@ def _compared(
 
 
 def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
+    """Faces of the telescopelet of cell (2,) and order (2,), in the order of the light."""
     steps, before = [], Decimal(1)
     for body in window.bodies:
         inside = Decimal(body.index)
@@ -129,6 +130,7 @@ def _centre(window: Window, i: int, j: int, array: int) -> Vector:
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:
+    """Exit direction of one ray; None where it misses a face or is totally reflected."""
     for step in steps:
         local = _subtracted(position, step.vertex)
         if step.turn is not None:

@@ -78,6 +78,7 @@ def outermost_cell(window: Window) -> tuple[int, int]:
 
 
 def _held(window: Window, body: Body, part: BodyMesh, cell: tuple[int, int], holding: Holding) -> BodyMesh:
+    """The mesh of one body as held."""
     tiled = []
     for one in part.tiled:
         tile = one.maker.tile

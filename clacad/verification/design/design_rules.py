@@ -43,6 +43,7 @@ def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[C
 
 
 def _one_piece(body: BodyFacts) -> Check:
+    """Does the body hang together, without pinholes?"""
     whole = body.pieces == 1 and body.holes == 0
     if whole:
         sentence = f"{body.name} is one piece without holes"
@@ -194,8 +195,8 @@ def _graph(design: Design, lens: LensFacts) -> Check:
 
 
 def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
-    rules = profile(design.check.process)
-    unit = design.unit
+    """Lengths that every process limits: gaps, edges, necks, radii, heights, pitch."""
+    rules, unit = profile(design.check.process), design.unit
     found: list[Check] = []
     if isfinite(facts.clearance):
         limit, source = process_limit(design, rules, "clearance")

@@ -5,6 +5,7 @@ A warning can be allowed in the design file, with a reason: `[check] allow`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import degrees, inf, pi
 from typing import TYPE_CHECKING
 
@@ -40,52 +41,63 @@ NEGLIGIBLE = 1e-7
 
 def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Check]:
     """Judge a window by the rules of the design's process; rules without a limit there are left out."""
-    rules, unit = profile(design.check.process), design.unit
-    found: list[Check] = []
+    rules = profile(design.check.process)
+    found = [
+        *_rules_of_shape(design, window, facts, rules),
+        *_rules_of_fineness(design, window, facts, rules),
+    ]
+    return found if rules.undercut else [*found, _undercut(facts, rules)]
+
+
+def _rules_of_shape(design: Design, window: Window, facts: Feasibility, rules: Profile) -> Iterator[Check]:
+    """What the tool leaves rounded, and how high, upright and steep walls and faces are."""
+    unit = design.unit
     tool, source = process_limit(design, rules, "tool")
     if tool > 0.0:
         seen = groove(window, tool)
-        found.append(_rule("tool", seen, LOST, "<=", "", source, (
+        yield _rule("tool", seen, LOST, "<=", "", source, (
             f"a nose radius of {tool:.4g} {unit} leaves {100 * seen.value:.3g} % of a cell's width rounded at "
-            f"{seen.what}"), "a smaller tool, larger radii, or a seam where the rounding may lie"))  # fmt: skip
+            f"{seen.what}"), "a smaller tool, larger radii, or a seam where the rounding may lie")  # fmt: skip
     highest, source = process_limit(design, rules, "wall")
     if highest < inf:
         seen = wall(window, facts)
-        found.append(_rule("wall", seen, highest, "<=", unit, source, f"{seen.what} is {seen.value:.4g} {unit} high",
-                           "less tilt, aligned meridians, or a seam"))  # fmt: skip
+        yield _rule("wall", seen, highest, "<=", unit, source, f"{seen.what} is {seen.value:.4g} {unit} high",
+                    "less tilt, aligned meridians, or a seam")  # fmt: skip
     least, source = process_limit(design, rules, "draft")
     if least > 0.0:
         seen = draft(window, facts, NEGLIGIBLE / design.unit_m)
-        found.append(_rule("draft", seen, least, ">=", "rad", source,
-                           f"{seen.what} stands at {degrees(seen.value):.3g} deg to the sheet's normal, "
-                           f"{degrees(least):.3g} are needed", "a seam with room for sloping walls, or less tilt"))  # fmt: skip
+        yield _rule("draft", seen, least, ">=", "rad", source,
+                    f"{seen.what} stands at {degrees(seen.value):.3g} deg to the sheet's normal, "
+                    f"{degrees(least):.3g} are needed", "a seam with room for sloping walls, or less tilt")  # fmt: skip
     most, source = process_limit(design, rules, "slope")
     if most < 0.5 * pi:
         seen = steepest(facts)
-        found.append(_rule("slope", seen, most, "<=", "rad", source,
-                           f"{seen.what} is up to {degrees(seen.value):.3g} deg steep, {degrees(most):.3g} can be made",
-                           "larger radii, a smaller pitch or less tilt"))  # fmt: skip
+        yield _rule("slope", seen, most, "<=", "rad", source,
+                    f"{seen.what} is up to {degrees(seen.value):.3g} deg steep, {degrees(most):.3g} can be made",
+                    "larger radii, a smaller pitch or less tilt")  # fmt: skip
+
+
+def _rules_of_fineness(design: Design, window: Window, facts: Feasibility, rules: Profile) -> Iterator[Check]:
+    """Whether voxels and layers are fine enough, and what stands narrow and tall."""
+    unit = design.unit
     voxel, source = process_limit(design, rules, "voxel")
     if voxel > 0.0:
         seen = narrowest(window)
-        found.append(_rule("voxel", seen, voxel, ">=", unit, source,
-                           f"{seen.what} is {seen.value:.4g} {unit}, a voxel {voxel:.4g}",
-                           "a larger pitch or wider seams and walls"))  # fmt: skip
+        yield _rule("voxel", seen, voxel, ">=", unit, source,
+                    f"{seen.what} is {seen.value:.4g} {unit}, a voxel {voxel:.4g}",
+                    "a larger pitch or wider seams and walls")  # fmt: skip
     layer, source = process_limit(design, rules, "layer")
     if layer > 0.0:
         seen = shallowest(facts)
-        found.append(_rule("layer", seen, layer, ">=", unit, source,
-                           f"{seen.what} is {seen.value:.4g} {unit}, a layer {layer:.4g}: it takes "
-                           f"{FINE * seen.value / layer:.3g} layers, {FINE} are the least",
-                           "smaller radii or a larger pitch: steeper lenses have more layers"))  # fmt: skip
+        yield _rule("layer", seen, layer, ">=", unit, source,
+                    f"{seen.what} is {seen.value:.4g} {unit}, a layer {layer:.4g}: it takes "
+                    f"{FINE * seen.value / layer:.3g} layers, {FINE} are the least",
+                    "smaller radii or a larger pitch: steeper lenses have more layers")  # fmt: skip
     ratio, source = process_limit(design, rules, "aspect")
     if ratio < inf:
         seen = tallest(window, facts)
-        found.append(_rule("aspect", seen, ratio, "<=", "", source, f"{seen.what} is {seen.value:.4g}",
-                           "wider walls and seams, or shallower ones"))  # fmt: skip
-    if not rules.undercut:
-        found.append(_undercut(facts, rules))
-    return found
+        yield _rule("aspect", seen, ratio, "<=", "", source, f"{seen.what} is {seen.value:.4g}",
+                    "wider walls and seams, or shallower ones")  # fmt: skip
 
 
 def process_limit(design: Design, rules: ProcessProfile, name: str) -> tuple[float, LimitSource]:
@@ -107,6 +119,7 @@ def _rule(
     sentence: str,
     way_out: str,
 ) -> Check:
+    """A warning where a value does not stand to its limit as it must, with a way out."""
     good = seen.value <= limit if relation == "<=" else seen.value >= limit
     state: State = "pass" if good else "warn"
     return Check(

@@ -129,6 +129,7 @@ def judge_other(subject: Subject, reason: Reason) -> list[Check]:
 
 
 def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
+    """Checks of a file beside the optics: readable, closed, of the volume that is stated."""
     if subject.is_solid and subject.format != "brep":
         from clacad.formats.step.text_health import scan_step
 

@@ -122,6 +122,7 @@ def distance_to_faces(
 def _compare(
     window: Window, face: Face, array: int, points: Floats, aside: Floats | None, rows: Ints, number: int, found: FaceDistance
 ) -> None:  # fmt: skip
+    """Compare points (k, 3) with one face, and write what is found into its rows."""
     shift = window.shifts[array]
     told = points if aside is None else points + aside
     cell, x, y = window.lattice.locate(told[:, 0] - shift[0], told[:, 1] - shift[1])

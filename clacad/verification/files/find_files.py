@@ -150,6 +150,7 @@ def _with_role(subject: Subject, roles: Roles) -> Subject:
 
 
 def _found(place: Path) -> Delivery:
+    """The files at a place, in the roles that their manifest gives them."""
     if place.is_dir():
         manifest = read_manifest(place)
         if manifest is None:

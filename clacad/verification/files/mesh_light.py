@@ -81,24 +81,21 @@ def checks_of_light(
 
     Parameters
     ----------
-    asked : Inspection
-    window : Window
     gathered : CellFacets
         Facets of the cells that are lit, the middle one first.
     off : sequence of Deviation
         Of the same cells.
     found : Measure
         Of the whole file.
-    present : names of the bodies the file holds, or None for all
+    present : names of its bodies, or None for all
     clean : float, radians
         What facets of this size make of the direction error if their corners lie on the design; noise in the file's own
         corners cannot widen the limit of faithfulness beyond it.
 
     Returns
     -------
-    checks : list of Check
+    checks, evidence
         Light through the file against the law (file_*), then against the design cut as the file is (faithful_*).
-    evidence : MeshEvidence
     """
     asked.progress("tracing the triangles", 0.0)
     held = telescopelet(window, gathered, 0, present)

@@ -113,7 +113,6 @@ def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Che
     """
     from clacad.storage.worker import Worker
 
-    common = asked.common
     asked.progress(f"reading {path.name}", 0.0)
     with Worker() as worker:
         try:
@@ -125,20 +124,25 @@ def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Che
                 progress=asked.progress,
             )
         except (ExportError, OSError) as error:
-            checks = [Check("readable", "fail", f"it cannot be read: {error}", **common)]
+            checks = [Check("readable", "fail", f"it cannot be read: {error}", **asked.common)]
             later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
-            return checks + [not_run(name, "the file cannot be read", **common) for name in later], {}
+            return checks + [not_run(name, "the file cannot be read", **asked.common) for name in later], {}
         found["holds_words"] = holds_words(found["holds"])
-        room = room_for(asked.design, window, asked.stated)
-        checks = [
-            Check("readable", "pass", found["holds_words"] + _unit_words(found), **common),
-            _closed(found, common), _solids(found, asked.stated, common), _placement(found, room, common),
-            _shape(found, asked.stated, room, common), _file_rms(window, found, room, common),
-            _volume(window, found, asked.stated, room, common),
-        ]  # fmt: skip
+        checks = _checks_of_shape(asked, window, found)
         asked.progress("tracing through the faces", 0.0)
         checks += _light(asked, window, worker, path, found)
     return checks, found
+
+
+def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]) -> list[Check]:
+    """Checks of what the reader says: whole, in its place, where the design's faces are."""
+    common, stated, room = asked.common, asked.stated, room_for(asked.design, window, asked.stated)
+    return [
+        Check("readable", "pass", found["holds_words"] + _unit_words(found), **common),
+        _closed(found, common), _solids(found, stated, common), _placement(found, room, common),
+        _shape(found, stated, room, common), _file_rms(window, found, room, common),
+        _volume(window, found, stated, room, common),
+    ]  # fmt: skip
 
 
 def lies_elsewhere(checks: Sequence[Check]) -> bool:
@@ -316,6 +320,7 @@ def _file_rms(window: Window, found: Mapping[str, Any], room: Room, common: Mapp
 def _volume(
     window: Window, found: Mapping[str, Any], stated: Mapping[str, Any], room: Room, common: Mapping[str, Any]
 ) -> Check:
+    """Volume of the solids against quadrature of the bodies they are, engraved letters added."""
     if not found["kernel"]:
         return not_run("volume", "too large for the kernel", required=False, unit="mm³", **common)
     bodies = _held(window, found)

@@ -76,6 +76,7 @@ class FaceTracer:
         return state.closed()
 
     def _through_file(self, state: _State, lit: Bundle, bodies: tuple[Body, ...]) -> None:
+        """Bodies the file holds, through its own faces; the state goes on behind them."""
         live = state.alive()
         scale = millimetres(self.window.unit)
         low, high = column(self.window, lit.cell, bodies)

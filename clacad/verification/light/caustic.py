@@ -108,6 +108,7 @@ def _of_lens(window: Window, number: int) -> list[Interface]:
 
 
 def _fan(window: Window, faces: Sequence[Interface], middle: Floats, axis: int, way: float) -> Fan:
+    """Rays along the lens axis in one meridian, after the faces of one lens; forwards (way +1) or backwards (−1)."""
     turn = window.thin.rotation
     across, along = turn[:, axis], turn[:, 2]
     half = PART * min(window.lattice.half_widths)

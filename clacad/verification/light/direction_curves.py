@@ -61,19 +61,14 @@ def _directions(window: Window, axis: int, slopes: Floats) -> Floats:
 
 
 def _meridian(window: Window, send: Callable[[Bundle], TraceResult], axis: int) -> Meridian:
+    """The curves along lens x (axis 0) or lens y (1)."""
     cells, cell = thin_cells(window), central_cell(window)
     reach = min(half_field(cells)[axis], 1.0)
     offsets = np.linspace(-reach, reach, DIRECTIONS)
     direction = _directions(window, axis, offsets)
     places = window.lattice.over_cell(sobol(PLACES, 2))
-    lit = launched(
-        window,
-        np.tile(places, (DIRECTIONS, 1)),
-        np.repeat(direction, PLACES, axis=0),
-        cell,
-        direction[DIRECTIONS // 2],
-    )
-    result = send(lit)
+    every, middle = np.repeat(direction, PLACES, axis=0), direction[DIRECTIONS // 2]
+    result = send(launched(window, np.tile(places, (DIRECTIONS, 1)), every, cell, middle))
     fate = result.fate.reshape(DIRECTIONS, PLACES)
     alive = fate == Fate.ALIVE
     out = cells.slopes(np.where(alive.reshape(-1, 1), result.direction, [0.0, 0.0, 1.0]))[:, axis]

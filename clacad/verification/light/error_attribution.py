@@ -164,17 +164,18 @@ def attribute(
     Attribution, or None where no ray gets through every rung.
     """
     spec = design.check
-    lit = _off_the_edges(
-        window,
-        bundle(
-            window,
-            rays,
-            spec.field if angle is None else angle,
-            spec.field_centre,
-            aperture,
-            cell=facets.cell,
-        ),
-    )
+    cone = spec.field if angle is None else angle
+    lit = _off_the_edges(window, bundle(window, rays, cone, spec.field_centre, aperture, cell=facets.cell))
+    steps = _differences(window, facets, lit)
+    if steps is None:
+        return None
+    whole, rms = steps[-1], _rms(steps[-1])
+    parts = tuple(_part(name, vector, whole, rms) for name, vector in zip(NAMES, steps[:-1], strict=True))
+    return Attribution(facets.about, parts, whole, rms, facets.cell, len(lit.rays), len(whole), str(lit))
+
+
+def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floats, ...] | None:
+    """What each model adds to the direction of a ray, (n, 3) each, then the whole; None where no ray gets through all."""
     truth = trace(window, lit.rays)
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)
@@ -189,17 +190,14 @@ def attribute(
     rounding = rounding[np.isfinite(rounding).all(axis=1)]
     if not len(rows):
         return None
-    steps = (
+    return (
         chief[rows] - law[rows],
         (truth.direction[rows] - chief[rows]) - rounding,
         rounding,
         exact.direction[rows] - truth.direction[rows],
         held.direction[rows] - exact.direction[rows],
+        held.direction[rows] - law[rows],
     )
-    whole = held.direction[rows] - law[rows]
-    rms = _rms(whole)
-    parts = tuple(_part(name, vector, whole, rms) for name, vector in zip(NAMES, steps, strict=True))
-    return Attribution(facets.about, parts, whole, rms, facets.cell, len(lit.rays), len(rows), str(lit))
 
 
 def _off_the_edges(window: Window, lit: Bundle) -> Bundle:

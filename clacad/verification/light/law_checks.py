@@ -151,45 +151,35 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
 
 
 def _field_point(window: Window, direction: Floats, send: Tracer) -> FieldPoint:
+    """What parallel light of one direction (3,) does; its numbers are NaN where too little gets through."""
     lit = bundle(window, POINT_RAYS, 0.0, middle=direction)
     result = send(lit)
     alive = result.fate == Fate.ALIVE
     out = result.direction[alive]
     expected = window.law.refract(direction[None])[0]
     closed = float(share(thin_cells(window), direction[None])[0])
-    counts = result.counts()
-    if len(out) < FEWEST or not np.isfinite(expected).all():
-        nothing = np.empty((0, 2))
-        return FieldPoint(
-            direction,
-            expected,
-            nothing,
-            nothing,
-            np.nan,
-            np.nan,
-            np.nan,
-            np.nan,
-            float(alive.mean()),
-            closed,
-            counts,
-        )
-    u = np.array([1.0, 0.0, 0.0]) - expected[0] * expected
-    u = u / np.linalg.norm(u)
-    across = np.stack([u, np.cross(expected, u)], axis=1)
-    mean = out.mean(axis=0)
-    error = angle_between(out, expected)
+    places = deviation = np.empty((0, 2))
+    bias = spread = rms = worst = np.nan
+    if len(out) >= FEWEST and np.isfinite(expected).all():
+        u = np.array([1.0, 0.0, 0.0]) - expected[0] * expected
+        u = u / np.linalg.norm(u)
+        mean, error = out.mean(axis=0), angle_between(out, expected)
+        places, deviation = lit.points[alive], out @ np.stack([u, np.cross(expected, u)], axis=1)
+        bias = float(angle_between(mean, expected))
+        spread = float(np.sqrt(np.mean(angle_between(out, mean) ** 2)))
+        rms, worst = float(np.sqrt(np.mean(error**2))), float(error.max())
     return FieldPoint(
-        direction=direction,
-        expected=expected,
-        points=lit.points[alive],
-        deviation=out @ across,
-        bias=float(angle_between(mean, expected)),
-        spread=float(np.sqrt(np.mean(angle_between(out, mean) ** 2))),
-        rms=float(np.sqrt(np.mean(error**2))),
-        worst=float(error.max()),
-        share=float(alive.mean()),
-        closed_form=closed,
-        counts=counts,
+        direction,
+        expected,
+        places,
+        deviation,
+        bias,
+        spread,
+        rms,
+        worst,
+        float(alive.mean()),
+        closed,
+        result.counts(),
     )
 
 
@@ -258,6 +248,7 @@ def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Ch
 
 
 def _bias(limit: float, seen: Optics, where: str) -> Check:
+    """Is the mean direction that of the law, in the middle of the field and all around it?"""
     values = np.array([p.bias for p in seen.points])
     text = f"9 directions, {POINT_RAYS} Sobol rays each over the whole cell"
     if np.isnan(values).all():

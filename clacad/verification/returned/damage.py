@@ -120,9 +120,9 @@ def find_features(
     window : Window
         With the cells the part holds.
     mesh : FileMesh
-        Registered: times `factor` it is in the sheet frame and design units, as `clacad.verification.returned.registration.place`
-        leaves it.
+        Registered, by `clacad.verification.returned.registration.place`.
     factor : float
+        Design units per unit of the mesh.
     present : names of the bodies it holds, or None for all
     noise : float, length
         By which corners scatter.
@@ -135,20 +135,16 @@ def find_features(
     corners = np.concatenate([w for w in walls if len(w)] or [np.empty((0, 3, 3))])
     if not len(corners):
         return []
-    between = levels(window)
     held = [k for k, body in enumerate(window.bodies) if present is None or body.name in present]
-    number = (
-        np.full(len(corners), held[0])
-        if len(held) == 1
-        else np.searchsorted(between, corners[..., 2].mean(axis=1))
-    )
+    number = np.full(len(corners), held[0])
+    if len(held) > 1:
+        number = np.searchsorted(levels(window), corners[..., 2].mean(axis=1))
     found = []
     for k in held:
         mine = corners[number == k]
-        for part in _connected(mine, 1e-6 * min(window.lattice.pitch)):
-            feature = _feature(window, window.bodies[k], mine[part], noise)
-            if feature is not None:
-                found.append(feature)
+        parts = _connected(mine, 1e-6 * min(window.lattice.pitch))
+        features = [_feature(window, window.bodies[k], mine[part], noise) for part in parts]
+        found += [feature for feature in features if feature is not None]
     return sorted(found, key=lambda f: -max(f.size))
 
 

@@ -213,6 +213,7 @@ class Mapper:
         return DeviationMap(self.unit, self._low, self._high, tuple(found), self._first, self.window.unit)
 
     def _face(self, number: int, name: str) -> FaceMap:
+        """The map of one lens face from what was added up."""
         area, total, square, own = self._sums[:, number]
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = total / area

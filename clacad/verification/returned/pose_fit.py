@@ -161,10 +161,8 @@ def all_trials(
     """Every unit and turn of a frame's axes that makes the box of the part the design's, with its distance before
     any fit.
     """
-    heights = [whole.z_range[1] - whole.z_range[0]]
-    spans = [body_range(whole, body) for body in whole.bodies]
-    between = levels(whole)
-    heights += [high - low for low, high in spans]
+    spans, between = [body_range(whole, body) for body in whole.bodies], levels(whole)
+    heights = [high - low for low, high in (whole.z_range, *spans)]
     few = slice(None, None, max(1, len(sample.corners) // 3000))
     points, looks, inward = (a[few] @ frame.turn.T for a in (sample.corners, sample.facing, sample.inward))
     for (name, metres), axes in product(units_of(mesh), list(_axes())):
@@ -238,6 +236,7 @@ def _moves(window: Window, onto: Floats, cut: bool, axes: Floats | None) -> list
 
 
 def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, extent: Floats) -> str:
+    """Say what a part measures that fits the design in no unit and turn; extent (3,) in the file's unit."""
     x0, x1, y0, y1 = whole_extent(whole)
     size = " x ".join(f"{v:.4g}" for v in extent)
     want = " x ".join(
@@ -391,6 +390,7 @@ def _astray(fit: Fit, level: float) -> float:
 
 
 def one_unit(subject: Subject, fits: Sequence[Fit], best: Fit, pitch: float) -> None:
+    """Refuse a part that fits in two units alike; pitch in design units."""
     good = {f[1].unit for f in fits if f[1].residual <= max(2.0 * best[1].residual, 1e-6 * pitch)}
     if len(good) > 1:
         raise CannotRegister(

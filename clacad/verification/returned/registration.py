@@ -7,6 +7,7 @@ its box the design's; the best are fitted to the exact faces by least squares, p
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import degrees, radians
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from clacad.verification.checks import Check, State
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.unit_and_cells import CannotRegister
 from clacad.verification.limit_sources import other
-from clacad.verification.returned.part_frames import PartFrame, frames, sampled, sixths
+from clacad.verification.returned.part_frames import PartFrame, Sample, frames, sampled, sixths
 from clacad.verification.returned.pose_fit import (
     AS_WRITTEN,
     Fit,
@@ -110,6 +111,26 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
         return list(all_trials(design, whole, cells is not None, subject, mesh, sample, frame))
 
     trials = tried(first)
+    fits = _fits_in_frames(design, mesh, sample, whole, trials, tried)
+    proper = [f for f in fits if not f[1].mirrored]
+    if not proper:
+        raise CannotRegister(no_match(design, whole, subject, mesh, first.extent))
+    mirrored = [f for f in fits if f[1].mirrored]
+    best = best_of(proper)
+    one_unit(subject, proper, best, pitch)
+    handed = _handedness(subject, best[1], best_of(mirrored)[1] if mirrored else None, pitch)
+    own = _in_own_frame(whole, trials, best[0].unit)
+    return _placed(design, subject, mesh, best, handed, own, None if cells is not None else whole)
+
+
+def _fits_in_frames(
+    design: Design, mesh: FileMesh, sample: Sample, whole: Window, trials: Sequence[Trial],
+    tried: Callable[[PartFrame], list[Trial]],
+) -> list[Fit]:  # fmt: skip
+    """Fits of the file's own frame, and of further ones until one of them is no chance.
+
+    trials : of the file's own frame; tried : gives those of another
+    """
     fits = [fitted(trial) for trial in worth_fitting(trials)]
     written = as_written(whole)
     near = max(written, PART_OF_SAG * least_sag(whole))
@@ -117,30 +138,28 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
     def sure() -> bool:
         return any(pose.residual <= near or (pose.untouched and pose.median <= written) for _, pose in fits)
 
-    if not sure():  # it lies askew, scatters, or is another part
-        factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
-        for frame in frames(mesh, sample, whole, factors):
-            fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
-            if sure():
-                break
-        if whole.lattice.hexagonal and fits:
-            least = min(fits, key=lambda f: f[1].residual)[1]
-            fits += [fitted(t) for frame in sixths(mesh, least.turn) for t in worth_fitting(tried(frame))]
-    if not any(not pose.mirrored for _, pose in fits):
-        raise CannotRegister(no_match(design, whole, subject, mesh, first.extent))
-    proper = [f for f in fits if not f[1].mirrored]
-    mirrored = [f for f in fits if f[1].mirrored]
-    best = best_of(proper)
-    twin = best_of(mirrored) if mirrored else None
-    one_unit(subject, proper, best, pitch)
-    handed = _handedness(subject, best[1], None if twin is None else twin[1], pitch)
-    # a file whose box lies where the design's does, the arrays' displacement apart, was written in its frame
+    if sure():
+        return fits
+    # it lies askew, scatters, or is another part
+    factors = np.array([metres / design.unit_m for _, metres in units_of(mesh)])
+    for frame in frames(mesh, sample, whole, factors):
+        fits += [fitted(trial) for trial in worth_fitting(tried(frame))]
+        if sure():
+            break
+    if whole.lattice.hexagonal and fits:
+        least = min(fits, key=lambda f: f[1].residual)[1]
+        fits += [fitted(t) for frame in sixths(mesh, least.turn) for t in worth_fitting(tried(frame))]
+    return fits
+
+
+def _in_own_frame(whole: Window, trials: Sequence[Trial], unit: str) -> bool:
+    """Whether a file's box lies where the design's does, the arrays' displacement apart: then it was written so."""
+    pitch = min(whole.lattice.pitch)
     room = np.array([*(2.0 * np.abs(whole.shifts[1]) + 1e-3 * pitch), 1e-3 * pitch])
-    own = any(
-        np.array_equal(t.axes, np.eye(3)) and t.unit == best[0].unit and bool((np.abs(t.onto) <= room).all())
+    return any(
+        np.array_equal(t.axes, np.eye(3)) and t.unit == unit and bool((np.abs(t.onto) <= room).all())
         for t in trials
     )
-    return _placed(design, subject, mesh, best, handed, own, None if cells is not None else whole)
 
 
 def least_sag(window: Window) -> float:
@@ -155,6 +174,7 @@ def least_sag(window: Window) -> float:
 
 
 def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: float) -> Check:
+    """Whether the part, lying as `best`, is the mirror image of the design, as `twin` would have it lie."""
     common: dict[str, Any] = {
         "where": "file",
         "subject": subject.name,
@@ -180,17 +200,14 @@ def _handedness(subject: Subject, best: PartPose, twin: PartPose | None, pitch: 
 
 
 def _placed(
-    design: Design,
-    subject: Subject,
-    mesh: FileMesh,
-    best: Fit,
-    handed: Check,
-    own: bool,
-    cells_of: Window | None,
-) -> Placed:
+    design: Design, subject: Subject, mesh: FileMesh, best: Fit, handed: Check, own: bool, cells_of: Window | None
+) -> Placed:  # fmt: skip
+    """The part set down by the best fit, with the checks of its pose.
+
+    own : whether the file's box lies where the design's does
+    cells_of : the whole design where nobody says which cells the file holds
+    """
     trial, pose = best
-    pitch = min(trial.window.lattice.pitch)
-    limit = design.check.pose * pitch
     exact = trial.whole and pose.untouched and pose.median <= as_written(trial.window)
     window = trial.window
     if not trial.whole:
@@ -202,9 +219,24 @@ def _placed(
     if not whole_sheet and cells_of is not None:
         which = _own_cells(cells_of, window, pose) or which
     note = f"read in {pose.unit}, {cut}{count[0]} x {count[1]} cells ({which})"
-    words = _pose_words(pose, design.unit)
+    checks = [_pose_check(design, subject, trial.window, window, pose, own), handed]
+    if pose.untouched:
+        return Placed(window, mesh, pose.factor, trial.present, pose, trial.whole, exact, note, checks, mesh)
+    note += f"; {_pose_words(pose, design.unit)}"
+    placed = moved(mesh, pose)
+    return Placed(window, placed, 1.0, trial.present, pose, trial.whole, exact, note, checks, mesh)
+
+
+def _pose_check(
+    design: Design, subject: Subject, tried: Window, window: Window, pose: PartPose, own: bool
+) -> Check:
+    """How a part lies and how well it fits so; whether it may lie so.
+
+    tried, window : with the cells of the trial, and with those the part holds
+    """
+    limit = design.check.pose * min(tried.lattice.pitch)
     state: State = "pass" if pose.residual <= limit else "fail"
-    sentence = f"{words}; the exact faces are then {pose.residual:.3g} {design.unit} off (robust rms)"
+    sentence = f"{_pose_words(pose, design.unit)}; the exact faces are then {pose.residual:.3g} {design.unit} off (robust rms)"
     if state == "pass" and turned_by(pose.turn) > TURNED:
         state = "fail" if own else "warn"
         sentence += (
@@ -212,18 +244,12 @@ def _placed(
             if own
             else "; it works when it is mounted turned"
         )
-    check = Check(
+    return Check(
         "pose", state, sentence, pose.residual, limit, design.unit, where="file", subject=subject.name,
         limit_source=other(f"{design.check.pose:g} of the pitch"),
-        detail={"turn": pose.turn, "move": pose.move, "scale": pose.scale, "unit": pose.unit, "cells": count},
+        detail={"turn": pose.turn, "move": pose.move, "scale": pose.scale, "unit": pose.unit,
+                "cells": window.lattice.count},
     )  # fmt: skip
-    placed = mesh if pose.untouched else moved(mesh, pose)
-    factor = pose.factor if pose.untouched else 1.0
-    if not pose.untouched:
-        note += f"; {words}"
-    return Placed(
-        window, placed, factor, trial.present, pose, trial.whole, exact, note, [check, handed], mesh
-    )
 
 
 def _pose_words(pose: PartPose, unit: str) -> str:

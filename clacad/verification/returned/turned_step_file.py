@@ -59,14 +59,9 @@ def judge_turned(
 
     Parameters
     ----------
-    asked : Inspection
-    window : Window or None
-        With the cells that someone says the file holds.
-    subject : Subject
-    checks : sequence of Check
-        What `clacad.verification.files.step_file.judge_solid` found; what depends on the pose is replaced.
-    facts : mapping
-        What it says of the file, for the holes that are drilled in it.
+    asked, subject
+    window : with the cells that someone says the file holds, or None
+    checks, facts : from `judge_solid`; of the checks those that depend on the pose are replaced
 
     Raises
     ------
@@ -85,8 +80,7 @@ def judge_turned(
                 None,
             )
         placed = place(asked.design, subject, mesh, window)
-        if placed.pose.untouched and placed.whole:
-            # the file's own frame after all: judged as exactly as it can be
+        if placed.pose.untouched and placed.whole:  # its own frame after all: judged as exactly as it can be
             exact, _ = judge_solid(replace(asked, stated={}), placed.window, subject.path)
             return [*exact[:1], *placed.checks, *exact[1:]], None, placed
         found, evidence = judge_returned(asked, placed)

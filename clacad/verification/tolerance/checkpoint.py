@@ -81,6 +81,7 @@ class Checkpoint:
             self._handle = -1
 
     def _resume(self, path: Path) -> None:
+        """Take the file for this process, read what is good of it, and cut off the rest."""
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:

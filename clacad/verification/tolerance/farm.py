@@ -87,6 +87,7 @@ def told(work: Work, study: str, piece: Any) -> tuple[str, list[Any]]:
 
 
 def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
+    """Results of all pieces, in their order, from so many processes of this machine."""
     others = {process.pid for process in active_children()}
     pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_settle)
     done = False

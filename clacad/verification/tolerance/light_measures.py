@@ -20,7 +20,7 @@ law_rms, law_bias, eta, delta, kept
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,7 @@ from clacad.verification.tolerance.misaligned import Errors, Telescopelet, teles
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.design.model import CheckSpec
 
 
 RAYS = 256
@@ -159,14 +160,15 @@ class Bench:
     def _chief_measures(self, errors: Errors) -> dict[str, float]:
         """Image shift, slip and power, from the chief ray and its neighbours."""
         window, unit = self.window, self.window.unit
-        here = self._chief(errors, np.zeros(2))
+        here = self.chief_slopes(errors)
         shift = here[0] - self.chief
         size = HAIR * window.lattice.circumradius
         power = -np.stack([here[1] - here[2], here[3] - here[4]], axis=1) / (2.0 * size * unit)
         step = np.array(window.lattice.pitch)
         across = np.stack(
             [
-                (self._chief(errors, step * e)[0] - self._chief(errors, -step * e)[0]) / (2.0 * step[k])
+                (self.chief_slopes(errors, step * e)[0] - self.chief_slopes(errors, -step * e)[0])
+                / (2.0 * step[k])
                 for k, e in enumerate(np.eye(2))
             ],
             axis=1,
@@ -183,7 +185,7 @@ class Bench:
             "moire_period": min(window.lattice.pitch) * unit / rate if rate > 1e-12 else np.inf,
         }  # fmt: skip
 
-    def _chief(self, errors: Errors, place: Floats) -> Floats:
+    def chief_slopes(self, errors: Errors, place: Floats | None = None) -> Floats:
         """Exit slopes (5, 2), lens frame, of the chief ray and of those a hair beside it; NaN where none arrives."""
         rows = self.parts["chief"]
         cell = telescopelet(self.window, errors, place)
@@ -206,17 +208,7 @@ def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
         the middle one a quarter.
     """
     spec = design.check
-    middle = middle_direction(window, spec.field_centre)
-    bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre)}
-    for number, direction in enumerate(field_points(window, spec.field, spec.field_centre)[[0, 1, 3, 5, 7]]):
-        count = rays if number == 0 else max(64, rays // 4)
-        bundles["beam" if number == 0 else f"beam {number}"] = bundle(window, count, 0.0, middle=direction)
-    bundles["narrow"] = bundle(window, rays, FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
-    home = np.append(window.lattice.centres(np.array([bundles["cone"].cell]))[0], 0.0)
-    rows: dict[str, tuple[Floats, Floats]] = {
-        name: (b.rays.position - home, b.rays.direction) for name, b in bundles.items()
-    }
-    rows["chief"] = _chief_rays(window, middle, rows["beam"][0][0, 2])
+    rows = _bundles(window, spec, rays)
     parts, start = {}, 0
     for name, (position, _) in rows.items():
         parts[name] = slice(start, start + len(position))
@@ -227,20 +219,28 @@ def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
         window, (position, direction), parts, _places(window), window.law.refract(direction), np.zeros(2), np.eye(2),
         kept, window.wavelength or DEFAULT_WAVELENGTH,
     )  # fmt: skip
-    chief = blank._chief({}, np.zeros(2))[0]
-    step = 1e-4 * min(window.lattice.pitch)
-    per_decentre = [
-        (
-            blank._chief({f"decentre.2.{a}": step}, np.zeros(2))[0]
-            - blank._chief({f"decentre.2.{a}": -step}, np.zeros(2))[0]
-        )
-        / (2.0 * step)
-        for a in "xy"
-    ]
-    return Bench(
-        window, blank.rays, parts, blank.places, blank.asked, chief, np.stack(per_decentre, axis=1), kept,
-        blank.wavelength,
-    )  # fmt: skip
+    return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
+
+
+def _bundles(window: Window, spec: CheckSpec, rays: int) -> dict[str, tuple[Floats, Floats]]:
+    """Positions about the cell's centre and directions, (n, 3) each, of the rays of every bundle by its name."""
+    middle = middle_direction(window, spec.field_centre)
+    bundles = {"cone": bundle(window, 4 * rays, spec.field, spec.field_centre)}
+    for number, direction in enumerate(field_points(window, spec.field, spec.field_centre)[[0, 1, 3, 5, 7]]):
+        count = rays if number == 0 else max(64, rays // 4)
+        bundles["beam" if number == 0 else f"beam {number}"] = bundle(window, count, 0.0, middle=direction)
+    bundles["narrow"] = bundle(window, rays, FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
+    home = np.append(window.lattice.centres(np.array([bundles["cone"].cell]))[0], 0.0)
+    rows = {name: (b.rays.position - home, b.rays.direction) for name, b in bundles.items()}
+    rows["chief"] = _chief_rays(window, middle, rows["beam"][0][0, 2])
+    return rows
+
+
+def _per_decentre(table: Bench) -> Floats:
+    """Change (2, 2) of the chief ray's exit slopes with the decentre of array 2, 1/length."""
+    step = 1e-4 * min(table.window.lattice.pitch)
+    ways = [[table.chief_slopes({f"decentre.2.{a}": way * step})[0] for way in (1.0, -1.0)] for a in "xy"]
+    return np.stack([(up - down) / (2.0 * step) for up, down in ways], axis=1)
 
 
 def _chief_rays(window: Window, middle: Floats, low: float) -> tuple[Floats, Floats]:

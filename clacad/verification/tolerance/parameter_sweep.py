@@ -103,19 +103,23 @@ def parse_vary(text: str) -> Axis:
     start, stop = _NUMBER.match(found["start"]), _NUMBER.match(found["stop"])
     if start is None or stop is None or start["unit"] != stop["unit"]:
         raise CannotVary(f"--vary {text!r}: FROM and TO are two numbers with the same unit, or with none")
-    ends = Fraction(start["number"]), Fraction(stop["number"])
-    if found["log"]:
-        if not ends[0] * ends[1] > 0:
-            raise CannotVary(f"--vary {text!r}: a logarithmic range does not reach or cross 0")
-        ratio = float(ends[1] / ends[0])
-        numbers = [float(ends[0]) * ratio ** (k / max(1, count - 1)) for k in range(count)]
-    else:
-        steps = [ends[0] + (ends[1] - ends[0]) * Fraction(k, max(1, count - 1)) for k in range(count)]
-        whole = all("." not in e["number"] and "e" not in e["number"].lower() for e in (start, stop))
-        numbers = [int(s) if whole and s.denominator == 1 else float(s) for s in steps]
-        if whole and not all(isinstance(n, int) for n in numbers):
-            numbers = [float(n) for n in numbers]
+    if found["log"] and not Fraction(start["number"]) * Fraction(stop["number"]) > 0:
+        raise CannotVary(f"--vary {text!r}: a logarithmic range does not reach or cross 0")
+    numbers = _spaced(start["number"], stop["number"], count, bool(found["log"]))
     return key, tuple(f"{n!r} {start['unit']}" if start["unit"] else n for n in numbers)
+
+
+def _spaced(start: str, stop: str, count: int, by_ratio: bool) -> Sequence[float]:
+    """Numbers of a range, each rounded once; whole ones where both ends and all steps are whole."""
+    low, high = Fraction(start), Fraction(stop)
+    if by_ratio:
+        ratio = float(high / low)
+        return [float(low) * ratio ** (k / max(1, count - 1)) for k in range(count)]
+    steps = [low + (high - low) * Fraction(k, max(1, count - 1)) for k in range(count)]
+    whole = all("." not in end and "e" not in end.lower() for end in (start, stop))
+    if whole and all(step.denominator == 1 for step in steps):
+        return [int(step) for step in steps]
+    return [float(step) for step in steps]
 
 
 def _split(values: str) -> list[str]:
@@ -165,6 +169,7 @@ def make_points(study: str, points: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, Any]:
+    """Row of one point of the grid: what was varied, what was built, what light says."""
     from clacad.design import DesignError
     from clacad.verification.design.design_rules import design_checks
 
@@ -223,14 +228,7 @@ def sweep(
     CannotVary
         No axes, one key twice, or too many points.
     """
-    keys = [key for key, _ in axes]
-    if not axes or len(set(keys)) < len(keys):
-        raise CannotVary(
-            "give --vary once or more, each with another key" if axes else "nothing is varied: --vary"
-        )
-    count = prod(len(values) for _, values in axes)
-    if not 1 <= count <= MOST_POINTS:
-        raise CannotVary(f"{count} points: at most {MOST_POINTS}")
+    count = _point_count(axes)
     whole = [[key, list(values)] for key, values in axes]
     text = json.dumps({"design": design.to_dict(), "axes": whole, "rays": rays}, sort_keys=True)
     header = {
@@ -241,6 +239,18 @@ def sweep(
     if not any(row["state"] != "error" for row in rows):
         raise CannotVary(f"no point can be built; the first: {rows[0]['message']}")
     return Sweep(design.name, design.sha256, tuple((k, tuple(v)) for k, v in axes), rows)
+
+
+def _point_count(axes: Sequence[Axis]) -> int:
+    """Number of points of a grid; CannotVary is raised for none, too many, or one key twice."""
+    if not axes or len({key for key, _ in axes}) < len(axes):
+        raise CannotVary(
+            "give --vary once or more, each with another key" if axes else "nothing is varied: --vary"
+        )
+    count = prod(len(values) for _, values in axes)
+    if not 1 <= count <= MOST_POINTS:
+        raise CannotVary(f"{count} points: at most {MOST_POINTS}")
+    return count
 
 
 def shown(value: Any) -> str:

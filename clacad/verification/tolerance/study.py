@@ -210,6 +210,12 @@ def make_cases(study: str, cases: Sequence[int]) -> list[list[float]]:
     return found
 
 
+NO_TOLERANCES = (
+    "the design states no tolerances: give it a [tolerances] table, such as\n"
+    '  [tolerances]\n  decentre = "5 um"\n  rotation = "0.1 mrad"\n  tilt = "0.1 mrad"\n  radius = 0.005'
+)
+
+
 def tolerance(
     design: Design,
     samples: int | None = None,
@@ -224,7 +230,7 @@ def tolerance(
     Parameters
     ----------
     design : Design
-        With a [tolerances] table.
+        With a [tolerances] table; without one, NoTolerances is raised.
     samples, seed : int or None
         Instead of the design's.
     rays : int
@@ -233,23 +239,13 @@ def tolerance(
         Where the work is done; None: all cores of this machine.
     checkpoint : path or None
         Results are kept here as they come; what is there already is not done again, and more samples go on from it.
+        One that holds something else raises OtherStudy.
     progress : callable or None
         (stage, part done).
-
-    Raises
-    ------
-    NoTolerances
-        The design states none.
-    OtherStudy
-        The checkpoint holds something else.
     """
-    window = prescribe(design)
-    chosen = parameters(design, window)
+    chosen = parameters(design, prescribe(design))
     if not chosen:
-        raise NoTolerances(
-            "the design states no tolerances: give it a [tolerances] table, such as\n"
-            '  [tolerances]\n  decentre = "5 um"\n  rotation = "0.1 mrad"\n  tilt = "0.1 mrad"\n  radius = 0.005'
-        )
+        raise NoTolerances(NO_TOLERANCES)
     seed = design.tolerances.seed if seed is None else seed
     count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
     text = json.dumps({"design": design.to_dict(), "rays": rays, "seed": seed}, sort_keys=True)
@@ -283,6 +279,7 @@ def _pieces(start: int, stop: int, size: int) -> Iterator[list[int]]:
 
 
 def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, rows: Floats) -> Study:
+    """The study that the measures (cases, m) of all its sheets make."""
     n = len(chosen)
     alone = rows[1 : 1 + ENDS * n].reshape(n, ENDS, len(MEASURES))
     with np.errstate(invalid="ignore"):

@@ -111,6 +111,7 @@ def _label(axis: tuple[str, tuple[Any, ...]]) -> str:
 
 
 def _draw_lines(figure: Figure, found: Sweep) -> None:
+    """Each measure against the first key, one line for each combination of the others."""
     figure.suptitle(f"{found.name}: {len(found.rows)} points", fontsize=10)
     first, *others = found.axes
     at = _numbers(first[1])
@@ -131,6 +132,7 @@ def _draw_lines(figure: Figure, found: Sweep) -> None:
 
 
 def _draw_maps(figure: Figure, found: Sweep) -> None:
+    """Each measure over both keys, as a map."""
     figure.suptitle(f"{found.name}: {len(found.rows)} points", fontsize=10)
     (x, y) = found.axes
     shape = (len(x[1]), len(y[1]))
