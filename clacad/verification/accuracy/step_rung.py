@@ -1,4 +1,4 @@
-"""The STEP rung: a spot check of rays against the faces the CAD kernel reads back."""
+"""The STEP rung: a spot check of rays against the faces that OCC reads back."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEAST = 1000
 SENDINGS = 4
 """Times that rays are sent at most; each reads the file again."""
 MOST_SENT = 20_000
-"""Rays sent at most: the kernel traces some thousand a second."""
+"""Rays sent at most: OCC traces some thousand a second."""
 REACH = 2
 """Cells either side of the lit one that are written; a ray that leaves them is not compared."""
 
@@ -41,7 +41,7 @@ More = Callable[[int], TracedRays]
 
 
 def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow | None, str]:
-    """Write a few cells as STEP, read them back with the kernel, trace through its faces.
+    """Write a few cells as STEP, read them back with OCC, trace through its faces.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Spot:
     """Directions (n, 3): as the file sends them, NaN where they are not to be compared, as the surfaces and the law do.
 
     reading, seconds : float
-        Processor seconds of loading the kernel and the file, and of all the rays.
+        Processor seconds of loading OCC and the file, and of all the rays.
     """
 
     found: Floats
@@ -138,7 +138,7 @@ def _living(ladder: TracedRays, count: int, more: More | None) -> tuple[TracedRa
 def _cast(
     worker: Worker, path: str, position: list[Any], direction: list[Any], indices: list[float]
 ) -> tuple[list[Any], float, float]:
-    """Directions, seconds of loading the kernel and the file, and seconds of the rays alone.
+    """Directions, seconds of loading OCC and the file, and seconds of the rays alone.
 
     Every call reads the file; one with a single ray tells how long that takes, the first how long loading takes.
     """

@@ -49,7 +49,9 @@ def making_checks(design: Design, window: Window, facts: Feasibility) -> list[Ch
     return found if rules.undercut else [*found, _undercut(facts, rules)]
 
 
-def _rules_of_shape(design: Design, window: Window, facts: Feasibility, rules: Profile) -> Iterator[Check]:
+def _rules_of_shape(
+    design: Design, window: Window, facts: Feasibility, rules: ProcessProfile
+) -> Iterator[Check]:
     """What the tool leaves rounded, and how high, upright and steep walls and faces are."""
     unit = design.unit
     tool, source = process_limit(design, rules, "tool")
@@ -77,7 +79,9 @@ def _rules_of_shape(design: Design, window: Window, facts: Feasibility, rules: P
                     "larger radii, a smaller pitch or less tilt")  # fmt: skip
 
 
-def _rules_of_fineness(design: Design, window: Window, facts: Feasibility, rules: Profile) -> Iterator[Check]:
+def _rules_of_fineness(
+    design: Design, window: Window, facts: Feasibility, rules: ProcessProfile
+) -> Iterator[Check]:
     """Whether voxels and layers are fine enough, and what stands narrow and tall."""
     unit = design.unit
     voxel, source = process_limit(design, rules, "voxel")

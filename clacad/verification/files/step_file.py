@@ -1,4 +1,4 @@
-"""Judge one STEP or BREP file: read again by a kernel in a process of its own, held against the closed form, lit."""
+"""Judge one STEP or BREP file: read again by OCC in a process of its own, held against the closed form, lit."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ VOLUME_LIMIT = 1e-9
 """Largest relative difference of volumes."""
 
 FITTED = 1e-8
-"""Relative difference that parameter curves make which another kernel fitted itself."""
+"""Relative difference that parameter curves make which another CAD program fitted itself."""
 
 PART = 0.1
 """Part of the limit of the law's rms error that faces of a file without a manifest may use up."""
@@ -334,7 +334,7 @@ def _volume(
     got = float(found["volume"])
     allowed = VOLUME_LIMIT * want + error
     source = default("1e-9 relative")
-    if room.fitted:  # every lens face off as far as it may be, and borders that another kernel fitted
+    if room.fitted:  # every lens face off as far as it may be, and borders that another program fitted
         x0, x1, y0, y1 = whole_extent(window)
         area = (x1 - x0) * (y1 - y0) * millimetres(window.unit) ** 2 * 2.0 * len(bodies)
         allowed += room.shape * area + FITTED * want

@@ -1,6 +1,6 @@
 """Light through the faces of a file of solids, for the checks of a master.
 
-The CAD kernel's own faces, in a worker that has read the file already; where the file is too large for a kernel, the
+The faces as OCC reads them, in a worker that has read the file already; where the file is too large for OCC, the
 lens patches of its text. A body the file lacks is taken from the design.
 """
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from clacad.storage.worker import Worker
 
 FACE_RAYS = 1024
-"""Rays of the main bundle through faces: each takes a kernel half a millisecond."""
+"""Rays of the main bundle through faces: each takes OCC half a millisecond."""
 
 POINT_RAYS = 256
 """Rays of each of the nine field points; four times as many where little light gets through."""
@@ -35,7 +35,10 @@ MARGIN = 0.1
 """Pitches round a telescopelet in which faces are looked for."""
 
 SECONDS = 600.0
-KERNEL, TEXT = "clacad.formats.step.occ_rays:follow_rays", "clacad.formats.step.patch_rays:follow_patches"
+OCC_RAYS, PATCH_RAYS = (
+    "clacad.formats.step.occ_rays:follow_rays",
+    "clacad.formats.step.patch_rays:follow_patches",
+)
 
 
 def point_rays(window: Window) -> int:
@@ -53,15 +56,15 @@ class FaceTracer:
     path : str
     window : Window
     held : names of the bodies the file holds
-    kernel : bool
-        Whether the kernel's faces are used, else the patches of the text.
+    by_occ : bool
+        Whether the faces are used as OCC reads them, else the patches of the text.
     """
 
     worker: Worker
     path: str
     window: Window
     held: Sequence[str]
-    kernel: bool
+    by_occ: bool
 
     def __call__(self, lit: Bundle) -> TraceResult:
         """ALIVE: in and out of every body through lens faces of one telescopelet, and on forwards. GHOST: through lenses of
@@ -83,7 +86,7 @@ class FaceTracer:
         numbers = [
             2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
         ]
-        function, more = (KERNEL, ()) if self.kernel else (TEXT, (self.window, numbers))
+        function, more = (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (self.window, numbers))
         found = self.worker.run(
             function, self.path, state.position[live] * scale, state.direction[live], [body.index for body in bodies],
             (low * scale).tolist(), (high * scale).tolist(), *more, timeout=SECONDS,
@@ -100,7 +103,7 @@ class FaceTracer:
             if face.array is None:
                 continue
             met = many > step
-            aside = ~lens[:, step] if self.kernel else ~on_lens(self.window, face, hits[:, step])
+            aside = ~lens[:, step] if self.by_occ else ~on_lens(self.window, face, hits[:, step])
             state.aside[live[met & aside]] = True
             state.see(live[met], face.array, self.window, hits[met, step])
 

@@ -45,7 +45,7 @@ SECONDS = 600.0
 THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
 """What light says: through the faces, not through triangles made here."""
 KEPT = ("readable", "closed", "solids")
-"""What the kernel says of a file wherever the part lies in it."""
+"""What OCC says of a file wherever the part lies in it."""
 
 
 def judge_turned(
@@ -139,7 +139,7 @@ def _exact_scale(check: Check) -> Check:
 
 
 def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check:
-    """Name the holes that the kernel finds, in the design's frame."""
+    """Name the holes that OCC finds, in the design's frame."""
     if check.id != "closed":
         return check
     pose = placed.pose
