@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from hard import table
+from hard import mutations, table
 
 from clacad.cli.entry_point import main
 from clacad.verification.stability import as_dict, as_markdown, as_text, hard_cases, stability_table
@@ -96,6 +96,13 @@ def test_a_wrong_fate_or_a_lost_digit_fails_its_row():
 def test_a_row_with_a_bar_stays_one_row_of_markdown():
     lines = [line for line in as_markdown(measured()).splitlines() if line.startswith("|")]
     assert {line.replace("\\|", "").count("|") for line in lines} == {9}
+
+
+def test_every_form_that_a_mutation_replaces_stands_once_where_it_looks_for_it():
+    for mutation in mutations.MUTATIONS:
+        text = (mutations.ROOT / mutation.file).read_text(encoding="utf-8")
+        assert text.count(mutation.stable) == 1, f"{mutation.name}: {mutation.file}"
+        assert (mutations.ROOT / mutation.tests.split()[0]).exists(), mutation.tests
 
 
 @pytest.mark.long
