@@ -26,6 +26,34 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+COMPILED = ("tracing", "effects", "hard", "verification", "rendering", "report", "compat")
+CLOSED_FORM = (
+    "base",
+    "optics",
+    "sheet",
+    "config",
+    "design",
+    "scene",
+    "explain",
+    "test_layers.py",
+    "test_package.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put what compiles kernels first and what compiles nothing last.
+
+    Two workers then begin at the two ends: one compiles, the other finds the kernels compiled when it gets there.
+    """
+    tests = Path(__file__).parent
+
+    def rank(item: pytest.Item) -> int:
+        room = item.path.relative_to(tests).parts[0]
+        return 0 if room in COMPILED else 2 if room in CLOSED_FORM else 1
+
+    items.sort(key=rank)
+
+
 class NetworkUsed(Exception):
     """Something wanted to talk to another machine."""
 
