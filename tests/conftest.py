@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from everyday import slow_and_unknown
 from hypothesis import settings
 
 # the same examples every time: a failure can be repeated, a success means the same everywhere
@@ -40,12 +41,21 @@ CLOSED_FORM = (
 )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put what compiles kernels first and what compiles nothing last.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what is slow; put what compiles kernels first and what compiles nothing last.
 
     Two workers then begin at the two ends: one compiles, the other finds the kernels compiled when it gets there.
     """
     tests = Path(__file__).parent
+    files = [item.path.relative_to(tests).as_posix() for item in items]
+    names = [item.name.removesuffix("]").partition("[") for item in items]
+    slow, unknown = slow_and_unknown((file, name[0], name[2]) for file, name in zip(files, names))
+    if unknown and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"tests/everyday.py names cases that are not there: {unknown}")
+    for item in (items[place] for place in slow):
+        if item.get_closest_marker("long") is None:
+            item.add_marker(pytest.mark.slow)
 
     def rank(item: pytest.Item) -> int:
         room = item.path.relative_to(tests).parts[0]
