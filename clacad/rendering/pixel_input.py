@@ -40,14 +40,15 @@ def pane_of(
     from clacad.tracing.layout import lay_out
     from clacad.tracing.triangles.tiles import NO_TILES
 
-    packed = pack(lay_out(window))
     numbers = np.zeros(kernel.PANE_NUMBERS)
     if not present:
         kind = kernel.NO_SHEET
     elif plane:
         kind = kernel.LAW
         edges = np.array(lattice.extent()) / scale
-        numbers[:16] = np.concatenate([window.law.matrix().ravel(), window.law.optical_axis, edges])
+        numbers[kernel.MATRIX : kernel.EDGES + 4] = np.concatenate(
+            [window.law.matrix().ravel(), window.law.optical_axis, edges]
+        )
     else:
         kind = kernel.SURFACES
         numbers[:6] = _first_box(window) / scale
@@ -56,11 +57,8 @@ def pane_of(
     shining[list(passage.shining)] = 1
     wave = lines[0].wavelength
     indices = np.array([body.index if wave is None else body.index_at(wave) for body in window.bodies])
-    quick = suits(packed.faces, packed.bodies, packed.lattice)
-    return kernel.Pane(
-        kind, numbers, opaque, before, packed.faces, packed.bodies, packed.lattice, packed.rows, indices, NO_TILES,
-        shining, quick,
-    )  # fmt: skip
+    sheet = pack(lay_out(window))._replace(indices=indices)
+    return kernel.Pane(kind, numbers, opaque, before, sheet, NO_TILES, shining, suits(sheet))
 
 
 def _first_box(window: Window) -> Floats:
@@ -100,5 +98,4 @@ def sample(viewing: Viewing, view: View, pixels: Ints, slots: Ints, which: Sampl
     frame = np.stack([view.position, view.ahead, view.right, view.down])
     words = np.zeros((0, 2), np.uint64) if most == 1 else digits(first, more)[:, :2].copy()
     eye: Any = Eye(np.ascontiguousarray(frame, dtype=np.float64), view.width, view.height, words)
-    t = viewing.tables
-    sample_all(eye, viewing.pane, t.world, t.cluster, t.prim, t.store, pixels, slots, more, total, square)
+    sample_all(eye, viewing.pane, viewing.tables, pixels, slots, more, total, square)

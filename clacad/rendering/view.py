@@ -217,8 +217,7 @@ def seen(
     light, met = np.empty((len(position), 3)), np.empty(len(position), dtype=np.bool_)
     bound = np.full(len(position), limit) if np.isscalar(limit) else np.ascontiguousarray(limit)
     start, ray = np.ascontiguousarray(position), np.ascontiguousarray(direction)
-    t = viewing.tables
-    look_all(t.world, t.cluster, t.prim, t.store, start, ray, bound, light, met, np.empty(len(position)))
+    look_all(viewing.tables, start, ray, bound, light, met, np.empty(len(position)))
     return light, met
 
 

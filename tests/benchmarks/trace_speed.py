@@ -26,6 +26,7 @@ from clacad.mesh import tessellate
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import trace_chunk
 from clacad.tracing.compiled.packing import pack
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.trace import trace
@@ -72,16 +73,15 @@ def beam(window, count: int, spread: float, inset: float) -> Rays:
 def kernel(window, rays: Rays, mesh=None, normals="facet") -> Callable[[], object]:
     """The compiled kernel alone, into arrays that exist already."""
     layout, tiles = (lay_out(window), NO_TILES) if mesh is None else lay_out_mesh(window, mesh, normals)
-    packed, rows = pack(layout), np.arange(len(rays))
-    indices = np.array([body.index for body in window.bodies])
+    sheet, rows = pack(layout), np.arange(len(rays))
     ledger = Ledger.blank(len(rays), 0)
+    out = Outcome(
+        ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order, ledger.surface,
+        ledger.hits, ledger.directions,
+    )  # fmt: skip
 
     def run() -> object:
-        return trace_chunk(
-            tiles, packed.faces, packed.bodies, packed.lattice, packed.rows, indices, rows, rays.position,
-            rays.direction, ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell,
-            ledger.order, ledger.surface, ledger.hits, ledger.directions,
-        )  # fmt: skip
+        return trace_chunk(tiles, sheet, rows, rays.position, rays.direction, out)
 
     run.ledger = ledger
     return run

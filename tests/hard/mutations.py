@@ -117,11 +117,11 @@ MUTATIONS = [
     # -- compiled kernels
     Mutation("kernel: root by the textbook", SCALAR, "if signed * b <= 0.0:\n        return c / (signed - b), root", "if a == 0.0:\n        return c / (signed - b), root", KERNELS),
     Mutation("kernel: discriminant never in pairs", SCALAR, "if b * b > CANCELS * abs(disc):", "if b * b < 0.0:", KERNELS),
-    Mutation("kernel: not carried", SCALAR, "    if N * N >= STEEPEST * STEEPEST * square:\n        t = -z / N\n        return t, x + t * L, y + t * M, 0.0\n    t = -(x * L + y * M + z * N) / square\n",
+    Mutation("kernel: not carried", SCALAR, "    if N * N >= STEEPEST * STEEPEST * square:\n        t = -z / N\n        return t, (x + t * L, y + t * M, 0.0)\n    t = -(x * L + y * M + z * N) / square\n",
              "    t = 0.0 * square\n", KERNELS),
     Mutation("kernel: far sheet told by height alone", SCALAR, "if -rounding <= level <= abs(q) + rounding:", "if abs(level) <= abs(q) + rounding:", KERNELS),
-    Mutation("kernel: q - µ r", SCALAR, "g = 0.0 if w == 0.0 and total == 0.0 else w / total", "g = (sqrt(radicand) - incident) / (gx * gx + gy * gy + gz * gz)", KERNELS),
-    Mutation("kernel: 1 - µ²", SCALAR, "w = (n2 - n1) / n2 * ((n2 + n1) / n2)", "w = 1.0 - mu * mu", KERNELS),
+    Mutation("kernel: q - µ r", SCALAR, "return weight / (sqrt(square * weight + incident * incident) + incident)", "return (sqrt(square * weight + incident * incident) - incident) / square", KERNELS),
+    Mutation("kernel: 1 - µ²", SCALAR, "weight = (n2 - n1) / n2 * ((n2 + n1) / n2)", "weight = 1.0 - mu * mu", KERNELS),
 ]  # fmt: skip
 
 

@@ -69,7 +69,7 @@ def by_kernel(case):
         t, x, y, z, gx, gy, gz, root = kernel_meet(face.surface, start[0], local[0])
         if not np.isfinite(t):
             return Fate.MISSED, ray[0], path
-        out = kernel.snell(*local[0], gx, gy, gz, root, face.index_before, face.index_after)
+        out = kernel.snell(tuple(local[0]), (gx, gy, gz), root, face.index_before, face.index_after)
         if np.isnan(out[0]):
             return Fate.TIR, ray[0], path
         if t + travelled[0] < -8 * ULP * (largest(start)[0] + abs(t)):

@@ -141,7 +141,7 @@ def test_compiled_and_plain_code_see_the_same():
     light, met = look(stage, start, direction)
     laid = tables(stage)
     other, hit = np.empty_like(light), np.empty(len(light), dtype=np.bool_)
-    look_all(*laid, start, direction, np.full(len(start), np.inf), other, hit, np.empty(len(light)))
+    look_all(laid, start, direction, np.full(len(start), np.inf), other, hit, np.empty(len(light)))
     np.testing.assert_array_equal(hit, met)
     differ = np.abs(light - other).max(axis=1) > 1e-9
     assert differ.mean() < 2e-4  # edges of stripes, tiles and sides, where a last bit decides

@@ -66,10 +66,10 @@ def _seen(background: Tables, glass: Tables, position: Floats, direction: Floats
     start, ray = np.array(position, dtype=np.float64), np.ascontiguousarray(direction)
     behind, found = np.empty((n, 3)), np.empty((n, 3))
     met, left, distance = np.empty(n, dtype=np.bool_), np.full(n, np.inf), np.empty(n)
-    look_all(*background, start, ray, left.copy(), behind, met, left)
+    look_all(background, start, ray, left.copy(), behind, met, left)
     light, through = np.zeros((n, 3)), np.ones(n)
     for _ in range(4):
-        look_all(*glass, start, ray, left, found, met, distance)
+        look_all(glass, start, ray, left, found, met, distance)
         light += np.where(met, through * (1.0 - CLEAR), 0.0)[:, None] * np.where(met[:, None], found, 0.0)
         through = np.where(met, through * CLEAR, through)
         step = np.where(met, distance * (1.0 + 1e-9) + 1e-9, 0.0)

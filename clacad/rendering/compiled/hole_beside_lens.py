@@ -12,10 +12,12 @@ from math import inf, isfinite
 import numpy as np
 
 from clacad.base.compiled import exact
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.column import kept, sheet_xy, to_array
+from clacad.tracing.compiled.cells import kept, sheet_xy, to_array
 from clacad.tracing.compiled.face import lens_roots, meet, snell, to_lens, to_sheet
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Launched, Ray
 
 UNDECIDED, DIRECT, STRAYED, PASSED_HOLE = range(4)
 
@@ -23,23 +25,23 @@ HAIR = 1e-9
 """Part of a cell within which nothing is decided here."""
 
 
-def suits(faces: Floats, bodies: Floats, lattice: Floats) -> bool:
+def suits(sheet: Packed) -> bool:
     """Whether a sheet is of the kind this module can tell: convex quadrics in columns, no land, no honeycomb."""
+    faces, bodies, lattice = sheet.faces, sheet.bodies, sheet.lattice
     plain = (
         lattice[slot.PLAIN] != 0.0 and lattice[slot.BAFFLE] == slot.NO_BAFFLE and lattice[slot.MARGIN] == 0.0
     )
-    columns = (bodies[:, slot.COLUMNAR] != 0.0).all() and (bodies[:, slot.OUTLINE] == 0.0).all()
+    columns = (bodies[:, slot.COLUMNAR] != 0.0).all() and (bodies[:, slot.OUTLINE] == slot.NO_OUTLINE).all()
     convex = (faces[:, (slot.CX, slot.CY, slot.KX)] > 0.0).all() and (faces[:, slot.BICONIC] == 0.0).all()
     bare = np.isnan(faces[:, slot.LAND]).all() and (faces[:, slot.ARRAY] >= 0.0).all()
     return bool(plain and columns and convex and bare)
 
 
 @exact
-def pass_quick(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, i: float, j: float, x: float, y: float,
-    z: float, L: float, M: float, N: float, position: Floats, direction: Floats,
-) -> int:  # fmt: skip
+def pass_quick(sheet: Packed, launched: Launched, position: Floats, direction: Floats) -> int:
     """Take one launched ray through; write where it leaves (0, 3), or give up and write nothing."""
+    faces, bodies, lat, rows, indices = sheet
+    i, j, x, y, z, L, M, N, _ = launched
     half_x, half_y = lat[slot.HALF], lat[slot.HALF + 1]
     hair = HAIR * half_x
     half_x, half_y = half_x - hair, half_y - hair
@@ -54,7 +56,7 @@ def pass_quick(
         if not (kept(lat, rows, i, j) and abs(x) < half_x and abs(y) < half_y):
             return UNDECIDED
         rise = (bodies[b, slot.BODY_HIGH] - z) / N
-        enter, by_front, leave, _ = _between(faces, 2 * b, x, y, z, L, M, N, hair)
+        enter, by_front, leave, _ = _between(faces, 2 * b, Ray(x, y, z, L, M, N), hair)
         if enter == inf:
             x, y, z, hole = x + rise * L, y + rise * M, bodies[b, slot.BODY_HIGH], True
             if not (abs(x) < half_x and abs(y) < half_y):
@@ -63,13 +65,13 @@ def pass_quick(
         if not (by_front and 0.0 < enter < leave - hair and enter < rise):
             return UNDECIDED
         strayed = strayed or i != first_i or j != first_j
-        t, x, y, z, L, M, N = _crossed(faces, 2 * b, x, y, z, L, M, N, 1.0, indices[b])
+        t, (x, y, z, L, M, N) = _crossed(faces, 2 * b, Ray(x, y, z, L, M, N), 1.0, indices[b])
         if not (abs(t - enter) <= hair and abs(x) < half_x and abs(y) < half_y and N > 0.0):
             return UNDECIDED
-        _, _, leave, by_back = _between(faces, 2 * b, x, y, z, L, M, N, hair)
+        _, _, leave, by_back = _between(faces, 2 * b, Ray(x, y, z, L, M, N), hair)
         if not (by_back and hair < leave < inf):
             return UNDECIDED
-        t, x, y, z, L, M, N = _crossed(faces, 2 * b + 1, x, y, z, L, M, N, indices[b], 1.0)
+        t, (x, y, z, L, M, N) = _crossed(faces, 2 * b + 1, Ray(x, y, z, L, M, N), indices[b], 1.0)
         if not (abs(t - leave) <= hair and N > 0.0):
             return UNDECIDED
         rise = max(0.0, (bodies[b, slot.BODY_HIGH] - z) / N)
@@ -83,13 +85,12 @@ def pass_quick(
 
 
 @exact
-def _between(
-    faces: Floats, f: int, x: float, y: float, z: float, L: float, M: float, N: float, hair: float
-) -> tuple[float, bool, float, bool]:
+def _between(faces: Floats, f: int, ray: Ray, hair: float) -> tuple[float, bool, float, bool]:
     """Where a ray is inside both quadrics of a lens: from, whether by the front, to, whether by the back.
 
     Enters at ∞ where it certainly misses; close calls are told as neither front nor back.
     """
+    x, y, z, L, M, N = ray
     a, b = lens_roots(faces, f, x, y, z, L, M, N)
     c, d = lens_roots(faces, f + 1, x, y, z, L, M, N)
     if not (isfinite(a) and isfinite(b) and isfinite(c) and isfinite(d)):
@@ -103,14 +104,13 @@ def _between(
 
 
 @exact
-def _crossed(
-    faces: Floats, f: int, x: float, y: float, z: float, L: float, M: float, N: float, n1: float, n2: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Refract at one face: distance, point and direction; NaN where there is none."""
-    sx, sy, sz = to_lens(faces, f, x - faces[f, slot.VX], y - faces[f, slot.VY], z - faces[f, slot.VZ])
-    u, v, w = to_lens(faces, f, L, M, N)
+def _crossed(faces: Floats, f: int, ray: Ray, n1: float, n2: float) -> tuple[float, Ray]:
+    """Refract at one face: the distance, and the ray from there; NaN where there is none."""
+    vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
+    sx, sy, sz = to_lens(faces, f, ray.x - vx, ray.y - vy, ray.z - vz)
+    u, v, w = to_lens(faces, f, ray.L, ray.M, ray.N)
     t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, w)
-    u, v, w = snell(u, v, w, gx, gy, gz, root, n1, n2)
+    u, v, w = snell((u, v, w), (gx, gy, gz), root, n1, n2)
     px, py, pz = to_sheet(faces, f, px, py, pz)
     u, v, w = to_sheet(faces, f, u, v, w)
-    return t, px + faces[f, slot.VX], py + faces[f, slot.VY], pz + faces[f, slot.VZ], u, v, w
+    return t, Ray(px + vx, py + vy, pz + vz, u, v, w)

@@ -17,10 +17,11 @@ from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
 from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
-from clacad.rendering.compiled.scene_tables import BLOCK
+from clacad.rendering.compiled.scene_tables import BLOCK, Tables
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.column import DIVISIONS, EVENT_NUMBERS, WORK_NUMBERS
 from clacad.tracing.compiled.launch import launch_block, launch_ray
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
 from clacad.tracing.compiled.straight_path import centres, straight
 from clacad.tracing.compiled.straight_path_slots import (
     CI,
@@ -38,7 +39,8 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Z,
 )
-from clacad.tracing.compiled.walk import WALKER_NUMBERS, walk_ray
+from clacad.tracing.compiled.walk import walk_ray
+from clacad.tracing.triangles.tiles import Tiles
 
 BESIDE, BLACK, SHINES, BEFORE = range(4)
 """What becomes of a ray: goes past the sheet, brings nothing, goes on behind it, met something before it."""
@@ -74,12 +76,13 @@ class Pane(NamedTuple):
     kind : int
         NO_SHEET, LAW or SURFACES.
     numbers : (21,)
-        LAW: matrix (9), axis (3), then edges in z = 0 (4) in scene lengths. SURFACES: low and high corner of the
-        first body (6). At the end: window lengths in a scene length; height up to which objects stand before.
+        LAW: from MATRIX, AXIS and EDGES on matrix (9), axis (3), and edges in z = 0 (4) in scene lengths. SURFACES:
+        low and high corner of the first body (6). At SCALE window lengths in a scene length; at FRONT the height up
+        to which objects stand before.
     opaque, before : bool
         Whether nothing is seen beside the sheet; whether anything may stand before it.
-    faces, bodies, lattice, rows, indices
-        SURFACES: as in `clacad.tracing.compiled.packing`.
+    sheet : Packed
+        SURFACES: what is traced.
     tiles : Tiles
         No facets.
     shining : (256,) bytes
@@ -92,52 +95,52 @@ class Pane(NamedTuple):
     numbers: Floats
     opaque: bool
     before: bool
-    faces: Floats
-    bodies: Floats
-    lattice: Floats
-    rows: Ints
-    indices: Floats
-    tiles: Any
+    sheet: Packed
+    tiles: Tiles
     shining: NDArray[np.uint8]
     quick: bool
 
 
-SCALE, FRONT, PANE_NUMBERS = 19, 20, 21
+MATRIX, AXIS, EDGES, SCALE, FRONT, PANE_NUMBERS = 0, 9, 12, 19, 20, 21
 
 
 class Walk(NamedTuple):
-    """Scratch for tracing: a block's rows, and one ray's."""
+    """Room of one thread for tracing.
+
+    Attributes
+    ----------
+    s : (SCRATCH, BLOCK), carried : (BLOCK,), chosen : (BLOCK,) ints
+        A block of rays on the straight path.
+    start, way : (1, 3); out : Outcome of one row; scratch : Scratch
+        One ray that is walked.
+    """
 
     s: Floats
     carried: Floats
     chosen: NDArray[np.intp]
-    vectors: Floats
-    fate: NDArray[np.uint8]
-    path: Floats
-    cells: NDArray[np.int32]
-    none: Floats
-    work: Floats
-    walker: Floats
-    left: Floats
-    event: Floats
-    causes: Ints
+    start: Floats
+    way: Floats
+    out: Outcome
+    scratch: Scratch
 
 
 @owning
 def new_walk() -> Walk:
-    """Scratch for one thread."""
+    """Room for one thread."""
+    out = Outcome(
+        np.empty((1, 3)), np.empty((1, 3)), np.empty(1, np.uint8), np.empty(1), np.empty((1, 2), np.int32),
+        np.empty((1, 2), np.int32), np.empty(1, np.int32), np.empty((0, 0, 3)), np.empty((0, 0, 3)),
+    )  # fmt: skip
     return Walk(
-        np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), np.arange(BLOCK), np.empty((4, 1, 3)), np.empty(1, np.uint8),
-        np.empty(1), np.empty((3, 1, 2), np.int32), np.empty((0, 0, 3)), np.empty(WORK_NUMBERS),
-        np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS), np.empty(EVENT_NUMBERS), np.empty(DIVISIONS, np.int64),
+        np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), np.arange(BLOCK), np.empty((1, 3)), np.empty((1, 3)), out,
+        new_scratch(),
     )  # fmt: skip
 
 
 @owning
 def sample_all(
-    eye: Eye, pane: Pane, world: Floats, cluster: Floats, prim: Floats, store: Floats, pixels: Ints, slots: Ints,
-    count: int, total: Floats, square: Floats,
-) -> None:  # fmt: skip
+    eye: Eye, pane: Pane, tables: Tables, pixels: Ints, slots: Ints, count: int, total: Floats, square: Floats
+) -> None:
     """Add the light of `count` samples of each of `pixels`, and its square, to the sums in the rows `slots`.
 
     square : (n, 3), or no rows where nothing asks for it
@@ -151,10 +154,10 @@ def sample_all(
             step = min(batch, count - done)
             m = number * step
             _look_out(eye, pixels[first : first + number], done, step, pad.part, pad.ray)
-            pass_sheet(pane, world, cluster, prim, store, m, pad, walk, state, front)
+            pass_sheet(pane, tables, m, pad, walk, state, front)
             for i in range(m):
                 pad.best[i] = np.inf
-            look_block(world, cluster, prim, store, m, pad)
+            look_block(tables, m, pad)
             _blend(pane.opaque, pane.before, m, state, front, pad.colour)
             _add(pad.colour, slots[first : first + number], step, total, square)
 
@@ -199,16 +202,13 @@ def _look_out(eye: Eye, pixels: Ints, done: int, step: int, spare: Floats, ray: 
 
 
 @exact
-def pass_sheet(
-    pane: Pane, world: Floats, cluster: Floats, prim: Floats, store: Floats, m: int, pad: Pad, walk: Walk,
-    state: Ints, front: Floats,
-) -> None:  # fmt: skip
+def pass_sheet(pane: Pane, tables: Tables, m: int, pad: Pad, walk: Walk, state: Ints, front: Floats) -> None:
     """Take the pad's rays past the sheet or through it; their `state`, and the light of what stands before it."""
     if pane.before or pane.opaque:
         level = pane.numbers[FRONT]
         for i in range(m):
             pad.best[i] = (level - pad.ray[2, i]) / pad.ray[5, i]
-        look_block(world, cluster, prim, store, m, pad)
+        look_block(tables, m, pad)
         for i in range(m):
             front[0, i], front[1, i], front[2, i] = pad.colour[0, i], pad.colour[1, i], pad.colour[2, i]
             pad.some[3, i] = pad.which[i]
@@ -229,9 +229,10 @@ def pass_sheet(
 def _law(numbers: Floats, m: int, ray: Floats, state: Ints) -> None:
     """Through a homogeneous sheet in z = 0: directions matrix · d, where d · axis > 0 and they go on forwards."""
     x, y, z, u, v, w, out = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m], state[:m]
-    a, b, c, d, e, f = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5]
-    g, h, k, ax, ay, az = numbers[6], numbers[7], numbers[8], numbers[9], numbers[10], numbers[11]
-    x0, x1, y0, y1 = numbers[12], numbers[13], numbers[14], numbers[15]
+    matrix, axis, edges = numbers[MATRIX:AXIS], numbers[AXIS:EDGES], numbers[EDGES:SCALE]
+    a, b, c, d, e, f = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4], matrix[5]
+    g, h, k, ax, ay, az = matrix[6], matrix[7], matrix[8], axis[0], axis[1], axis[2]
+    x0, x1, y0, y1 = edges[0], edges[1], edges[2], edges[3]
     for i in range(m):
         s = -z[i] / w[i]
         px, py = x[i] + s * u[i], y[i] + s * v[i]
@@ -276,15 +277,13 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
         place, way, start, along = s[X + c], s[DX + c], ray[c], ray[3 + c]
         for i in range(m):
             place[i], way[i] = start[i] * scale, along[i]
-    lattice, bodies, last = pane.lattice, pane.bodies, len(pane.faces) - 1
+    sheet, none = pane.sheet, walk.out.hits
+    lattice, bodies, last = sheet.lattice, sheet.bodies, len(sheet.faces) - 1
     launch_block(lattice, bodies[0], s, m)
     for i in range(m):
         walk.carried[i] = s[PATH, i]
-    array = straight(
-        pane.tiles, pane.faces, bodies, lattice, pane.rows, pane.indices, s, walk.chosen[:m], walk.none, walk.none,
-        walk.carried,
-    )  # fmt: skip
-    face = pane.faces[last]
+    array = straight(pane.tiles, sheet, s, walk.chosen[:m], none, none, walk.carried)
+    face = sheet.faces[last]
     centres(lattice, s, m, array, s[GX], s[GY], face[slot.VX], face[slot.VY])
     top = bodies[len(bodies) - 1, slot.LEVEL] + face[slot.VZ]
     _collect(pane.shining, scale, top, m, s, ray, near, state)
@@ -295,15 +294,8 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
 
 @exact
 def _collect(
-    shining: NDArray[np.uint8],
-    scale: float,
-    top: float,
-    m: int,
-    s: Floats,
-    ray: Floats,
-    near: Floats,
-    state: Ints,
-) -> None:
+    shining: NDArray[np.uint8], scale: float, top: float, m: int, s: Floats, ray: Floats, near: Floats, state: Ints
+) -> None:  # fmt: skip
     """Rays behind the sheet of those whose straight trace holds; their mark `near` becomes 2."""
     direct, ghost = SHINES if shining[ALIVE] else BLACK, SHINES if shining[GHOST] else BLACK
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
@@ -328,27 +320,21 @@ def _collect(
 @exact
 def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
     """Walk one ray; put it behind the sheet where it shines."""
-    start, way, position, direction = walk.vectors[0], walk.vectors[1], walk.vectors[2], walk.vectors[3]
+    start, way, out = walk.start, walk.way, walk.out
+    position, direction = out.position, out.direction
     for c in range(3):
         start[0, c], way[0, c] = ray[c, i] * scale, ray[3 + c, i]
         position[0, c], direction[0, c] = start[0, c], way[0, c]
-    walk.fate[0] = MISSED
-    reaches, p, q, x, y, z, u, v, w, far = launch_ray(pane.lattice, pane.bodies, start, way, 0)
+    out.fate[0] = MISSED
+    reaches, launched = launch_ray(pane.sheet, start, way, 0)
     told = UNDECIDED
     if reaches and pane.quick:
-        told = pass_quick(
-            pane.faces, pane.bodies, pane.lattice, pane.rows, pane.indices, p, q, x, y, z, u, v, w, position,
-            direction,
-        )  # fmt: skip
-        walk.fate[0] = ALIVE if told == DIRECT else (GHOST if told == STRAYED else LAND)
+        told = pass_quick(pane.sheet, launched, position, direction)
+        out.fate[0] = ALIVE if told == DIRECT else (GHOST if told == STRAYED else LAND)
     if reaches and told == UNDECIDED:
-        walk.fate[0] = MISSED
-        walk_ray(
-            pane.tiles, pane.faces, pane.bodies, pane.lattice, pane.rows, pane.indices, p, q, x, y, z, u, v, w, far, 0,
-            position, direction, walk.fate, walk.path, walk.cells[0], walk.cells[1], walk.cells[2, :, 0], walk.none,
-            walk.none, walk.work, walk.walker, walk.left, walk.event, walk.causes,
-        )  # fmt: skip
-    fate = walk.fate[0]
+        out.fate[0] = MISSED
+        walk_ray(pane.tiles, pane.sheet, launched, 0, out, walk.scratch)
+    fate = out.fate[0]
     if fate == MISSED:
         return BESIDE
     if not pane.shining[fate]:

@@ -13,24 +13,34 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.compiled import exact, owning
+from clacad.base.compiled import exact, inlined, owning
 from clacad.base.types import Floats, Ints
 from clacad.rendering.compiled.primitives import distances, to_frame
-from clacad.rendering.compiled.scene_light import background, painted
+from clacad.rendering.compiled.scene_light import background, one_sky, painted
 from clacad.rendering.compiled.scene_tables import (
+    AMBIENT,
     BLOCK,
     BOUND,
+    CENTRE,
     COLOUR,
-    FLOOR,
+    EXTENT,
+    FIRST,
+    GROUND,
+    HORIZON,
+    KEY,
     KIND,
-    MESH,
     ORIGIN,
     PAINT,
+    PAST,
     PATTERN,
     PIECE,
     SIZE,
+    TOWARDS_LIGHT,
+    Tables,
 )
 from clacad.rendering.compiled.triangle_tree import DEPTH, in_tree
+from clacad.rendering.scene_arrays import FLOOR, LIT, MESH
+from clacad.tracing.compiled.records import Ray
 
 
 class Pad(NamedTuple):
@@ -71,10 +81,19 @@ def new_pad() -> Pad:
 
 @owning
 def look_all(
-    world: Floats, cluster: Floats, prim: Floats, store: Floats, origin: Floats, direction: Floats,
-    limit: Floats, light: Floats, met: NDArray[np.bool_], distance: Floats,
+    tables: Tables, origin: Floats, direction: Floats, limit: Floats, light: Floats, met: NDArray[np.bool_],
+    distance: Floats,
 ) -> None:  # fmt: skip
-    """Write the light each ray finds, whether it met an object and how far (its limit if not); see `reference.scene_hits.look`."""
+    """Write the light each ray finds, whether it met an object and how far; see `reference.scene_hits.look`.
+
+    Parameters
+    ----------
+    origin, direction : (n, 3)
+    limit : (n,)
+        How far is looked, in lengths of the given directions.
+    light : (n, 3), met : (n,), distance : (n,)
+        Result; the distance of a ray that met nothing is its limit.
+    """
     pad = new_pad()
     for start in range(0, len(origin), BLOCK):
         m = min(BLOCK, len(origin) - start)
@@ -83,7 +102,7 @@ def look_all(
             for c in range(3):
                 pad.ray[c, i], pad.ray[c + 3, i] = o[i, c], d[i, c]
             pad.best[i] = limit[start + i]
-        look_block(world, cluster, prim, store, m, pad)
+        look_block(tables, m, pad)
         for i in range(m):
             for c in range(3):
                 light[start + i, c] = pad.colour[c, i]
@@ -91,18 +110,19 @@ def look_all(
 
 
 @exact
-def look_block(world: Floats, cluster: Floats, prim: Floats, store: Floats, m: int, pad: Pad) -> None:
+def look_block(tables: Tables, m: int, pad: Pad) -> None:
     """Light of the pad's m rays."""
+    world, cluster, prim = tables.world, tables.cluster, tables.prim
     _behind(world, m, pad.ray, pad.which, pad.colour)
     for c in range(len(cluster)):
-        k = int(cluster[c, 0])
-        if prim[k, KIND] == FLOOR and cluster[c, 1] == k + 1:
+        k = int(cluster[c, FIRST])
+        if prim[k, KIND] == FLOOR and cluster[c, PAST] == k + 1:
             _floor(world, prim, k, m, pad.ray, pad.best, pad.which, pad.colour)
             continue
         bound(cluster, c, m, pad.ray, pad.near)
         count = _gather(m, pad)
         if count:
-            _object(world, cluster, c, prim, store, count, pad)
+            _object(tables, c, count, pad)
     _zenith(world, m, pad.ray, pad.which, pad.colour)
 
 
@@ -114,15 +134,15 @@ def _behind(world: Floats, m: int, ray: Floats, which: Any, colour: Floats) -> N
         which[i] = -1
     for i in range(m):
         down = v[i] < 0.0
-        red[i] = world[11] if down else world[8]
-        green[i] = world[12] if down else world[9]
-        blue[i] = world[13] if down else world[10]
+        red[i] = world[GROUND] if down else world[HORIZON]
+        green[i] = world[GROUND + 1] if down else world[HORIZON + 1]
+        blue[i] = world[GROUND + 2] if down else world[HORIZON + 2]
 
 
 @exact
 def _zenith(world: Floats, m: int, ray: Floats, which: Any, colour: Floats) -> None:
     """Sky that changes with elevation, for rays that met nothing: an angle each, so it comes last."""
-    if world[5] == world[8] and world[6] == world[9] and world[7] == world[10]:
+    if one_sky(world):
         return
     for i in range(m):
         if which[i] < 0 and ray[4, i] >= 0.0:
@@ -142,7 +162,11 @@ def _floor(
         towards += 1 if (height - y[i]) * v[i] > 0.0 else 0
     if towards == 0:  # a block of sky, as half of most views is
         return
-    above, below = world[0] + world[1] * max(0.0, world[3]), world[0] + world[1] * max(0.0, -world[3])
+    up = world[TOWARDS_LIGHT + 1]
+    above, below = (
+        world[AMBIENT] + world[KEY] * max(0.0, up),
+        world[AMBIENT] + world[KEY] * max(0.0, -up),
+    )
     per_side, square = 1.0 / side, reach * reach
     odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
     even0, even1, even2 = prim[k, COLOUR + 3], prim[k, COLOUR + 4], prim[k, COLOUR + 5]
@@ -170,7 +194,8 @@ def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     out = near[:m]
     mx, my, mz, hx, hy, hz = (
-        cluster[c, 2], cluster[c, 3], cluster[c, 4], cluster[c, 5], cluster[c, 6], cluster[c, 7],
+        cluster[c, CENTRE], cluster[c, CENTRE + 1], cluster[c, CENTRE + 2], cluster[c, EXTENT],
+        cluster[c, EXTENT + 1], cluster[c, EXTENT + 2],
     )  # fmt: skip
     for i in range(m):
         inverse = 1.0 / w[i]
@@ -204,14 +229,13 @@ def _gather(m: int, pad: Pad) -> int:
 
 
 @exact
-def _object(
-    world: Floats, cluster: Floats, c: int, prim: Floats, store: Floats, count: int, pad: Pad
-) -> None:
+def _object(tables: Tables, c: int, count: int, pad: Pad) -> None:
     """Hold the gathered rays against an object's primitives and paint those that meet one."""
+    cluster, prim, store = tables.cluster, tables.prim, tables.store
     part, which, facet = pad.part, pad.some[1], pad.some[2]
     local, least, s = part[6:12], part[12], part[13]
     x0, x1, y0, y1 = _window(cluster, c, count, part)
-    for k in range(int(cluster[c, 0]), int(cluster[c, 1])):
+    for k in range(int(cluster[c, FIRST]), int(cluster[c, PAST])):
         if (
             prim[k, BOUND] > x1
             or prim[k, BOUND + 3] < x0
@@ -222,10 +246,8 @@ def _object(
         to_frame(prim, k, count, part, local)
         if prim[k, KIND] == MESH:
             for q in range(count):
-                t, f = in_tree(
-                    store, int(prim[k, PIECE]), local[0, q], local[1, q], local[2, q], local[3, q], local[4, q],
-                    local[5, q], least[q], pad.some[3],
-                )  # fmt: skip
+                ray = Ray(local[0, q], local[1, q], local[2, q], local[3, q], local[4, q], local[5, q])
+                t, f = in_tree(store, int(prim[k, PIECE]), ray, least[q], pad.some[3])
                 if f >= 0:
                     least[q], which[q], facet[q] = t, k, f
             continue
@@ -237,32 +259,37 @@ def _object(
             closer = (s[q] > 0.0) & (s[q] < least[q])
             least[q] = s[q] if closer else least[q]
             which[q] = k if closer else which[q]
+    _paint(tables, count, pad)
+
+
+@inlined
+def _paint(tables: Tables, count: int, pad: Pad) -> None:
+    """Write distance, primitive and light of those gathered rays that met something."""
+    world, prim, part, which, least = tables.world, tables.prim, pad.part, pad.some[1], pad.part[12]
     best, met, red, green, blue = pad.best, pad.which, pad.colour[0], pad.colour[1], pad.colour[2]
-    luminous, own = world[1] == 0.0, world[0]
+    luminous, own = world[KEY] == 0.0, world[AMBIENT]
     for q in range(count):
         k = which[q]
         if k < 0:
             continue
         i = pad.some[0, q]
         best[i], met[i] = least[q], k
-        if luminous and prim[k, PAINT] == 0.0:  # the same light everywhere: no call
+        if luminous and prim[k, PAINT] == LIT:  # the same light everywhere: no call
             red[i], green[i], blue[i] = (
                 prim[k, COLOUR] * own,
                 prim[k, COLOUR + 1] * own,
                 prim[k, COLOUR + 2] * own,
             )
         else:
-            red[i], green[i], blue[i] = painted(
-                world, prim, store, k, facet[q], part[0, q], part[1, q], part[2, q], part[3, q], part[4, q],
-                part[5, q], least[q],
-            )  # fmt: skip
+            ray = Ray(part[0, q], part[1, q], part[2, q], part[3, q], part[4, q], part[5, q])
+            red[i], green[i], blue[i] = painted(tables, k, pad.some[2, q], ray, least[q])
 
 
 @exact
 def _window(cluster: Floats, c: int, count: int, part: Floats) -> tuple[float, float, float, float]:
     """Range of x and y that the gathered rays take while they are between an object's lowest and highest z."""
     x, y, z, u, v, w = part[0], part[1], part[2], part[3], part[4], part[5]
-    level, half = cluster[c, 4], cluster[c, 7]
+    level, half = cluster[c, CENTRE + 2], cluster[c, EXTENT + 2]
     x0, x1, y0, y1, steep = np.inf, -np.inf, np.inf, -np.inf, np.inf
     for q in range(count):
         inverse = 1.0 / w[q]

@@ -10,51 +10,70 @@ import math
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
 from clacad.rendering.compiled.scene_tables import (
-    BOX,
-    CHECKER,
+    AMBIENT,
     COLOUR,
     COLUMNS,
-    CONE,
-    COORDINATES,
     END,
-    FLOOR,
-    IMAGE,
+    GROUND,
+    HORIZON,
+    KEY,
     KIND,
-    MESH,
     ORIGIN,
     PAINT,
     PATTERN,
     PIECE,
-    PRISM,
     ROWS,
     SIZE,
+    TOWARDS_LIGHT,
+    TURN,
+    ZENITH,
+    Tables,
+)
+from clacad.rendering.scene_arrays import (
+    BOX,
+    CHECKER,
+    CONE,
+    COORDINATES,
+    FLOOR,
+    IMAGE,
+    MESH,
+    PRISM,
     SPHERE,
     STRIPES,
-    TURN,
-)  # fmt: skip
+)
+from clacad.tracing.compiled.records import Ray
+
+
+@exact
+def one_sky(world: Floats) -> bool:
+    """Whether the sky is the same at the zenith and at the horizon."""
+    return bool(
+        world[ZENITH] == world[HORIZON]
+        and world[ZENITH + 1] == world[HORIZON + 1]
+        and world[ZENITH + 2] == world[HORIZON + 2]
+    )
 
 
 @exact
 def background(world: Floats, u: float, v: float, w: float) -> tuple[float, float, float]:
     """Light of the sky, or of the ground below the horizon."""
     if v < 0.0:
-        return world[11], world[12], world[13]
+        return world[GROUND], world[GROUND + 1], world[GROUND + 2]
     share = 0.0
-    if world[5] != world[8] or world[6] != world[9] or world[7] != world[10]:
+    if not one_sky(world):
         share = min(1.0, max(0.0, math.atan2(v, math.hypot(u, w)) / (0.5 * math.pi)))
     return (
-        world[8] + (world[5] - world[8]) * share,
-        world[9] + (world[6] - world[9]) * share,
-        world[10] + (world[7] - world[10]) * share,
+        world[HORIZON] + (world[ZENITH] - world[HORIZON]) * share,
+        world[HORIZON + 1] + (world[ZENITH + 1] - world[HORIZON + 1]) * share,
+        world[HORIZON + 2] + (world[ZENITH + 2] - world[HORIZON + 2]) * share,
     )
 
 
 @exact
-def painted(
-    world: Floats, prim: Floats, store: Floats, k: int, facet: int, x: float, y: float, z: float, u: float,
-    v: float, w: float, distance: float,
-) -> tuple[float, float, float]:  # fmt: skip
+def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tuple[float, float, float]:
     """Light of primitive k where a ray meets it."""
+    world, prim, store = tables.world, tables.prim, tables.store
+    x, y, z, u, v, w = ray
     px, py, pz = x - prim[k, ORIGIN], y - prim[k, ORIGIN + 1], z - prim[k, ORIGIN + 2]
     ru = u * prim[k, TURN + 0] + v * prim[k, TURN + 3] + w * prim[k, TURN + 6]
     rv = u * prim[k, TURN + 1] + v * prim[k, TURN + 4] + w * prim[k, TURN + 7]
@@ -74,16 +93,16 @@ def painted(
     elif paint == STRIPES:
         stripe = math.floor(2.0 * lx / pattern)
         c = COLOUR if stripe - 2.0 * math.floor(0.5 * stripe) == 0.0 else COLOUR + 3
-    light = world[0]
-    if world[1] != 0.0:
+    light = world[AMBIENT]
+    if world[KEY] != 0.0:
         nx, ny, nz = normal(prim, store, k, facet, lx, ly, lz)
         sx = nx * prim[k, TURN + 0] + ny * prim[k, TURN + 1] + nz * prim[k, TURN + 2]
         sy = nx * prim[k, TURN + 3] + ny * prim[k, TURN + 4] + nz * prim[k, TURN + 5]
         sz = nx * prim[k, TURN + 6] + ny * prim[k, TURN + 7] + nz * prim[k, TURN + 8]
-        facing = sx * world[2] + sy * world[3] + sz * world[4]
+        facing = sx * world[TOWARDS_LIGHT] + sy * world[TOWARDS_LIGHT + 1] + sz * world[TOWARDS_LIGHT + 2]
         if sx * u + sy * v + sz * w > 0.0:
             facing = -facing
-        light = world[0] + world[1] * max(0.0, facing)
+        light = world[AMBIENT] + world[KEY] * max(0.0, facing)
     return prim[k, c] * light, prim[k, c + 1] * light, prim[k, c + 2] * light
 
 

@@ -7,15 +7,19 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.rendering.scene_arrays import Stage
+from clacad.rendering.scene_arrays import CONE, FLOOR, MESH, PRISM, SCREEN, SPHERE, Stage
 
-FLOOR, SPHERE, BOX, CONE, PRISM, SCREEN, MESH = range(7)
-CHECKER, COORDINATES, STRIPES, IMAGE = 1, 2, 3, 4
-# columns of `Tables.prim`
+# Columns of `Tables.prim`.
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (
     0, 1, 2, 3, 4, 5, 6, 7, 11, 17, 20, 29,
 )  # fmt: skip
 PRIM_WIDTH = 35
+# Numbers of `Tables.world`.
+AMBIENT, KEY, TOWARDS_LIGHT, ZENITH, HORIZON, GROUND = 0, 1, 2, 5, 8, 11
+
+# Columns of `Tables.cluster`.
+FIRST, PAST, CENTRE, EXTENT = 0, 1, 2, 5
+
 NODE, FACET = 8, 9
 """Numbers of a tree node (low, high, first, count) and of a triangle in `Tables.store`."""
 
@@ -31,7 +35,7 @@ class Tables(NamedTuple):
     world : (14,)
         Ambient, key, direction to the light (3), zenith (3), horizon (3), ground (3).
     cluster : (m, 8)
-        First and end primitive, centre and half extents of a box round them (infinite round a floor).
+        First primitive and one past the last, centre and half extents of a box round them (infinite round a floor).
     prim : (n, 35)
         A primitive a row, columns as named above; BOUND: low and high corner of a box round it, scene frame.
     store : (k,)

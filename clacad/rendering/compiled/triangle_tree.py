@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
 from clacad.rendering.compiled.scene_tables import FACET, NODE
+from clacad.tracing.compiled.records import Ray, Vector
 
 DEPTH = 64
 """Nodes waiting in a tree at most: median splits make it no deeper than the number's bits."""
@@ -15,25 +16,16 @@ DEPTH = 64
 
 @exact
 def in_tree(
-    store: Floats,
-    root: int,
-    x: float,
-    y: float,
-    z: float,
-    u: float,
-    v: float,
-    w: float,
-    limit: float,
-    waiting: NDArray[np.int64],
+    store: Floats, root: int, ray: Ray, limit: float, waiting: NDArray[np.int64]
 ) -> tuple[float, int]:
     """Distance and number of the first triangle below `limit`; −1 where there is none. `waiting` is scratch."""
     waiting[0] = root
     height, distance, facet = 1, limit, -1
-    iu, iv, iw = 1.0 / u, 1.0 / v, 1.0 / w
+    inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
     while height > 0:
         height -= 1
         node = waiting[height]
-        if not meets_box(store, node, x, y, z, iu, iv, iw, distance):
+        if not meets_box(store, node, (ray.x, ray.y, ray.z), inverse, distance):
             continue
         child, count = int(store[node + 6]), int(store[node + 7])
         if count == 0:
@@ -42,21 +34,18 @@ def in_tree(
             height += 2
             continue
         for k in range(child, child + FACET * count, FACET):
-            s = to_triangle(store, k, x, y, z, u, v, w)
+            s = to_triangle(store, k, ray)
             if s > 0.0 and s < distance:
                 distance, facet = s, k
     return distance, facet
 
 
 @exact
-def meets_box(
-    store: Floats, node: int, x: float, y: float, z: float, iu: float, iv: float, iw: float, limit: float
-) -> bool:
+def meets_box(store: Floats, node: int, start: Vector, inverse: Vector, limit: float) -> bool:
     """Whether a ray meets a box before `limit`; 0 times ∞ on a side's plane counts as inside."""
     near, far = -np.inf, np.inf
     for k in range(3):
-        p = x if k == 0 else (y if k == 1 else z)
-        d = iu if k == 0 else (iv if k == 1 else iw)
+        p, d = start[k], inverse[k]
         a, b = (store[node + k] - p) * d, (store[node + 3 + k] - p) * d
         if a == a and b == b:
             near, far = max(near, min(a, b)), min(far, max(a, b))
@@ -64,8 +53,9 @@ def meets_box(
 
 
 @exact
-def to_triangle(store: Floats, k: int, x: float, y: float, z: float, u: float, v: float, w: float) -> float:
+def to_triangle(store: Floats, k: int, ray: Ray) -> float:
     """Distance to the plane of a triangle where it is hit, else NaN."""
+    x, y, z, u, v, w = ray
     cx, cy, cz = store[k], store[k + 1], store[k + 2]
     ax, ay, az = store[k + 3] - cx, store[k + 4] - cy, store[k + 5] - cz
     bx, by, bz = store[k + 6] - cx, store[k + 7] - cy, store[k + 8] - cz

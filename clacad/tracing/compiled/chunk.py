@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, owning
-from clacad.base.types import Bytes, Cells, Floats, Ints, Rows
+from clacad.base.types import Floats, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.column import DIVISIONS, EVENT_NUMBERS, WORK_NUMBERS
 from clacad.tracing.compiled.launch import launch_block, launch_ray
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Outcome, new_scratch
 from clacad.tracing.compiled.straight_path import centres, copy_row, straight
 from clacad.tracing.compiled.straight_path_slots import (
     BLOCK,
@@ -36,7 +37,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     Y,
     Z,
 )
-from clacad.tracing.compiled.walk import WALKER_NUMBERS, walk_ray
+from clacad.tracing.compiled.walk import walk_ray
 from clacad.tracing.triangles.tiles import Tiles
 
 Singles = NDArray[Any]  # float32: every pass takes either precision
@@ -77,17 +78,15 @@ def _together(chosen: Rows) -> bool:
 
 
 @exact
-def _store(
-    bodies: Floats, lat: Floats, faces: Floats, s: Floats, chosen: Rows, array: int, position: Floats, direction: Floats,
-    fate: Bytes, path: Floats, cell: Cells, order: Cells, surface: Cells,
-) -> None:  # fmt: skip
+def _store(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome) -> None:
     """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
+    faces, bodies = sheet.faces, sheet.bodies
     m = len(chosen)
     px, py, z, dz, good = s[GX], s[GY], s[Z], s[DZ], s[GOOD]
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
     last = len(faces) - 1
     face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
-    centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(sheet.lattice, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
         held = (good[k] > 0.0) & (dz[k] > 0.0)
         good[k] = 1.0 if held else 0.0
@@ -97,36 +96,28 @@ def _store(
         ci0[k] = ci0[k] if held else 0.0
         cj0[k] = cj0[k] if held else 0.0
     if _together(chosen):
-        own = slice(chosen[0], chosen[-1] + 1)
-        _store_together(
-            s,
-            m,
-            last,
-            position[own],
-            direction[own],
-            fate[own],
-            path[own],
-            cell[own],
-            order[own],
-            surface[own],
-        )
+        _store_together(s, chosen[0], m, last, out)
         return
     for k in range(m):
         row = chosen[k]
-        position[row, 0], position[row, 1], position[row, 2] = px[k], py[k], z[k]
-        direction[row, 0], direction[row, 1], direction[row, 2] = s[DX, k], s[DY, k], dz[k]
-        path[row], surface[row] = s[PATH, k], last
-        cell[row, 0], cell[row, 1] = np.int32(ci0[k]), np.int32(cj0[k])
-        order[row, 0], order[row, 1] = np.int32(ci[k]), np.int32(cj[k])
-        fate[row] = ALIVE if ci[k] == 0.0 and cj[k] == 0.0 else GHOST
+        out.position[row, 0], out.position[row, 1], out.position[row, 2] = px[k], py[k], z[k]
+        out.direction[row, 0], out.direction[row, 1], out.direction[row, 2] = s[DX, k], s[DY, k], dz[k]
+        out.path[row], out.surface[row] = s[PATH, k], last
+        out.cell[row, 0], out.cell[row, 1] = np.int32(ci0[k]), np.int32(cj0[k])
+        out.order[row, 0], out.order[row, 1] = np.int32(ci[k]), np.int32(cj[k])
+        out.fate[row] = ALIVE if ci[k] == 0.0 and cj[k] == 0.0 else GHOST
 
 
 @exact
-def _store_together(
-    s: Floats, m: int, last: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells,
-    order: Cells, surface: Cells,
-) -> None:  # fmt: skip
-    """Write rows that follow one another."""
+def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> None:
+    """Write the m rows that follow one another from the first."""
+    position, direction = out.position[first : first + m], out.direction[first : first + m]
+    fate, path, surface = (
+        out.fate[first : first + m],
+        out.path[first : first + m],
+        out.surface[first : first + m],
+    )
+    cell, order = out.cell[first : first + m], out.order[first : first + m]
     px, py, z, dx, dy, dz, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[PATH]
     ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
     for k in range(m):
@@ -146,102 +137,87 @@ def _store_together(
 
 
 @exact
-def _blank(
-    row: int, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
-    cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
-) -> bool:  # fmt: skip
+def _blank(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
     """Write a row as launched, MISSED or INVALID; tell whether the ray can be launched."""
     finite, zero = True, True
     for c in range(3):
-        position[row, c], direction[row, c] = start[row, c], ray[row, c]
+        out.position[row, c], out.direction[row, c] = start[row, c], ray[row, c]
         finite &= isfinite(start[row, c]) and isfinite(ray[row, c])
         zero &= ray[row, c] == 0.0
-        for face in range(len(hits)):
-            hits[face, row, c], turns[face, row, c] = start[row, c], ray[row, c]
-    cell[row, 0], cell[row, 1], order[row, 0], order[row, 1] = NO_CELL, NO_CELL, NO_CELL, NO_CELL
-    path[row], surface[row] = 0.0, NO_CELL
+        for face in range(len(out.hits)):
+            out.hits[face, row, c], out.turns[face, row, c] = start[row, c], ray[row, c]
+    out.cell[row, 0], out.cell[row, 1], out.order[row, 0], out.order[row, 1] = (
+        NO_CELL, NO_CELL, NO_CELL, NO_CELL,
+    )  # fmt: skip
+    out.path[row], out.surface[row] = 0.0, NO_CELL
     sound = finite and not zero
-    fate[row] = MISSED if sound else INVALID
+    out.fate[row] = MISSED if sound else INVALID
     return sound and ray[row, 2] > 0.0
 
 
 @owning
-def trace_chunk(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, chosen: Rows, start: Floats,
-    ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
-    surface: Cells, hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
-    """Trace the rays `chosen` of `start` and `ray` and write their rows; return how many had to be walked."""
-    s, carried, waiting = (
-        np.zeros((SCRATCH, BLOCK)),
-        np.empty(BLOCK),
-        np.empty(WAITING + BLOCK, dtype=np.intp),
-    )
+def trace_chunk(tiles: Tiles, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome) -> int:
+    """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows; return how many had to be walked."""
+    s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
+    waiting = np.empty(WAITING + BLOCK, dtype=np.intp)
     count, walked = 0, 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
         _load(block, start, ray, s)
-        launch_block(lat, bodies[0], s, m)
+        launch_block(sheet.lattice, sheet.bodies[0], s, m)
         copy_row(s[PATH], carried, m)
-        array = straight(tiles, faces, bodies, lat, rows, indices, s, block, hits, turns, carried)
-        _store(bodies, lat, faces, s, block, array, position, direction, fate, path, cell, order, surface)
-        _share(indices, bodies, s, block, len(faces), turns)
+        array = straight(tiles, sheet, s, block, out.hits, out.turns, carried)
+        _store(sheet, s, block, array, out)
+        _share(sheet, s, block, out.turns)
         count = _queue(s, block, waiting, count)
         if count >= WAITING or first + BLOCK >= len(chosen):
-            _walk(
-                tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path,
-                cell, order, surface, hits, turns,
-            )  # fmt: skip
+            _walk(tiles, sheet, waiting[:count], start, ray, out)
             walked, count = walked + count, 0
     return walked
 
 
 @owning
 def trace_chunk_single(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
-    single_faces: Singles, single_bodies: Singles, single_lat: Singles, single_indices: Singles, single_hits: Singles,
-    chosen: Rows, start: Floats, ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats,
-    cell: Cells, order: Cells, surface: Cells, hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
-    """`trace_chunk` with the straight path in single precision, from the plane of the launch on."""
+    tiles: Tiles, sheet: Packed, rounded: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
+) -> int:
+    """`trace_chunk` with the straight path in single precision, from the plane of the launch on.
+
+    rounded : the sheet's numbers as float32
+    """
     wide, waiting = np.zeros((SCRATCH, BLOCK)), np.empty(WAITING + BLOCK, dtype=np.intp)
     count, walked = 0, 0
     carried: Singles = np.empty(BLOCK, dtype=np.float32)
     s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
+    none: Singles = np.empty((0, 0, 3), dtype=np.float32)
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
         _load(block, start, ray, wide)
-        launch_block(lat, bodies[0], wide, m)
+        launch_block(sheet.lattice, sheet.bodies[0], wide, m)
         for row in LAUNCHED:
             copy_row(wide[row], s[row], m)
         copy_row(s[PATH], carried, m)
-        array = straight(
-            tiles, single_faces, single_bodies, single_lat, rows, single_indices, s, block, single_hits, single_hits,
-            carried,
-        )  # fmt: skip
+        array = straight(tiles, rounded, s, block, none, none, carried)
         for row in ARRIVED:
             copy_row(s[row], wide[row], m)
-        _store(bodies, lat, faces, wide, block, array, position, direction, fate, path, cell, order, surface)
+        _store(sheet, wide, block, array, out)
         count = _queue(wide, block, waiting, count)
         if count >= WAITING or first + BLOCK >= len(chosen):
-            _walk(
-                tiles, faces, bodies, lat, rows, indices, waiting[:count], start, ray, position, direction, fate, path,
-                cell, order, surface, hits, turns,
-            )  # fmt: skip
+            _walk(tiles, sheet, waiting[:count], start, ray, out)
             walked, count = walked + count, 0
     return walked
 
 
 @exact
-def _share(indices: Floats, bodies: Floats, s: Floats, block: Rows, share: int, turns: Floats) -> None:
+def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
     """Write what the straight path lets through, where that was gathered: one more layer of `turns` takes it."""
-    if len(indices) == len(bodies):
+    indices, bodies, share = sheet.indices, len(sheet.bodies), len(sheet.faces)
+    if len(indices) == bodies:
         return
     absorbs = False
-    for b in range(len(bodies)):
-        absorbs |= indices[len(bodies) + 1 + b] != 0.0
+    for b in range(bodies):
+        absorbs |= indices[bodies + 1 + b] != 0.0
     for k in range(len(block)):
         s[SHARE, k] /= s[OVER, k]
     for k in range(len(block) if absorbs else 0):
@@ -262,26 +238,18 @@ def _queue(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
 
 
 @owning
-def _walk(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, waiting: Rows, start: Floats,
-    ray: Floats, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
-    surface: Cells, hits: Floats, turns: Floats,
-) -> None:  # fmt: skip
+def _walk(tiles: Tiles, sheet: Packed, waiting: Rows, start: Floats, ray: Floats, out: Outcome) -> None:
     """Walk rays one by one: many in a row, so that the walk's own code and tables stay near."""
-    work, causes, event = np.empty(WORK_NUMBERS), np.empty(DIVISIONS, dtype=np.int64), np.empty(EVENT_NUMBERS)
-    walker, left = np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS)
-    counted, share = len(indices) > len(bodies), len(faces)
+    scratch = new_scratch()
+    counted, share = len(sheet.indices) > len(sheet.bodies), len(sheet.faces)
     for row in waiting:
-        sound = _blank(row, start, ray, position, direction, fate, path, cell, order, surface, hits, turns)
+        sound = _blank(row, start, ray, out)
         if counted:
-            turns[share, row // 3, row % 3] = 1.0
+            out.turns[share, row // 3, row % 3] = 1.0
         if not sound:
             continue
-        reaches, i, j, x, y, z, u, v, w, far = launch_ray(lat, bodies, start, ray, row)
+        reaches, launched = launch_ray(sheet, start, ray, row)
         if reaches:
-            walk_ray(
-                tiles, faces, bodies, lat, rows, indices, i, j, x, y, z, u, v, w, far, row, position, direction,
-                fate, path, cell, order, surface, hits, turns, work, walker, left, event, causes,
-            )  # fmt: skip
+            walk_ray(tiles, sheet, launched, row, out, scratch)
             if counted:  # not known here: its hits are there to work it out from
-                turns[share, row // 3, row % 3] = 1.0 if fate[row] >= MISSED else nan
+                out.turns[share, row // 3, row % 3] = 1.0 if out.fate[row] >= MISSED else nan

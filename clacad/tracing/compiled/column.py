@@ -4,57 +4,25 @@ from __future__ import annotations
 
 from math import copysign, inf, isnan, nan, sqrt
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.face import height, in_zone, lens_roots, less_steps, relocate
+from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy, to_array
+from clacad.tracing.compiled.face import height, lens_roots
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import (
+    BASE,
+    CELL,
+    DISTANCE,
+    HOME,
+    KIND,
+    PLACE,
+    START,
+    STEP,
+    CellRay,
+    Ray,
+)
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
-
-KIND, DISTANCE, PLACE = 0, 1, 2
-"""Slots of an event: what, how far, and from PLACE + 4·array on: cell i, j and the start seen from there."""
-
-EVENT_NUMBERS = 13
-DIVISIONS = 24
-
-# Places in a walk's scratch array; its first DIVISIONS numbers are distances.
-BASE, START, HOME, CELL, STEP, WORK_NUMBERS = 24, 28, 32, 36, 40, 44
-
-
-@exact
-def kept(lat: Floats, rows: Ints, i: float, j: float) -> bool:
-    """Whether the lattice has this cell; a plain one has no table of rows."""
-    if lat[slot.PLAIN] != 0.0:
-        return bool(0.0 <= i < lat[slot.N1] and 0.0 <= j < lat[slot.N2])
-    if not (0.0 <= j < len(rows)):
-        return False
-    row = int(j)
-    return bool(rows[row, 0] <= i < rows[row, 1])
-
-
-@exact
-def sheet_xy(lat: Floats, array: int, i: float, j: float, x: float, y: float) -> tuple[float, float]:
-    """Sheet-frame x, y of a point of a cell."""
-    sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
-    if lat[slot.HEXAGONAL] != 0.0:
-        return (lat[slot.X0] + (i + 0.5 * j) * lat[slot.PITCH] + sx) + x, (
-            lat[slot.Y0] + j * lat[slot.ROW] + sy
-        ) + y
-    cx = (2.0 * i - (lat[slot.N1] - 1.0)) * (0.5 * lat[slot.PITCH])
-    cy = (2.0 * j - (lat[slot.N2] - 1.0)) * (0.5 * lat[slot.ROW])
-    return (cx + sx) + x, (cy + sy) + y
-
-
-@exact
-def to_array(
-    lat: Floats, of: int, array: int, i: float, j: float, x: float, y: float
-) -> tuple[float, float, float, float]:
-    """Cell and local coordinates in another array of a point given in the cells of array `of`."""
-    if array != of:
-        sign = 1.0 if array > of else -1.0
-        x, y = x - sign * lat[slot.RESIDUAL], y - sign * lat[slot.RESIDUAL + 1]
-        i, j = i - sign * lat[slot.WHOLE_STEPS], j - sign * lat[slot.WHOLE_STEPS + 1]
-    di, dj, x, y = relocate(lat, x, y)
-    return i + di, j + dj, x, y
 
 
 @exact
@@ -79,12 +47,13 @@ def box_span(
 
 
 @exact
-def _lens_over(faces: Floats, row: int, lat: Floats, rows: Ints, work: Floats, x: float, y: float) -> float:
+def _lens_over(sheet: Packed, row: int, work: Floats, x: float, y: float) -> float:
     """Height of a face's lens at a step (x, y) from the start; NaN outside its zone and the kept cells."""
+    faces, lat = sheet.faces, sheet.lattice
     if faces[row, slot.ARRAY] < 0.0:
         return float(faces[row, slot.VZ])
     at = int(faces[row, slot.ARRAY])
-    if not kept(lat, rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
+    if not kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
         return nan
     u, v = work[START + 2 * at] + x, work[START + 2 * at + 1] + y
     if lat[slot.MARGIN] > 0.0 and not in_zone(lat, u, v, lat[slot.MARGIN]):
@@ -105,29 +74,32 @@ def _proud(lens: float, land: float, front: bool) -> float:
 @exact
 def in_footprint(bodies: Floats, b: int, x: float, y: float, over_cell: bool) -> bool:
     """Whether a sheet point lies over the body."""
-    if bodies[b, slot.OUTLINE] == 0.0:
+    if bodies[b, slot.OUTLINE] == slot.NO_OUTLINE:
         return over_cell
     x, y = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y]
-    if bodies[b, slot.OUTLINE] == 1.0:
+    if bodies[b, slot.OUTLINE] == slot.CIRCLE:
         return bool(x * x + y * y <= bodies[b, slot.OUT_X] * bodies[b, slot.OUT_X])
     return bool(abs(x) <= bodies[b, slot.OUT_X] and abs(y) <= bodies[b, slot.OUT_Y])
 
 
 @exact
-def _solid(
-    faces: Floats, bodies: Floats, b: int, lat: Floats, rows: Ints, work: Floats, sheet_x: float, sheet_y: float,
-    z: float, x: float, y: float,
-) -> bool:  # fmt: skip
-    """Whether the point at height z, a step (x, y) from the start, lies in the material."""
+def well_inside(bodies: Floats, b: int, x: float, y: float) -> bool:
+    """Whether a sheet point lies in the convex region that is certainly over the body."""
+    u, v, radius = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y], bodies[b, slot.INNER_R]
+    inside = abs(u) < bodies[b, slot.INNER_X] and abs(v) < bodies[b, slot.INNER_Y] and radius > 0.0
+    return bool(inside and u * u + v * v < radius * radius)
+
+
+@exact
+def _solid(sheet: Packed, b: int, ray: Ray, t: float, work: Floats) -> bool:
+    """Whether the point a distance t along a ray of the sheet's frame lies in the material."""
+    faces, bodies = sheet.faces, sheet.bodies
+    z, x, y = ray.z + t * ray.N, t * ray.L, t * ray.M
     main = int(bodies[b, slot.ENTRY])
-    if not in_footprint(
-        bodies, b, sheet_x + x, sheet_y + y, kept(lat, rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
-    ):
+    over = kept(sheet.lattice, sheet.rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
+    if not in_footprint(bodies, b, ray.x + x, ray.y + y, over):
         return False
-    below, above = (
-        _lens_over(faces, 2 * b, lat, rows, work, x, y),
-        _lens_over(faces, 2 * b + 1, lat, rows, work, x, y),
-    )
+    below, above = _lens_over(sheet, 2 * b, work, x, y), _lens_over(sheet, 2 * b + 1, work, x, y)
     if bodies[b, slot.COLUMNAR] != 0.0 and not below <= above:
         return bool(faces[2 * b, slot.LAND] <= z <= faces[2 * b + 1, slot.LAND])
     return (
@@ -136,11 +108,10 @@ def _solid(
 
 
 @exact
-def _divide(
-    faces: Floats, bodies: Floats, b: int, lat: Floats, sheet_x: float, sheet_y: float, z: float, L: float, M: float,
-    N: float, work: Floats, causes: Ints,
-) -> int:  # fmt: skip
-    """Fill in the distances that divide the ray into stretches, and what each is; return their number."""
+def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
+    """Fill in the distances that divide the ray (sheet frame) into stretches, and what each is; return their number."""
+    faces, lat = sheet.faces, sheet.lattice
+    sheet_x, sheet_y, z, L, M, N = ray
     count = 0
     for side in range(2):
         row = 2 * b + side
@@ -155,10 +126,8 @@ def _divide(
             work[count + 1], causes[count + 1] = two, lens
             count += 2
         if not isnan(faces[row, slot.LAND]):
-            work[count], causes[count] = (
-                (faces[row, slot.LAND] - z) / N,
-                FRONT_LAND if side == 0 else BACK_LAND,
-            )
+            land = FRONT_LAND if side == 0 else BACK_LAND
+            work[count], causes[count] = (faces[row, slot.LAND] - z) / N, land
             count += 1
     last = -1
     for side in range(2):
@@ -173,17 +142,17 @@ def _divide(
             work[count], causes[count] = (edge - here) / speed, WALL
             work[count + 1], causes[count + 1] = (-edge - here) / speed, WALL
             count += 2
-    return divide_outline(bodies, b, sheet_x, sheet_y, L, M, work, causes, count)
+    return divide_outline(sheet.bodies, b, ray, work, causes, count)
 
 
 @exact
-def divide_outline(
-    bodies: Floats, b: int, x: float, y: float, L: float, M: float, times: Floats, causes: Ints, count: int
-) -> int:
-    if bodies[b, slot.OUTLINE] == 0.0:
+def divide_outline(bodies: Floats, b: int, ray: Ray, times: Floats, causes: Ints, count: int) -> int:
+    """Add the distances at which a ray of the sheet's frame crosses the outline; return the number of all."""
+    if bodies[b, slot.OUTLINE] == slot.NO_OUTLINE:
         return count
+    x, y, _, L, M, _ = ray
     x, y = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y]
-    if bodies[b, slot.OUTLINE] == 2.0:
+    if bodies[b, slot.OUTLINE] == slot.RECTANGLE:
         times[count], times[count + 1] = (bodies[b, slot.OUT_X] - x) / L, (-bodies[b, slot.OUT_X] - x) / L
         times[count + 2], times[count + 3] = (bodies[b, slot.OUT_Y] - y) / M, (-bodies[b, slot.OUT_Y] - y) / M
         for k in range(4):
@@ -201,27 +170,20 @@ def divide_outline(
 
 
 @exact
-def jump(
-    bodies: Floats, lat: Floats, b: int, array: int, i: float, j: float, x: float, y: float, z: float, L: float,
-    M: float, N: float, now: float, work: Floats,
-) -> float:  # fmt: skip
+def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float:
     """Skip the solid middle of a thick body; returns the distance to go on from, `now` if nothing is skipped.
 
     Between the front's highest and the back's lowest point there is nothing to meet but the side walls, and
     none between two points of the convex region inside the footprint. The steps are set to the cells over there.
     """
+    bodies, lat = sheet.bodies, sheet.lattice
+    array, i, j, x, y, z, L, M, N = ray
     low, high = (bodies[b, slot.JUMP_FROM] - z) / N, (bodies[b, slot.JUMP_TO] - z) / N
     if not (low <= now < high):
         return now
     sx, sy = sheet_xy(lat, array, i, j, x, y)
     for t in (now, high):
-        u, v = sx + t * L - bodies[b, slot.MID_X], sy + t * M - bodies[b, slot.MID_Y]
-        inside = (
-            abs(u) < bodies[b, slot.INNER_X]
-            and abs(v) < bodies[b, slot.INNER_Y]
-            and bodies[b, slot.INNER_R] > 0.0
-        )
-        if not (inside and u * u + v * v < bodies[b, slot.INNER_R] * bodies[b, slot.INNER_R]):
+        if not well_inside(bodies, b, sx + t * L, sy + t * M):
             return now
     for at in range(2):
         p, q, _, _ = to_array(lat, array, at, i, j, x + high * L, y + high * M)
@@ -229,85 +191,120 @@ def jump(
     return float(high)
 
 
-@exact
-def first_change(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
-    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats, work: Floats, causes: Ints,
-) -> None:  # fmt: skip
-    """Find where a ray first enters the material of body b, or leaves it; see `reference.column.first_change`.
-
-    `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): KIND, DISTANCE, and cell and start for each of the body's arrays.
-    """
+@inlined
+def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
+    """Note the cell and the start of a ray in each of the arrays of body b."""
+    array, i, j, x, y, _, _, _, _ = ray
     for k in range(4):
         work[STEP + k] = 0.0
     for side in range(2):
-        at = int(faces[2 * b + side, slot.ARRAY])
+        at = int(sheet.faces[2 * b + side, slot.ARRAY])
         if at < 0:
             continue
-        if at == array:
-            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
-                i,
-                j,
-                x,
-                y,
-            )
-        else:
-            u, v, p, q = to_array(lat, array, at, i, j, x, y)
-            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
-                u,
-                v,
-                p,
-                q,
-            )
+        u, v, p, q = i, j, x, y
+        if at != array:
+            u, v, p, q = to_array(sheet.lattice, array, at, i, j, x, y)
+        work[HOME + 2 * at], work[HOME + 2 * at + 1] = u, v
+        work[BASE + 2 * at], work[BASE + 2 * at + 1] = p, q
+
+
+@inlined
+def enter_cell(lat: Floats, at: int, work: Floats) -> tuple[float, float]:
+    """Note the present cell of array `at`, and give the start seen from there."""
+    work[CELL + 2 * at] = work[HOME + 2 * at] + work[STEP + 2 * at]
+    work[CELL + 2 * at + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]
+    u, v = less_steps(
+        lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
+    )
+    work[START + 2 * at], work[START + 2 * at + 1] = u, v
+    return u, v
+
+
+@inlined
+def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, int, int, float]:
+    """Enter the present cells; the distance to the first border of theirs, which, of what array, in what sense."""
+    faces, lat = sheet.faces, sheet.lattice
+    border, across, across_array, sense = inf, 0, 0, 1.0
+    for side in range(2):
+        at = int(faces[2 * b + side, slot.ARRAY])
+        if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
+            continue
+        u, v = enter_cell(lat, at, work)
+        for n in range(int(lat[slot.BORDERS])):
+            ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
+            speed = ux * ray.L + uy * ray.M
+            if speed == 0.0:
+                continue
+            t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
+            if t < border:
+                border, across, across_array, sense = t, n, at, copysign(1.0, speed)
+    return border, across, across_array, sense
+
+
+@inlined
+def _first_stretch(
+    sheet: Packed, b: int, ray: Ray, inside: bool, span: tuple[float, float, int], count: int, work: Floats,
+    causes: Ints,
+) -> tuple[bool, float, int]:  # fmt: skip
+    """Find the first of a column's stretches that is not as the ray's state is.
+
+    span : since when the state is known, where the column ends, and why the state began
+    Returns whether there is one, its start (else that of the last), and what is crossed there.
+    """
+    since, end, cause = span
+    for c in range(count + 1):
+        to, why = (work[c], causes[c]) if c < count else (end, WALL)
+        if to - since > sheet.lattice[slot.TINY]:
+            if _solid(sheet, b, ray, 0.5 * (since + to), work) != inside:
+                return True, since, cause
+            since, cause = to, why
+        elif c < count and why != WALL:
+            cause = why
+    return False, since, cause
+
+
+@inlined
+def write_event(lat: Floats, kind: int, distance: float, work: Floats, event: Floats) -> None:
+    """Write what was met, how far, and cell and start for each array."""
+    event[KIND], event[DISTANCE] = kind, distance
+    for at in range(2):
+        place = PLACE + 4 * at
+        event[place] = work[HOME + 2 * at] + work[STEP + 2 * at]
+        event[place + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]
+        event[place + 2], event[place + 3] = less_steps(
+            lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
+        )
+
+
+@exact
+def first_change(
+    sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, work: Floats, causes: Ints
+) -> None:
+    """Find where a ray first enters the material of body b, or leaves it; see `reference.column.first_change`.
+
+    `work` (WORK_NUMBERS,) and `causes` (DIVISIONS,) are scratch. Writes `event` (EVENT_NUMBERS,): what, the distance,
+    and the cell and start for each of the body's arrays.
+    """
+    lat = sheet.lattice
+    start_search(sheet, b, ray, work)
+    array, i, j, x, y, z, L, M, N = ray
     sx, sy = sheet_xy(lat, array, i, j, x, y)
-    aside = max(box_span(lat, bodies, b, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (bodies[b, slot.BODY_HIGH] - z) / N
+    along = Ray(sx, sy, z, L, M, N)
+    aside = max(box_span(lat, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
     limit = min(aside, above)
     since, cause, kind = 0.0, WALL, ASIDE
     walking = not above <= 0.0
     if not walking:
         kind = ABOVE
     while walking:
-        border, across, across_array, sense = inf, 0, 0, 1.0
-        for side in range(2):
-            at = int(faces[2 * b + side, slot.ARRAY])
-            if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
-                continue
-            work[CELL + 2 * at], work[CELL + 2 * at + 1] = (
-                work[HOME + 2 * at] + work[STEP + 2 * at],
-                work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
-            )
-            u, v = less_steps(
-                lat,
-                work[BASE + 2 * at],
-                work[BASE + 2 * at + 1],
-                work[STEP + 2 * at],
-                work[STEP + 2 * at + 1],
-            )
-            work[START + 2 * at], work[START + 2 * at + 1] = u, v
-            for n in range(int(lat[slot.BORDERS])):
-                ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
-                speed = ux * L + uy * M
-                if speed == 0.0:
-                    continue
-                t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
-                if t < border:
-                    border, across, across_array, sense = t, n, at, copysign(1.0, speed)
+        border, across, across_array, sense = _next_border(sheet, b, along, work)
         end = min(border, limit)
-        count = _divide(faces, bodies, b, lat, sx, sy, z, L, M, N, work, causes)
+        count = _divide(sheet, b, along, work, causes)
         count = sort_divisions(work, causes, count, max(since - lat[slot.TINY], 0.0), since, end)
-        changed = False
-        for c in range(count + 1):
-            to, why = (work[c], causes[c]) if c < count else (end, WALL)
-            if to - since > lat[slot.TINY]:
-                t = 0.5 * (since + to)
-                now = _solid(faces, bodies, b, lat, rows, work, sx, sy, z + t * N, t * L, t * M)  # fmt: skip
-                if now != inside:
-                    changed = True
-                    break
-                since, cause = to, why
-            elif c < count and why != WALL:
-                cause = why
+        changed, since, cause = _first_stretch(
+            sheet, b, along, inside, (since, end, cause), count, work, causes
+        )
         if changed:
             kind = cause
             break
@@ -318,22 +315,12 @@ def first_change(
             kind, since = ASIDE, aside
             break
         if inside:
-            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, end, work)
+            t = jump(sheet, b, ray, end, work)
             if t > end:
                 since, cause = t, WALL
                 continue
         step_on(across, sense, work, STEP + 2 * across_array)
-    event[KIND], event[DISTANCE] = kind, since
-    for at in range(2):
-        place = PLACE + 4 * at
-        event[place], event[place + 1] = (
-            work[HOME + 2 * at] + work[STEP + 2 * at],
-            work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
-        )
-        u, v = less_steps(
-            lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
-        )
-        event[place + 2], event[place + 3] = u, v
+    write_event(lat, kind, since, work, event)
 
 
 @exact

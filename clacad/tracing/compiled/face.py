@@ -1,137 +1,33 @@
 """Compiled scalar pieces of the walk: one ray, one face. The same formulas as `clacad.optics.surface` and `face`.
 
-Nothing here may be compiled with ``fastmath={"contract"}``: fusing a multiply with an add would break the
-exact products below. Notation as in `clacad.optics.surface`.
+Notation as in `clacad.optics.surface`. `snell` and `bend` are the one compiled spelling of Snell's law.
 """
 
 from __future__ import annotations
 
-from math import copysign, floor, inf, isfinite, nan, sqrt
+from math import copysign, inf, isfinite, nan, sqrt
+from typing import NamedTuple
 
 from clacad.base.compiled import exact
+from clacad.base.compiled_pairs import pair_product, pair_sum, two_product
 from clacad.base.types import Floats
 from clacad.optics.surface import ULP
 from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
 from clacad.optics.surface.quadric import CANCELS, STEEPEST
 from clacad.tracing.compiled import packing as slot
-
-_SPLITTER = 134217729.0
+from clacad.tracing.compiled.records import Ray, Vector
 
 ROOT_STEPS = 60
 """Steps to find the roots of a quartic together; a dozen do unless roots nearly meet."""
 
 
-@exact
-def two_sum(a: float, b: float) -> tuple[float, float]:
-    """Rounded sum and what rounding took away."""
-    s = a + b
-    v = s - a
-    return s, (a - (s - v)) + (b - v)
+class Conic(NamedTuple):
+    """Coefficients of cx x² + cy y² + κ z² − 2 side z = 0, in inverse lengths."""
 
-
-@exact
-def two_product(a: float, b: float) -> tuple[float, float]:
-    """Rounded product and what rounding took away."""
-    p = a * b
-    t = _SPLITTER * a
-    ah = t - (t - a)
-    al = a - ah
-    t = _SPLITTER * b
-    bh = t - (t - b)
-    bl = b - bh
-    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
-
-
-@exact
-def pair_product(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
-    """Product of two pairs."""
-    p, e = two_product(ah, bh)
-    return two_sum(p, e + (ah * bl + al * bh))
-
-
-@exact
-def pair_sum(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
-    """Sum of two pairs."""
-    s, e = two_sum(ah, bh)
-    return two_sum(s, e + (al + bl))
-
-
-@exact
-def less_multiple(x: float, k: float, step: float) -> float:
-    """Give x − k·step with the product unrounded."""
-    high, low = two_product(k, step)
-    return (x - high) - low
-
-
-@exact
-def relocate(lat: Floats, x: float, y: float) -> tuple[float, float, float, float]:
-    """Whole lattice steps and remaining local coordinates; see `layout.relocate`."""
-    if lat[slot.HEXAGONAL] == 0.0:
-        i, x = _relocate_axis(x, lat[slot.PITCH])
-        j, y = _relocate_axis(y, lat[slot.ROW])
-        return i, j, x, y
-    pitch, row = lat[slot.PITCH], lat[slot.ROW]
-    half = 0.5 * pitch
-    slant = row / pitch
-    j = _nearest(y / row)
-    i = _nearest(x / pitch - 0.5 * j)
-    for _ in range(4):
-        u, v = less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
-        if u >= half or u < -half:
-            i += 1.0 if u >= half else -1.0
-            continue
-        across = 0.5 * u + slant * v
-        if across >= half or across < -half:
-            j += 1.0 if across >= half else -1.0
-            continue
-        across = -0.5 * u + slant * v
-        if across >= half or across < -half:
-            step = 1.0 if across >= half else -1.0
-            i, j = i - step, j + step
-            continue
-        break
-    return i, j, less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
-
-
-@exact
-def _nearest(x: float) -> float:
-    """Nearest integer, ties to even."""
-    r = float(floor(x + 0.5))
-    if r - x == 0.5 and r % 2.0 != 0.0:
-        r -= 1.0
-    return r
-
-
-@exact
-def _relocate_axis(x: float, pitch: float) -> tuple[float, float]:
-    half = 0.5 * pitch
-    k = float(floor(x / pitch + 0.5))
-    local = less_multiple(x, k, pitch)
-    if local >= half:
-        k += 1.0
-    elif local < -half:
-        k -= 1.0
-    return k, less_multiple(x, k, pitch)
-
-
-@exact
-def less_steps(lat: Floats, x: float, y: float, i: float, j: float) -> tuple[float, float]:
-    """Local coordinates seen from the cell (i, j) steps away."""
-    if i == 0.0 and j == 0.0:
-        return x, y
-    if lat[slot.HEXAGONAL] != 0.0:
-        return less_multiple(x, i + 0.5 * j, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
-    return less_multiple(x, i, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
-
-
-@exact
-def in_zone(lat: Floats, x: float, y: float, margin: float) -> bool:
-    """Whether a point of the cell frame lies at least `margin` inside its cell's borders."""
-    for n in range(int(lat[slot.BORDERS])):
-        across = lat[slot.NORMAL + 2 * n] * x + lat[slot.NORMAL + 2 * n + 1] * y
-        if not abs(across) <= lat[slot.HALF + n] - margin:
-            return False
-    return True
+    cx: float
+    cy: float
+    kappa: float
+    side: float
 
 
 @exact
@@ -159,19 +55,10 @@ def to_sheet(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[flo
 
 
 @exact
-def _discriminant(
-    cx: float,
-    cy: float,
-    kappa: float,
-    side: float,
-    x: float,
-    y: float,
-    z: float,
-    L: float,
-    M: float,
-    N: float,
-) -> float:
+def _discriminant(conic: Conic, ray: Ray) -> float:
     """B² − AC in pairs; the same at every point of the ray."""
+    cx, cy, kappa, side = conic
+    x, y, z, L, M, N = ray
     lh, ll = two_product(kappa, z)
     uh, ul = pair_sum(lh, ll, -2.0 * side, 0.0)
     lh, ll = pair_sum(lh, ll, -side, 0.0)
@@ -201,39 +88,29 @@ def _three_products(a: float, b: float, c: float, d: float, e: float, f: float) 
 
 
 @exact
-def _carry(x: float, y: float, z: float, L: float, M: float, N: float) -> tuple[float, float, float, float]:
+def _carry(ray: Ray) -> tuple[float, Vector]:
     """Distance to a base point near the apex, and that point."""
+    x, y, z, L, M, N = ray
     square = L * L + M * M + N * N
     if N * N >= STEEPEST * STEEPEST * square:
         t = -z / N
-        return t, x + t * L, y + t * M, 0.0
+        return t, (x + t * L, y + t * M, 0.0)
     t = -(x * L + y * M + z * N) / square
-    return t, x + t * L, y + t * M, z + t * N
+    return t, (x + t * L, y + t * M, z + t * N)
 
 
 @exact
-def _quadric_root(
-    cx: float,
-    cy: float,
-    kappa: float,
-    side: float,
-    x: float,
-    y: float,
-    z: float,
-    bx: float,
-    by: float,
-    bz: float,
-    L: float,
-    M: float,
-    N: float,
-) -> tuple[float, float]:
+def _quadric_root(conic: Conic, ray: Ray, base: Vector) -> tuple[float, float]:
     """Distance from the base point and r of the crossing from the −z side (for N > 0)."""
+    cx, cy, kappa, side = conic
+    _, _, _, L, M, N = ray
+    bx, by, bz = base
     a = cx * L * L + cy * M * M + kappa * N * N
     b = cx * bx * L + cy * by * M + (kappa * bz - side) * N
     c = cx * bx * bx + cy * by * by + (kappa * bz - 2.0 * side) * bz
     disc = b * b - a * c
     if b * b > CANCELS * abs(disc):
-        disc = _discriminant(cx, cy, kappa, side, x, y, z, L, M, N)
+        disc = _discriminant(conic, ray)
     if not disc >= 0.0:
         return nan, nan
     root = sqrt(disc)
@@ -255,29 +132,19 @@ def _biconic_parts(faces: Floats, row: int, x: float, y: float) -> tuple[float, 
 
 
 @exact
-def _biconic_root(
-    faces: Floats,
-    row: int,
-    x: float,
-    y: float,
-    z: float,
-    bx: float,
-    by: float,
-    bz: float,
-    L: float,
-    M: float,
-    N: float,
-) -> tuple[float, float]:
+def _biconic_root(faces: Floats, row: int, ray: Ray, base: Vector) -> tuple[float, float]:
     """Newton on the azimuth's own quadric, see `clacad.optics.surface.biconic`; a search where it does not settle."""
+    bx, by, bz = base
+    _, _, _, L, M, N = ray
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     of_x, of_y = (1.0 + faces[row, slot.KX]) * cx, (1.0 + faces[row, slot.KY]) * cy
     skew = cx * cy * (of_x - of_y)
     sign = -side if N < 0.0 else side
-    t, root = _quadric_root(cx, cy, 0.5 * (of_x + of_y), side, x, y, z, bx, by, bz, L, M, N)
+    t, root = _quadric_root(Conic(cx, cy, 0.5 * (of_x + of_y), side), ray, base)
     for _ in range(NEWTON_STEPS):
         u, v = bx + t * L, by + t * M
         w, kappa = _biconic_parts(faces, row, u, v)
-        target, root = _quadric_root(cx, cy, kappa, side, x, y, z, bx, by, bz, L, M, N)
+        target, root = _quadric_root(Conic(cx, cy, kappa, side), ray, base)
         slope = sign * skew * u * v * (v * L - u * M) / ((1.0 + w) * (1.0 + w) * root)
         change = (target - t) / (1.0 - slope if abs(1.0 - slope) > FLAT else 1.0)
         if not isfinite(change):
@@ -291,14 +158,13 @@ def _biconic_root(
             if -rounding <= level <= abs(q) + rounding:
                 return t, root
             break
-    return _biconic_quartic(faces, row, bx, by, bz, L, M, N), 0.0
+    return _biconic_quartic(faces, row, Ray(bx, by, bz, L, M, N)), 0.0
 
 
 @exact
-def _biconic_quartic(
-    faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
-) -> float:
+def _biconic_quartic(faces: Floats, row: int, ray: Ray) -> float:
     """Crossing of a ray that Newton lost: lowest of the roots of z² P − 2 side z Q + Q² = 0 that qualify."""
+    x, y, z, L, M, N = ray
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     p0, p1, p2 = a * x * x + b * y * y, 2.0 * (a * x * L + b * y * M), a * L * L + b * M * M
@@ -317,7 +183,7 @@ def _biconic_quartic(
     r0, r1, r2, r3 = _roots_of_four(c0 / size**4, c1 / size**3, c2 / size**2, c3 / size)
     best, lowest = nan, inf
     for t in (r0 * size, r1 * size, r2 * size, r3 * size):
-        polished, level = _biconic_polished(faces, row, t, x, y, z, L, M, N)
+        polished, level = _biconic_polished(faces, row, t, ray)
         if level < lowest:
             best, lowest = polished, level
     return best
@@ -342,10 +208,9 @@ def _roots_of_four(c0: float, c1: float, c2: float, c3: float) -> tuple[float, f
 
 
 @exact
-def _biconic_polished(
-    faces: Floats, row: int, t: float, x: float, y: float, z: float, L: float, M: float, N: float
-) -> tuple[float, float]:
+def _biconic_polished(faces: Floats, row: int, t: float, ray: Ray) -> tuple[float, float]:
     """Newton on z − sag along the ray; |z| at the hit, infinite where there is none in the ray's sense."""
+    x, y, z, L, M, N = ray
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
     along = -1.0 if N < 0.0 else 1.0
@@ -379,12 +244,13 @@ def meet(
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Distance to the apex half in the lens frame, point, normal turned along the ray, r; NaN on a miss."""
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
-    carried, bx, by, bz = _carry(x, y, z, L, M, N)
+    ray = Ray(x, y, z, L, M, N)
+    carried, base = _carry(ray)
     if faces[row, slot.BICONIC] == 0.0:
-        t, root = _quadric_root(cx, cy, faces[row, slot.KX], side, x, y, z, bx, by, bz, L, M, N)
+        t, root = _quadric_root(Conic(cx, cy, faces[row, slot.KX], side), ray, base)
     else:
-        t, root = _biconic_root(faces, row, x, y, z, bx, by, bz, L, M, N)
-    px, py, pz = bx + t * L, by + t * M, bz + t * N
+        t, root = _biconic_root(faces, row, ray, base)
+    px, py, pz = base[0] + t * L, base[1] + t * M, base[2] + t * N
     gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * faces[row, slot.KX] * pz
     if faces[row, slot.BICONIC] != 0.0:
         w, _ = _biconic_parts(faces, row, px, py)
@@ -401,18 +267,25 @@ def meet(
 
 
 @exact
-def snell(
-    L: float, M: float, N: float, gx: float, gy: float, gz: float, root: float, n1: float, n2: float
-) -> tuple[float, float, float]:
-    """Direction behind a surface; NaN at total internal reflection."""
+def bend(square: float, incident: float, weight: float) -> float:
+    """How much of the normal G refraction adds to n1/n2 D, in the form that does not cancel; NaN at total reflection.
+
+    square : |G|²; incident : n1/n2 D·G > 0; weight : 1 − (n1/n2)²
+    """
+    return weight / (sqrt(square * weight + incident * incident) + incident)
+
+
+@exact
+def snell(direction: Vector, normal: Vector, root: float, n1: float, n2: float) -> Vector:
+    """Direction behind a surface whose normal, turned along the ray, makes root = D·G; NaN at total reflection."""
+    L, M, N = direction
+    gx, gy, gz = normal
     mu = n1 / n2
-    w = (n2 - n1) / n2 * ((n2 + n1) / n2)
+    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     incident = mu * root
-    radicand = (gx * gx + gy * gy + gz * gz) * w + incident * incident
-    if not radicand >= 0.0:
-        return nan, nan, nan
-    total = sqrt(radicand) + incident
-    g = 0.0 if w == 0.0 and total == 0.0 else w / total
+    square = gx * gx + gy * gy + gz * gz
+    # along the face, between equal indices, nothing is bent
+    g = 0.0 if weight == 0.0 and incident <= 0.0 else bend(square, incident, weight)
     return mu * L + g * gx, mu * M + g * gy, mu * N + g * gz
 
 

@@ -2,74 +2,23 @@
 
 from __future__ import annotations
 
-from math import floor, frexp, isfinite, ldexp, nan, sqrt
+from math import frexp, isfinite, ldexp, nan, sqrt
 
 import numpy as np
 
 from clacad.base.compiled import exact, least, multiply_add
+from clacad.base.compiled_pairs import pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Floats
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.cells import hexagon_steps, locate
 from clacad.tracing.compiled.column import box_span
-from clacad.tracing.compiled.face import pair_product, pair_sum, two_product, two_sum
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Launched
 from clacad.tracing.compiled.straight_path_slots import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z
 
 SANE = 1e100
 """Directions with components beyond this, or all below its inverse, are scaled before use."""
-
-
-@exact
-def _axis(x: float, low: float, pitch: float, count: float) -> tuple[float, float]:
-    """Cell and centred coordinate along one axis; see `Lattice.locate`."""
-    half = 0.5 * pitch
-    k = float(floor(x / pitch + 0.5 * count))
-    local = _less(x, low, 2.0 * k - (count - 1.0), half)
-    k = k + (1.0 if local >= half else 0.0) - (1.0 if local < -half else 0.0)
-    return k, _less(x, low, 2.0 * k - (count - 1.0), half)
-
-
-@exact
-def _less(x: float, low: float, k: float, step: float) -> float:
-    high, rest = two_product(k, step)
-    return (x - high) + (low - rest)
-
-
-@exact
-def _less_origin(x: float, low: float, k: float, step: float, origin: float) -> float:
-    """Give x + low − k·step − origin, rounded once."""
-    high, rest = two_product(k, step)
-    a, e = two_sum(x, -high)
-    b, f = two_sum(a, -origin)
-    return b + ((e + f) + (low - rest))
-
-
-@exact
-def locate(lat: Floats, x: float, xl: float, y: float, yl: float) -> tuple[float, float, float, float]:
-    """Cell of array 0 that holds a sheet point given in pairs, and the point relative to its centre."""
-    if lat[slot.HEXAGONAL] == 0.0:
-        i, u = _axis(x, xl, lat[slot.PITCH], lat[slot.N1])
-        j, v = _axis(y, yl, lat[slot.ROW], lat[slot.N2])
-        return i, j, u, v
-    p, row, x0, y0 = lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0]
-    half, slant = 0.5 * p, row / p
-    j = floor((y - y0) / row + 0.5)
-    i = floor((x - x0) / p - 0.5 * j + 0.5)
-    for _ in range(4):
-        u, v = _less_origin(x, xl, i + 0.5 * j, p, x0), _less_origin(y, yl, j, row, y0)
-        if u >= half or u < -half:
-            i += 1.0 if u >= half else -1.0
-            continue
-        across = 0.5 * u + slant * v
-        if across >= half or across < -half:
-            j += 1.0 if across >= half else -1.0
-            continue
-        across = -0.5 * u + slant * v
-        if across >= half or across < -half:
-            step = 1.0 if across >= half else -1.0
-            i, j = i - step, j + step
-            continue
-        break
-    return i, j, _less_origin(x, xl, i + 0.5 * j, p, x0), _less_origin(y, yl, j, row, y0)
 
 
 @exact
@@ -90,15 +39,10 @@ def carried_to(
 
 
 @exact
-def launch_ray(
-    lat: Floats, bodies: Floats, position: Floats, direction: Floats, row: int
-) -> tuple[bool, float, float, float, float, float, float, float, float, float]:
-    """Launch one ray wherever it comes from; see `reference.launch.launch`.
-
-    Returns
-    -------
-    reaches, i, j, x, y, z, L, M, N, carried
-    """
+def launch_ray(sheet: Packed, position: Floats, direction: Floats, row: int) -> tuple[bool, Launched]:
+    """Whether one ray, wherever it comes from, reaches the first body, and where; see `reference.launch.launch`."""
+    lat, bodies = sheet.lattice, sheet.bodies
+    nowhere = Launched(nan, nan, nan, nan, nan, nan, nan, nan, nan)
     L, M, N = direction[row, 0], direction[row, 1], direction[row, 2]
     _, exponent = frexp(max(abs(L), abs(M), abs(N)))
     l, m, n = ldexp(L, -exponent), ldexp(M, -exponent), ldexp(N, -exponent)  # noqa: E741
@@ -113,13 +57,13 @@ def launch_ray(
     run, span = (plane - z) / N, (bodies[0, slot.BODY_HIGH] - bodies[0, slot.BODY_LOW]) / N
     enter, leave = box_span(lat, bodies, 0, x + run * L, y + run * M, L, M)
     if not (enter <= leave and leave >= 0.0 and enter <= span):
-        return False, nan, nan, nan, nan, nan, nan, nan, nan, nan
+        return False, nowhere
     if enter > 0.0:
         plane = plane + enter * N
     if not isfinite(plane):
-        return False, nan, nan, nan, nan, nan, nan, nan, nan, nan
+        return False, nowhere
     step, i, j, u, v = carried_to(lat, plane, x, y, z, l, m, n)
-    return True, i, j, u, v, plane - bodies[0, slot.LEVEL], L, M, N, step * length
+    return True, Launched(i, j, u, v, plane - bodies[0, slot.LEVEL], L, M, N, step * length)
 
 
 @exact
@@ -191,10 +135,8 @@ def _hexagons(
         j = np.floor((y[k] - y0) * per_row + 0.5)
         i = np.floor((x[k] - x0) * per_p - 0.5 * j + 0.5)
         u, v = x[k] - x0 - (i + 0.5 * j) * p, y[k] - y0 - j * row
-        two, three = 0.5 * u + slant * v, -0.5 * u + slant * v
-        second = (1.0 if two >= half else 0.0) - (1.0 if two < -half else 0.0)
-        third = ((1.0 if three >= half else 0.0) - (1.0 if three < -half else 0.0)) * (1.0 - abs(second))
-        ci[k], cj[k] = i - third, j + second + third
+        di, dj = hexagon_steps(u, v, half, slant, 0.5)
+        ci[k], cj[k] = i + di, j + dj
     for k in range(m):
         x[k] = _less_origin_fast(x[k], xl[k], ci[k] + 0.5 * cj[k], p, x0)
         y[k] = _less_origin_fast(y[k], yl[k], cj[k], row, y0)

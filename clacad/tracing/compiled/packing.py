@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.optics.surface import Quadric
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
@@ -19,42 +18,25 @@ ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, FACE_NUMBERS = range(20, 27)
 
 # Columns of a body's row.
 LEVEL, BODY_LOW, BODY_HIGH, COLUMNAR, COVERED, BOX = range(6)
-(
-    MID_X,
-    MID_Y,
-    INNER_X,
-    INNER_Y,
-    INNER_R,
-    OUTLINE,
-    OUT_X,
-    OUT_Y,
-    ENTRY,
-    JUMP_FROM,
-    JUMP_TO,
-    QUICK,
-    BODY_NUMBERS,
-) = range(10, 23)
+MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, JUMP_FROM, JUMP_TO, QUICK = range(
+    10, 22
+)
+BODY_NUMBERS = 22
+
+# What OUTLINE says.
+NO_OUTLINE, CIRCLE, RECTANGLE = range(3)
+OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE}
 
 # The lattice's numbers.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
-NORMAL, HALF, RESIDUAL, WHOLE_STEPS, SHIFT, OPAQUE, BAFFLE, PLAIN, LATTICE_NUMBERS = (
-    11,
-    17,
-    20,
-    22,
-    24,
-    28,
-    29,
-    30,
-    31,
-)
+NORMAL, HALF, RESIDUAL, WHOLE_STEPS, SHIFT = 11, 17, 20, 22, 24
+OPAQUE, BAFFLE, PLAIN, LATTICE_NUMBERS = range(28, 32)
 
 NO_BAFFLE = -1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Packed:
-    """A layout as arrays.
+class Packed(NamedTuple):
+    """A sheet as arrays, in double or single precision.
 
     Attributes
     ----------
@@ -63,24 +45,37 @@ class Packed:
     rows : (n2, 2) ints
         First kept cell of each row of the lattice and one past its last. Outlines are convex, so a row is
         one run. Empty for a plain lattice (PLAIN), whose rows are all alike.
+    indices : (b,) or (2 b + 1,)
+        Refractive index of each body. Where lost light is counted there follow: whether faces reflect (0 or 1),
+        and the attenuation of each body.
     """
 
     faces: Floats
     bodies: Floats
     lattice: Floats
-    rows: NDArray[np.int64]
+    rows: Ints
+    indices: Floats
 
 
 @lru_cache(maxsize=8)
 def pack(layout: Layout) -> Packed:
-    """Pack a layout for the kernels; kept, since pictures ask block by block."""
+    """Pack a layout, with the indices of the design's wavelength; kept, since pictures ask block by block."""
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
     return Packed(
         faces=np.array(faces),
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=_lattice(layout),
         rows=_rows(layout),
+        indices=np.array([body.index for body in layout.window.bodies]),
     )
+
+
+def in_single(sheet: Packed) -> Packed:
+    """The same numbers in single precision."""
+    rounded: dict[str, Any] = {
+        name: getattr(sheet, name).astype(np.float32) for name in ("faces", "bodies", "lattice", "indices")
+    }
+    return sheet._replace(**rounded)
 
 
 def _face(face: FacePlan) -> list[float]:
@@ -108,7 +103,7 @@ def _body(body: BodyPlan, margin: float) -> list[float]:
     row[BOX : BOX + 4] = body.box
     row[MID_X], row[MID_Y] = body.centre
     row[INNER_X : INNER_R + 1] = body.inner
-    row[OUTLINE] = float(("none", "circle", "rectangle").index(body.outline[0]))
+    row[OUTLINE] = float(OUTLINES[body.outline[0]])
     row[OUT_X : OUT_Y + 1] = body.outline[1:]
     solid = body.separate and all(face.whole or face.land == face.land for face in (body.front, body.back))
     row[JUMP_FROM], row[JUMP_TO] = (body.front.high, body.back.low) if solid else (1.0, 0.0)
@@ -140,13 +135,13 @@ def _lattice(layout: Layout) -> Floats:
     return row
 
 
-def _rows(layout: Layout) -> NDArray[np.int64]:
+def _rows(layout: Layout) -> Ints:
     """One run of cells a row of the lattice; none for a plain lattice, which may have 1e9 rows and needs no table."""
     lattice = layout.lattice
     if lattice.outline is None:
         j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)
         return np.stack([-(j // 2), lattice.count[0] - j // 2], axis=-1)
-    runs = np.zeros((lattice.count[1], 2), dtype=np.int64)
+    runs: Ints = np.zeros((lattice.count[1], 2), dtype=np.int64)
     for k in range(lattice.count[1]):
         row = lattice.row(k)
         if len(row):

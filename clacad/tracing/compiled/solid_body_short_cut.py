@@ -10,10 +10,12 @@ from __future__ import annotations
 from math import copysign, inf
 
 from clacad.base.compiled import inlined
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.column import DISTANCE, KIND, PLACE, kept
-from clacad.tracing.compiled.face import height, lens_roots, less_steps, to_lens, to_sheet, upward
+from clacad.tracing.compiled.cells import kept, less_steps
+from clacad.tracing.compiled.face import height, lens_roots, to_lens, to_sheet, upward
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import DISTANCE, KIND, PLACE, CellRay, Ray
 from clacad.tracing.reference.column import ABOVE, BACK, FRONT
 
 ARRIVING, INSIDE, LEAVING = 0, 1, 2
@@ -27,11 +29,10 @@ COLUMNS = 4
 
 
 @inlined
-def quick_change(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float, x: float, y: float,
-    z: float, L: float, M: float, N: float, stage: int, event: Floats,
-) -> bool:  # fmt: skip
+def quick_change(sheet: Packed, b: int, ray: CellRay, stage: int, event: Floats) -> bool:
     """Fill in the event that `first_change` would find and give True, or give False where that has to be asked."""
+    faces, bodies, lat, rows, _ = sheet
+    array, i, j, x, y, z, L, M, N = ray
     if bodies[b, slot.QUICK] == 0.0 or array != int(bodies[b, slot.ENTRY]):
         return False
     if not N > max(faces[2 * b, slot.CLIMB], faces[2 * b + 1, slot.CLIMB]):
@@ -50,9 +51,8 @@ def quick_change(
             return False
         distance, sure = above, abs(above - border) > clear
         if stage != LEAVING:
-            distance, sure = _crossing(
-                faces, 2 * b + (stage == INSIDE), u, v, z, L, M, N, since, border, clear
-            )
+            own = Ray(u, v, z, L, M, N)
+            distance, sure = _crossing(faces, 2 * b + (stage == INSIDE), own, since, border, clear)
         if not sure:
             return False
         if distance < border:
@@ -95,10 +95,10 @@ def _border(lat: Floats, u: float, v: float, L: float, M: float) -> tuple[float,
 
 @inlined
 def _crossing(
-    faces: Floats, row: int, u: float, v: float, z: float, L: float, M: float, N: float, since: float, border: float,
-    clear: float,
-) -> tuple[float, bool]:  # fmt: skip
+    faces: Floats, row: int, ray: Ray, since: float, border: float, clear: float
+) -> tuple[float, bool]:
     """Distance to a face between `since` and `border`, inf for none; and whether this is certain."""
+    u, v, z, L, M, N = ray
     x, y, h = to_lens(faces, row, u - faces[row, slot.VX], v - faces[row, slot.VY], z - faces[row, slot.VZ])
     p, q, w = to_lens(faces, row, L, M, N)
     found = inf

@@ -20,10 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.compiled import exact, least, owning
+from clacad.base.compiled import exact, inlined, least, owning
 from clacad.base.types import Floats, Ints, Rows
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.face import height, meet
+from clacad.tracing.compiled.cells import hexagon_steps
+from clacad.tracing.compiled.face import bend, height, meet
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import Vector
 from clacad.tracing.compiled.straight_path_slots import (
     CI,
     CI0,
@@ -54,8 +57,11 @@ from clacad.tracing.triangles.tiles import Tiles
 
 Singles = NDArray[Any]  # float32: every pass takes either precision
 
+Media = tuple[float, float]
+"""Refractive indices before a face and behind it."""
 
 BEHIND_START = -8 * 2.0**-52
+"""Share of what was gone by which the first face may lie behind the start: rounding."""
 
 
 @exact
@@ -66,12 +72,12 @@ def copy_row(one: Floats, other: Floats, m: int) -> None:
 
 
 @exact
-def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: float, oz: float) -> None:
-    """First loop of a face: to the hit. Positions plus (ox, oy, oz) are relative to the vertex, and are after."""
+def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, offset: Vector) -> None:
+    """First loop of a face: to the hit. Positions plus the offset are relative to the vertex, and are after."""
     x, y, z, dx, dy, dz, root, path = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[PATH]
     cx, cy, kappa, side = face[slot.CX], face[slot.CY], face[slot.KX], face[slot.SIDE]
     real = s.dtype.type
-    one, n1, ox, oy, oz = real(1.0), real(n1), real(ox), real(oy), real(oz)
+    one, n1, ox, oy, oz = real(1.0), real(n1), real(offset[0]), real(offset[1]), real(offset[2])
     for i in range(m):
         u, v, w = dx[i], dy[i], dz[i]
         down = z[i] + oz
@@ -90,14 +96,14 @@ def _meet_quadric(face: Floats, s: Floats, m: int, n1: float, ox: float, oy: flo
 
 
 @exact
-def _turn_in(face: Floats, s: Floats, m: int, ox: float, oy: float, oz: float) -> None:
-    """Positions plus (ox, oy, oz), and directions, from sheet axes to lens axes."""
+def _turn_in(face: Floats, s: Floats, m: int, offset: Vector) -> None:
+    """Positions plus the offset, and directions, from sheet axes to lens axes."""
     x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
     a, b, c = face[slot.R0], face[slot.R0 + 1], face[slot.R0 + 2]
     d, e, f = face[slot.R0 + 3], face[slot.R0 + 4], face[slot.R0 + 5]
     g, h, k = face[slot.R0 + 6], face[slot.R0 + 7], face[slot.R0 + 8]
     real = s.dtype.type
-    ox, oy, oz = real(ox), real(oy), real(oz)
+    ox, oy, oz = real(offset[0]), real(offset[1]), real(offset[2])
     for i in range(m):
         u, v, w = x[i] + ox, y[i] + oy, z[i] + oz
         x[i], y[i], z[i] = a * u + d * v + g * w, b * u + e * v + h * w, c * u + f * v + k * w
@@ -127,7 +133,7 @@ def _turn_out(face: Floats, s: Floats, m: int, climb: float) -> None:
 
 @exact
 def _refract_quadric(
-    face: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, hx: float, hy: float
+    face: Floats, s: Floats, m: int, media: Media, climb: float, hx: float, hy: float
 ) -> None:
     """Second loop of a face: Snell's law. The normal must be of the apex half, the hit inside hx and hy of the
     cell's centre, and the ray must climb on; these comparisons hide behind the divisions.
@@ -135,13 +141,14 @@ def _refract_quadric(
     x, y, z, dx, dy, dz, root, good = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[ROOT], s[GOOD]
     sx, sy = -face[slot.SIDE] * face[slot.CX], -face[slot.SIDE] * face[slot.CY]
     sk, vx, vy = face[slot.SIDE] * face[slot.KX], face[slot.VX], face[slot.VY]
+    n1, n2 = media
     real = s.dtype.type
     one, mu, weight = real(1.0), real(n1 / n2), real((n2 - n1) / n2 * ((n2 + n1) / n2))
     climb, hx, hy = real(climb), real(hx), real(hy)
     for i in range(m):
         gx, gy, gz = sx * x[i], sy * y[i], one - sk * z[i]
         incident = mu * root[i]
-        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        g = bend(gx * gx + gy * gy + gz * gz, incident, weight)
         dx[i] = mu * dx[i] + g * gx
         dy[i] = mu * dy[i] + g * gy
         up = mu * dz[i] + g * gz
@@ -161,10 +168,9 @@ def _normals(face: Floats, s: Floats, m: int) -> None:
 
 
 @exact
-def _meet_biconic(
-    faces: Floats, f: int, s: Floats, m: int, n1: float, n2: float, ox: float, oy: float, oz: float
-) -> None:
+def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset: Vector) -> None:
     """Both loops of a biconic face: Newton has no fixed length, so rays are taken one by one."""
+    (n1, n2), (ox, oy, oz) = media, offset
     mu = n1 / n2
     weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
     for i in range(m):
@@ -172,7 +178,7 @@ def _meet_biconic(
             faces, f, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
         )  # fmt: skip
         incident = mu * root
-        g = weight / (sqrt((gx * gx + gy * gy + gz * gz) * weight + incident * incident) + incident)
+        g = bend(gx * gx + gy * gy + gz * gz, incident, weight)
         s[X, i], s[Y, i], s[Z, i], s[ROOT, i] = x, y, z, root
         s[DX, i], s[DY, i] = mu * s[DX, i] + g * gx, mu * s[DY, i] + g * gy
         s[DZ, i] = mu * s[DZ, i] + g * gz
@@ -229,40 +235,22 @@ def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: flo
 
 
 @exact
-def _carry(
-    lat: Floats,
-    s: Floats,
-    m: int,
-    rise: float,
-    level: float,
-    index: float,
-    change: float,
-    ox: float,
-    oy: float,
-) -> None:
+def _carry(lat: Floats, s: Floats, m: int, level: float, index: float, change: float, origin: Vector) -> None:
     """Carry rays to a level and into the cells of the array there, whatever they may be.
 
     Parameters
     ----------
-    rise : float
-        From the rays' origin of heights up to the level.
     level : float
-        What their height is then called.
+        Over the body's level; what the rays' height is then called.
     change : float
         +1 from array 0 to 1, −1 back, 0 neither.
-    ox, oy : float
-        The rays' origin, seen from the centre of their cell.
+    origin : (x, y, z)
+        The rays' origin, seen from the centre of their cell and the body's level.
     """
     x, y, z, dx, dy, dz, path, ci, cj = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[PATH], s[CI], s[CJ]
     real = s.dtype.type
-    rise, level, index, zero, middle, one = (
-        real(rise),
-        real(level),
-        real(index),
-        real(0.0),
-        real(0.5),
-        real(1.0),
-    )
+    ox, oy, oz = origin
+    rise, level, index, middle, one = real(level - oz), real(level), real(index), real(0.5), real(1.0)
     rx, ry = real(ox - change * lat[slot.RESIDUAL]), real(oy - change * lat[slot.RESIDUAL + 1])
     wi, wj = real(change * lat[slot.WHOLE_STEPS]), real(change * lat[slot.WHOLE_STEPS + 1])
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
@@ -288,10 +276,8 @@ def _carry(
         b = np.floor(y[i] * per_row + middle)
         a = np.floor(x[i] * per_pitch - middle * b + middle)
         u, v = x[i] - (a + middle * b) * pitch, y[i] - b * row
-        two, three = middle * u + slant * v, -middle * u + slant * v
-        second = (one if two >= half else zero) - (one if two < -half else zero)
-        third = ((one if three >= half else zero) - (one if three < -half else zero)) * (one - abs(second))
-        a, b = a - third, b + second + third
+        i_step, j_step = hexagon_steps(u, v, half, slant, middle)
+        a, b = a + i_step, b + j_step
         x[i] -= (a + middle * b) * pitch
         y[i] -= b * row
         ci[i] += a - wi
@@ -397,29 +383,27 @@ def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> Non
 
 
 @exact
-def _cross(
-    faces: Floats, f: int, lat: Floats, s: Floats, m: int, n1: float, n2: float, climb: float, within: bool, ox: float,
-    oy: float, oz: float,
-) -> None:  # fmt: skip
-    """Cross one face; positions plus (ox, oy, oz) are relative to its vertex, and are after.
+def _cross(sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector) -> None:
+    """Cross one face; positions plus the offset are relative to its vertex, and are after.
 
-    within : the hit must lie in the optical zone of the cell
+    Hits on a structured face must lie in the optical zone of the cell.
     """
+    faces, lat = sheet.faces, sheet.lattice
     face = faces[f]
-    turned, quadric = face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
+    within, turned, quadric = face[slot.ARRAY] >= 0.0, face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
     hx, hy, lowest = inf, inf, climb
     plain = quadric and not turned
     margin = lat[slot.MARGIN]
     if within and plain and lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
     if turned:
-        _turn_in(face, s, m, ox, oy, oz)
-        ox, oy, oz, lowest = 0.0, 0.0, 0.0, -2.0
+        _turn_in(face, s, m, offset)
+        offset, lowest = (0.0, 0.0, 0.0), -2.0
     if quadric:
-        _meet_quadric(face, s, m, n1, ox, oy, oz)
-        _refract_quadric(face, s, m, n1, n2, lowest, hx, hy)
+        _meet_quadric(face, s, m, media[0], offset)
+        _refract_quadric(face, s, m, media, lowest, hx, hy)
     else:
-        _meet_biconic(faces, f, s, m, n1, n2, ox, oy, oz)
+        _meet_biconic(faces, f, s, m, media, offset)
     if turned:
         if quadric:
             _normals(face, s, m)
@@ -506,34 +490,26 @@ def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
 
 
 @exact
-def _lose(
-    face: Floats, s: Floats, m: int, n1: float, n2: float, reflects: bool, rate: float, side: int
-) -> None:
+def _lose(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
     """Light lost at a face just crossed, and in the glass behind or before it."""
+    face, bodies, b = sheet.faces[f], len(sheet.bodies), f // 2
+    reflects, rate = sheet.indices[bodies] != 0.0, sheet.indices[bodies + 1 + b]
+    n1, n2 = media
     if reflects and n1 != n2:
         if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
             _let_through(face, s, m, n1, n2)
         else:
             _let_through_turned(s, m, n1, n2)
     if rate != 0.0:
-        _absorbed(s, m, rate, face[slot.VZ], side)
+        _absorbed(s, m, rate, face[slot.VZ], f % 2)
 
 
 @exact
-def _store_hit(
-    lat: Floats,
-    face: Floats,
-    level: float,
-    s: Floats,
-    m: int,
-    array: int,
-    chosen: Rows,
-    hit: Floats,
-    turn: Floats,
-) -> None:
+def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: Floats, turn: Floats) -> None:
     """Note hits and directions at one face."""
+    face, level, m = sheet.faces[f], sheet.bodies[f // 2, slot.LEVEL], len(chosen)
     px, py, base = s[GX], s[GY], level + face[slot.VZ]
-    centres(lat, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(sheet.lattice, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
         if s[GOOD, i] > 0.0:
             row = chosen[i]
@@ -541,19 +517,49 @@ def _store_hit(
             turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
 
 
+@inlined
+def _enter_array(
+    sheet: Packed, f: int, s: Floats, m: int, index: float, change: float, origin: Vector
+) -> None:
+    """Carry rays to where they meet the cells of a structured face; `change` is 0 on the launch plane."""
+    face, body = sheet.faces[f], sheet.bodies[f // 2]
+    columnar = body[slot.COLUMNAR] != 0.0
+    if f > 0:
+        level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
+        _carry(sheet.lattice, s, m, level, index, change, origin)
+    _arrive(sheet.lattice, sheet.rows, s, m, face[slot.CLIMB])
+    margin = sheet.lattice[slot.MARGIN]
+    if not columnar and margin > 0.0:  # a lenslet with a seam is an island with walls
+        _in_zone(sheet.lattice, s, m, margin, 0.0, 0.0)
+
+
+@inlined
+def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex: Vector) -> None:
+    """A hit on a structured face must be in its cell still at the face's end, or before the body's other face."""
+    face, other, body = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)], sheet.bodies[f // 2]
+    vx, vy, vz = vertex
+    if body[slot.COLUMNAR] == 0.0:
+        _in_cell_at(sheet.lattice, s, m, face[slot.HIGH] - vz, vx, vy, sheet.lattice[slot.MARGIN])
+    elif body[slot.COVERED] == 0.0 and not facets:
+        if face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
+            _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
+        else:
+            _thick(sheet.faces, f, s, m)
+
+
 @owning
 def straight(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, s: Floats, chosen: Rows,
-    hits: Floats, turns: Floats, carried: Floats,
-) -> int:  # fmt: skip
+    tiles: Tiles, sheet: Packed, s: Floats, chosen: Rows, hits: Floats, turns: Floats, carried: Floats
+) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
-    Positions are relative to the vertex of the last face, whatever was last crossed. `indices` may go on after
-    those of the bodies: whether faces reflect (0 or 1), then the attenuation of each body; the rows SHARE and DEPTH
-    then gather what bare faces let through of unpolarised light and what the bodies absorb, and no hit is stored.
+    Positions are relative to the vertex of the last face, whatever was last crossed. Where lost light is counted (see
+    `Packed.indices`) the rows SHARE and DEPTH gather what bare faces let through of unpolarised light and what the
+    bodies absorb, and no hit is stored.
     """
+    faces, bodies, lat, _, indices = sheet
     m = len(chosen)
-    array, met, counted = 0, 0, len(indices) > len(bodies)
+    array, met, counted, facets = 0, 0, len(indices) > len(bodies), len(tiles.part) > 0
     for i in range(m if counted else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
@@ -567,19 +573,14 @@ def straight(
             if lat[slot.BAFFLE] != slot.NO_BAFFLE:
                 s[LEFT_X, :m], s[LEFT_Y, :m] = s[X, :m] + ox, s[Y, :m] + oy
         for side in range(2):
-            face, other = faces[2 * b + side], faces[2 * b + 1 - side]
-            n1, n2 = (1.0, index) if side == 0 else (index, 1.0)
+            f = 2 * b + side
+            face, other = faces[f], faces[2 * b + 1 - side]
+            media = (1.0, index) if side == 0 else (index, 1.0)
             structured = face[slot.ARRAY] >= 0.0
             if structured and (side == 0 or not columnar):
-                if b or side:
-                    change = face[slot.ARRAY] - array
-                    array = int(face[slot.ARRAY])
-                    level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
-                    _carry(lat, s, m, level - oz, level, n1, change, ox, oy)
-                    ox, oy, oz = 0.0, 0.0, 0.0
-                _arrive(lat, rows, s, m, face[slot.CLIMB])
-                if not columnar and lat[slot.MARGIN] > 0.0:  # a lenslet with a seam is an island with walls
-                    _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+                _enter_array(sheet, f, s, m, media[0], face[slot.ARRAY] - array, (ox, oy, oz))
+                if f > 0:
+                    array, ox, oy, oz = int(face[slot.ARRAY]), 0.0, 0.0, 0.0
                 if met == 0:
                     copy_row(s[CI], s[CI0], m)
                     copy_row(s[CJ], s[CJ0], m)
@@ -587,34 +588,26 @@ def straight(
             if structured:
                 climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
-            if len(tiles.part) == 0:
-                _cross(faces, 2 * b + side, lat, s, m, n1, n2, climb, structured, ox - vx, oy - vy, oz - vz)
-            else:
-                cross_facets(tiles, tiles.of[b, side], side, face, s, m, n1, n2, climb, ox, oy, oz)
+            if facets:
+                cross_facets(tiles, faces, f, s, m, media, climb, (ox, oy, oz))
                 if structured:
                     _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+            else:
+                _cross(sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
             if counted:
-                _lose(face, s, m, n1, n2, indices[len(bodies)] != 0.0, indices[len(bodies) + 1 + b], side)
+                _lose(sheet, f, s, m, media)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
-                if not columnar:
-                    _in_cell_at(lat, s, m, face[slot.HIGH] - oz, ox, oy, lat[slot.MARGIN])
-                elif body[slot.COVERED] == 0.0 and len(tiles.part) == 0:
-                    if face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
-                        _between(face, other, s, m, 1.0 - 2.0 * side)
-                    else:
-                        _thick(faces, 2 * b + side, s, m)
+                _stay_inside(sheet, f, s, m, facets, (vx, vy, vz))
             if not columnar:
                 _in_inner(body, lat, s, m, array, ox, oy)
-            if b == 0 and side == 0:
+            if f == 0:
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
                 _open_baffle(lat, face, s, m)
             if len(hits) and not counted:
-                _store_hit(
-                    lat, face, body[slot.LEVEL], s, m, array, chosen, hits[2 * b + side], turns[2 * b + side]
-                )  # fmt: skip
+                _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
             _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
     return array

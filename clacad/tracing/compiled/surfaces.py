@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Rows
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import trace_chunk, trace_chunk_single
-from clacad.tracing.compiled.packing import pack
+from clacad.tracing.compiled.packing import in_single, pack
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.triangles.tiles import NO_TILES, Tiles
@@ -33,24 +33,23 @@ def trace_compiled(
 ) -> None:
     """Trace the rays `rows`, whatever they are, and write their rows; the results of `reference.surfaces.trace_surfaces`.
 
+    indices : refractive index of each body; see `Packed.indices`
     tiles : facets in place of the smooth faces
     single : the straight path in single precision; rays that need the walk are walked in double
     """
-    packed = pack(layout)
+    sheet = pack(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
     position, direction = np.ascontiguousarray(rays.position), np.ascontiguousarray(rays.direction)
-    each = np.asarray(indices, dtype=np.float64)
-    scene: tuple[Any, ...] = (tiles, packed.faces, packed.bodies, packed.lattice, packed.rows, each)
-    kernel: Callable[..., int] = trace_chunk
-    if single:
-        kernel = trace_chunk_single
-        rounded = (packed.faces, packed.bodies, packed.lattice, each, np.empty((0, 0, 3)))
-        scene += tuple(array.astype(np.float32) for array in rounded)
+    out = Outcome(
+        ledger.position, ledger.direction, ledger.fate, ledger.optical_path, ledger.cell, ledger.order,
+        ledger.surface, ledger.hits, ledger.directions,
+    )  # fmt: skip
+    rounded = in_single(sheet) if single else sheet
 
-    def one(chosen: Rows) -> int:
-        return int(kernel(
-            *scene, chosen, position, direction, ledger.position, ledger.direction, ledger.fate,
-            ledger.optical_path, ledger.cell, ledger.order, ledger.surface, ledger.hits, ledger.directions,
-        ))  # fmt: skip
+    def one(chosen: Rows) -> None:
+        if single:
+            trace_chunk_single(tiles, sheet, rounded, chosen, position, direction, out)
+        else:
+            trace_chunk(tiles, sheet, chosen, position, direction, out)
 
     chunks = [rows[k : k + CHUNK] for k in range(0, len(rows), CHUNK)]
     if threads == 1 or len(chunks) == 1:

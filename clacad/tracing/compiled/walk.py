@@ -5,66 +5,93 @@ from __future__ import annotations
 from math import copysign, inf, isfinite
 
 from clacad.base.compiled import exact, inlined
-from clacad.base.types import Bytes, Cells, Floats, Ints
+from clacad.base.types import Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.column import (
+from clacad.tracing.compiled.cells import kept, less_steps, sheet_xy, to_array
+from clacad.tracing.compiled.column import box_span, first_change, in_footprint
+from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import (
+    AT_ARRAY,
+    CI,
+    CJ,
     DISTANCE,
+    DX,
+    DY,
+    DZ,
+    FACET_NORMAL,
+    FIRST,
+    GHOSTLY,
     KIND,
+    LANDED,
+    LAST,
+    ODD,
+    PATH,
     PLACE,
-    box_span,
-    first_change,
-    in_footprint,
-    kept,
-    sheet_xy,
-    to_array,
-)  # fmt: skip
-from clacad.tracing.compiled.face import less_steps, meet, snell, to_lens, to_sheet, upward
+    PX,
+    PY,
+    PZ,
+    SECOND,
+    SURFACE,
+    WALKER_NUMBERS,
+    CellRay,
+    Launched,
+    Outcome,
+    Scratch,
+    X,
+    Y,
+    Z,
+)
 from clacad.tracing.compiled.solid_body_short_cut import ARRIVING, INSIDE, LEAVING, quick_change
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.tracing.triangles.compiled_hierarchy import first_soup_change
-from clacad.tracing.triangles.compiled_tiles import NORMAL, first_facet_change
+from clacad.tracing.triangles.compiled_tiles import first_facet_change
 from clacad.tracing.triangles.tiles import Tiles
 
 BEHIND = 8 * ULP
+"""Share of what was gone by which a first face may lie behind the start: rounding."""
 
 SAME = 1e-6
-
-# Slots of a walker's numbers.
-CI, CJ, X, Y, Z, DX, DY, DZ, PATH, PX, PY, PZ, FIRST, LAST, ODD = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-    11,
-    12,
-    14,
-    16,
-)
-AT_ARRAY, SECOND, GHOSTLY, LANDED, SURFACE, WALKER_NUMBERS = 18, 19, 20, 21, 22, 23
+"""Share of half a cell within which two distances are those of one crossing."""
 
 ALIVE, GHOST, ON_LAND, BACKWARD = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.BACKWARD)
 TIR, WALL, VIGNETTED, MISSED = int(Fate.TIR), int(Fate.WALL), int(Fate.VIGNETTED), int(Fate.MISSED)
 GOES_ON = 255
+"""No fate yet."""
 
 
 @inlined
 def walk_ray(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats,
-    i: float, j: float, x: float, y: float, z: float, L: float, M: float, N: float, carried: float,
-    row: int, position: Floats, direction: Floats, fate: Bytes, path: Floats, cell: Cells, order: Cells,
-    surface: Cells, hits: Floats, turns: Floats, work: Floats,
-    w: Floats, left: Floats, event: Floats, causes: Ints,
-) -> None:  # fmt: skip
-    """Trace one ray from the launch plane (cells of array 0, heights over body 0's level) and write its row."""
+    tiles: Tiles, sheet: Packed, launched: Launched, row: int, out: Outcome, scratch: Scratch
+) -> None:
+    """Trace one ray from the launch plane and write its row, in which position and direction are its start."""
+    w, left = scratch.walker, scratch.left
+    _begin(launched, out.position, row, w)
+    end = GOES_ON
+    for b in range(len(sheet.bodies)):
+        gap = launched.carried
+        if b:
+            for c in range(WALKER_NUMBERS):
+                left[c] = w[c]
+            gap, end = _cross_gap(sheet.bodies, sheet.lattice, b, w)
+            if end != GOES_ON:
+                _record_end(w, row, out.hits, out.turns)
+                break
+        end = _through_body(tiles, sheet, b, gap, row, out, scratch)
+        if end != GOES_ON:
+            break
+    if end == GOES_ON:
+        end = ON_LAND if w[LANDED] != 0.0 else (GHOST if w[GHOSTLY] != 0.0 else ALIVE)
+        _record_end(w, row, out.hits, out.turns)
+    _write_row(w, end, row, out)
+
+
+@inlined
+def _begin(launched: Launched, position: Floats, row: int, w: Floats) -> None:
+    """Fill a walker's numbers."""
+    i, j, x, y, z, L, M, N, _ = launched
     w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ], w[PATH] = i, j, x, y, z, L, M, N, 0.0
     w[PX], w[PY], w[PZ] = position[row, 0], position[row, 1], position[row, 2]
     for c in range(FIRST, ODD + 2):
@@ -72,36 +99,24 @@ def walk_ray(
     for c in range(AT_ARRAY, LANDED + 1):
         w[c] = 0.0
     w[SURFACE] = NO_CELL
-    end = GOES_ON
-    for b in range(len(bodies)):
-        gap = carried
-        if b:
-            for c in range(WALKER_NUMBERS):
-                left[c] = w[c]
-            gap, end = _cross_gap(bodies, lat, b, w)
-            if end != GOES_ON:
-                _record_end(w, row, hits, turns)
-                break
-        end = _through_body(
-            tiles, faces, bodies, lat, rows, indices, b, gap, w, left, event, work, causes, row, hits, turns
-        )
-        if end != GOES_ON:
-            break
-    if end == GOES_ON:
-        end = ON_LAND if w[LANDED] != 0.0 else (GHOST if w[GHOSTLY] != 0.0 else ALIVE)
-        _record_end(w, row, hits, turns)
+
+
+@inlined
+def _write_row(w: Floats, end: int, row: int, out: Outcome) -> None:
+    """Write the row of a ray that ended so."""
+    position, direction, cell = out.position, out.direction, out.cell
     if end == MISSED:
-        for k in range(len(hits)):
+        for k in range(len(out.hits)):
             for c in range(3):
-                hits[k, row, c], turns[k, row, c] = position[row, c], direction[row, c]
-        fate[row] = MISSED
+                out.hits[k, row, c], out.turns[k, row, c] = position[row, c], direction[row, c]
+        out.fate[row] = MISSED
         cell[row, 0], cell[row, 1] = int(w[FIRST]), int(w[FIRST + 1])
         return
-    fate[row], path[row], surface[row] = end, w[PATH], int(w[SURFACE])
+    out.fate[row], out.path[row], out.surface[row] = end, w[PATH], int(w[SURFACE])
     position[row, 0], position[row, 1], position[row, 2] = w[PX], w[PY], w[PZ]
     direction[row, 0], direction[row, 1], direction[row, 2] = w[DX], w[DY], w[DZ]
     cell[row, 0], cell[row, 1] = int(w[FIRST]), int(w[FIRST + 1])
-    order[row, 0], order[row, 1] = _order(w)
+    out.order[row, 0], out.order[row, 1] = _order(w)
 
 
 @exact
@@ -116,42 +131,35 @@ def _order(w: Floats) -> tuple[int, int]:
 
 
 @exact
-def _next_change(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
-    x: float, y: float, z: float, L: float, M: float, N: float, stage: int, event: Floats, work: Floats,
-    causes: Ints,
-) -> None:  # fmt: skip
+def _next_change(tiles: Tiles, sheet: Packed, b: int, stage: int, scratch: Scratch) -> None:
     """Find what is met first, on smooth faces or on facets."""
+    w, event, work, causes = scratch.walker, scratch.event, scratch.work, scratch.causes
+    ray = CellRay(int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ])
     inside = stage == INSIDE
     if len(tiles.corner) > 0:
-        first_soup_change(tiles, faces, bodies, lat, b, array, i, j, x, y, z, L, M, N, inside, event)
+        first_soup_change(tiles, sheet, b, ray, inside, event)
     elif len(tiles.part) > 0:
-        first_facet_change(
-            tiles, faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes
-        )  # fmt: skip
-    elif not quick_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, stage, event):
-        first_change(faces, bodies, lat, rows, b, array, i, j, x, y, z, L, M, N, inside, event, work, causes)
+        first_facet_change(tiles, sheet, b, ray, inside, event, work, causes)
+    elif not quick_change(sheet, b, ray, stage, event):
+        first_change(sheet, b, ray, inside, event, work, causes)
 
 
 @inlined
 def _through_body(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, indices: Floats, b: int, gap: float, w: Floats,
-    left: Floats, event: Floats, work: Floats, causes: Ints, row: int, hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
+    tiles: Tiles, sheet: Packed, b: int, gap: float, row: int, out: Outcome, scratch: Scratch
+) -> int:
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
-    index = indices[b]
+    lat, index = sheet.lattice, sheet.indices[b]
+    w, left, event, hits, turns = scratch.walker, scratch.left, scratch.event, out.hits, out.turns
     event[DISTANCE] = -1.0  # nothing of this body has been met
-    _next_change(
-        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        ARRIVING, event, work, causes,
-    )  # fmt: skip
+    _next_change(tiles, sheet, b, ARRIVING, scratch)
     kind, distance = int(event[KIND]), event[DISTANCE]
     if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
         return MISSED
-    hole = kind == ABOVE and _over(bodies, lat, rows, b, w, distance)
+    hole = kind == ABOVE and _over(sheet, b, w, distance)
     missed = kind == ASIDE or (kind == ABOVE and not hole)
     if b and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-        if _stopped_by_baffle(bodies, lat, b, w, left, event, gap):
+        if _stopped_by_baffle(sheet.bodies, lat, b, w, left, event, gap):
             _record_end(left, row, hits, turns)
             for c in range(WALKER_NUMBERS):
                 w[c] = left[c]
@@ -160,53 +168,51 @@ def _through_body(
         return MISSED
     w[PATH] += gap
     if hole:
-        _pass_hole(faces, bodies, lat, rows, b, w, distance)
+        _pass_hole(sheet, b, w, distance)
         return GOES_ON
     if kind != FRONT and kind != FRONT_LAND:
-        return _end_at(faces, bodies, lat, b, w, event, 1.0, row, hits, turns)
-    end = _refract(tiles, faces, bodies, lat, rows, b, 0, w, event, 1.0, index, row, hits, turns)
+        return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
+    end = _refract(tiles, sheet, b, 0, w, event, 1.0, index)
+    _record(w, 2 * b, row, hits, turns)
     if end != GOES_ON:
         return end
-    _next_change(
-        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        INSIDE, event, work, causes,
-    )  # fmt: skip
+    _next_change(tiles, sheet, b, INSIDE, scratch)
     kind = int(event[KIND])
     if kind != BACK and kind != BACK_LAND:
-        return _end_at(faces, bodies, lat, b, w, event, index, row, hits, turns)
-    end = _refract(tiles, faces, bodies, lat, rows, b, 1, w, event, index, 1.0, row, hits, turns)
+        return _end_at(sheet, b, w, event, index, row, hits, turns)
+    end = _refract(tiles, sheet, b, 1, w, event, index, 1.0)
+    _record(w, 2 * b + 1, row, hits, turns)
     if end != GOES_ON:
         return end
     if not w[DZ] > 0.0:
         return BACKWARD
-    _next_change(
-        tiles, faces, bodies, lat, rows, b, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ],
-        LEAVING, event, work, causes,
-    )  # fmt: skip
+    _next_change(tiles, sheet, b, LEAVING, scratch)
     kind = int(event[KIND])
     if kind != ABOVE and kind != ASIDE:
-        return _end_at(faces, bodies, lat, b, w, event, 1.0, row, hits, turns)
+        return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
     return GOES_ON
 
 
 @exact
-def _over(bodies: Floats, lat: Floats, rows: Ints, b: int, w: Floats, distance: float) -> bool:
+def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
     """Whether a ray that has risen past the body did so over its footprint."""
+    lat, bodies = sheet.lattice, sheet.bodies
     array = int(w[AT_ARRAY])
     sx, sy = sheet_xy(lat, array, w[CI], w[CJ], w[X], w[Y])
     main = int(bodies[b, slot.ENTRY])
     i, j, _, _ = to_array(
         lat, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
     )  # fmt: skip
-    return in_footprint(bodies, b, sx + distance * w[DX], sy + distance * w[DY], kept(lat, rows, i, j))
+    over = kept(lat, sheet.rows, i, j)
+    return in_footprint(bodies, b, sx + distance * w[DX], sy + distance * w[DY], over)
 
 
 @exact
 def _refract(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, side: int, w: Floats, event: Floats,
-    n1: float, n2: float, row: int, hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
-    """Refract at the front or back that was met."""
+    tiles: Tiles, sheet: Packed, b: int, side: int, w: Floats, event: Floats, n1: float, n2: float
+) -> int:
+    """Refract at the front or back that was met; the fate of a ray that ends there, or GOES_ON."""
+    faces, bodies, lat = sheet.faces, sheet.bodies, sheet.lattice
     f = 2 * b + side
     kind, distance = int(event[KIND]), event[DISTANCE]
     on_lens = kind == FRONT or kind == BACK
@@ -215,11 +221,11 @@ def _refract(
     place = PLACE + 4 * array
     L, M, N = w[DX], w[DY], w[DZ]
     x, y, z = event[place + 2], event[place + 3], w[Z]
-    ox, oy, oz = snell(L, M, N, 0.0, 0.0, 1.0, N, n1, n2)
+    ox, oy, oz = snell((L, M, N), (0.0, 0.0, 1.0), N, n1, n2)
     met = False
     if len(tiles.corner) > 0 or (on_lens and len(tiles.part) > 0):
-        gx, gy, gz = event[NORMAL], event[NORMAL + 1], event[NORMAL + 2]
-        ox, oy, oz = snell(L, M, N, gx, gy, gz, L * gx + M * gy + N * gz, n1, n2)
+        gx, gy, gz = event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2]
+        ox, oy, oz = snell((L, M, N), (gx, gy, gz), L * gx + M * gy + N * gz, n1, n2)
     elif on_lens:
         sx, sy, sz = to_lens(faces, f, x - faces[f, slot.VX], y - faces[f, slot.VY], z - faces[f, slot.VZ])
         u, v, k = to_lens(faces, f, L, M, N)
@@ -233,7 +239,7 @@ def _refract(
             px, py, pz = sx + t * u, sy + t * v, sz + t * k
             gx, gy, gz, over = upward(faces, f, px, py, pz)
             root = gx * u + gy * v + gz * k
-        ox, oy, oz = snell(u, v, k, gx, gy, gz, root, n1, n2)
+        ox, oy, oz = snell((u, v, k), (gx, gy, gz), root, n1, n2)
         ox, oy, oz = to_sheet(faces, f, ox, oy, oz)
         met, distance = True, t
         px, py, pz = to_sheet(faces, f, px, py, pz)
@@ -248,12 +254,11 @@ def _refract(
     w[PZ] = z + bodies[b, slot.LEVEL]
     w[SURFACE] = 2 * b + side
     if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
-        _note_cell(lat, rows, w, int(faces[f, slot.ARRAY]), on_lens)
+        _note_cell(lat, sheet.rows, w, int(faces[f, slot.ARRAY]), on_lens)
     opaque = not on_lens and lat[slot.OPAQUE] != 0.0
     total = not opaque and not isfinite(ox)
     if not (opaque or total):
         w[DX], w[DY], w[DZ] = ox, oy, oz
-    _record(w, 2 * b + side, row, hits, turns)
     return VIGNETTED if opaque else (TIR if total else GOES_ON)
 
 
@@ -278,10 +283,9 @@ def _note_cell(lat: Floats, rows: Ints, w: Floats, array: int, on_lens: bool) ->
 
 
 @exact
-def _pass_hole(
-    faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, w: Floats, distance: float
-) -> None:
+def _pass_hole(sheet: Packed, b: int, w: Floats, distance: float) -> None:
     """Put a ray that rose past the body over its footprint on its highest level."""
+    faces, lat = sheet.faces, sheet.lattice
     for side in range(2):
         if faces[2 * b + side, slot.ARRAY] < 0.0:
             continue
@@ -291,10 +295,10 @@ def _pass_hole(
         )  # fmt: skip
         w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
         w[PATH] += distance
-        _note_cell(lat, rows, w, array, False)
+        _note_cell(lat, sheet.rows, w, array, False)
         distance = 0.0
     w[PX], w[PY] = sheet_xy(lat, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y])
-    w[PZ] = w[Z] + bodies[b, slot.LEVEL]
+    w[PZ] = w[Z] + sheet.bodies[b, slot.LEVEL]
 
 
 @exact
@@ -358,10 +362,10 @@ def _stopped_by_baffle(
 
 @exact
 def _end_at(
-    faces: Floats, bodies: Floats, lat: Floats, b: int, w: Floats, event: Floats, index: float, row: int,
-    hits: Floats, turns: Floats,
-) -> int:  # fmt: skip
+    sheet: Packed, b: int, w: Floats, event: Floats, index: float, row: int, hits: Floats, turns: Floats
+) -> int:
     """End a ray at a wall, or at a face met from its wrong side."""
+    bodies, lat = sheet.bodies, sheet.lattice
     main = int(bodies[b, slot.ENTRY])
     place = PLACE + 4 * main
     kind, distance = int(event[KIND]), event[DISTANCE]

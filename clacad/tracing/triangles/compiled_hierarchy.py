@@ -7,13 +7,15 @@ from math import inf, isnan
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.column import DISTANCE, KIND, PLACE, box_span, sheet_xy, to_array
+from clacad.tracing.compiled.cells import sheet_xy, to_array
+from clacad.tracing.compiled.column import box_span
 from clacad.tracing.compiled.face import height
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import DISTANCE, FACET_NORMAL, KIND, PLACE, CellRay, Ray, Vector
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.triangles.compiled_search import BOTH, hit, nearest, normal_of, ways_through
 from clacad.tracing.triangles.tiles import Tiles
 
-NORMAL = PLACE + 8
 STEEP = 0.05
 """Triangles whose |n_z| is below this are walls."""
 
@@ -30,16 +32,15 @@ def _is_wall(nx: float, ny: float, nz: float) -> bool:
 
 
 @exact
-def first_soup_change(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, b: int, array: int, i: float, j: float, x: float,
-    y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats,
-) -> None:  # fmt: skip
+def first_soup_change(tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats) -> None:
     """Find where a ray first enters the triangles of body b, or leaves them; see `reference.column.first_change`.
 
     Two cells that touch as separate solids have two walls in one place: light in the glass passes both.
     """
+    bodies, lat = sheet.bodies, sheet.lattice
+    array, i, j, x, y, z, L, M, N = ray
     sx, sy = sheet_xy(lat, array, i, j, x, y)
-    ox, oy, oz = sx - x, sy - y, bodies[b, slot.LEVEL]
+    origin, own = (sx - x, sy - y, bodies[b, slot.LEVEL]), Ray(x, y, z, L, M, N)
     aside = max(box_span(lat, bodies, b, sx, sy, L, M)[1], 0.0)
     above = inf if inside else (bodies[b, slot.BODY_HIGH] - z) / N
     clear = CLEAR * lat[slot.HALF]
@@ -49,14 +50,13 @@ def first_soup_change(
     nx, ny, nz = 0.0, 0.0, 1.0
     which = -1
     for _ in range(64):
-        t, which = nearest(tiles, b, ox, oy, oz, x, y, z, L, M, N, least, inf)
+        t, which = nearest(tiles, b, origin, own, least, inf)
         if which < 0:
             break
         nx, ny, nz = normal_of(tiles, which)
         if not (inside and _is_wall(nx, ny, nz)):
             break
-        senses = ways_through(tiles, b, ox, oy, oz, x, y, z, L, M, N, t - clear, t + clear)
-        if senses != BOTH:
+        if ways_through(tiles, b, origin, own, t - clear, t + clear) != BOTH:
             break
         least = t + clear
     if which < 0 or t >= min(above, aside):
@@ -72,31 +72,35 @@ def first_soup_change(
         place = PLACE + 4 * at
         event[place], event[place + 1], event[place + 2], event[place + 3] = p, q, u - t * L, v - t * M
     if kind == FRONT or kind == BACK:
-        _name(tiles, faces, b, which, z + t * N, t, event, ox, oy, oz, x, y, z, L, M, N)
+        _tell_land(tiles, sheet.faces, b, which, own, event)
+        _note_normal(tiles, which, origin, own, event)
 
 
 @exact
-def _name(
-    tiles: Tiles, faces: Floats, b: int, which: int, level: float, t: float, event: Floats, ox: float, oy: float,
-    oz: float, x: float, y: float, z: float, L: float, M: float, N: float,
-) -> None:  # fmt: skip
-    """Tell land, level triangles nearer the design's land than its lens, and note the normal towards +z."""
-    side = 0 if event[KIND] == FRONT else 1
+def _tell_land(tiles: Tiles, faces: Floats, b: int, which: int, ray: Ray, event: Floats) -> None:
+    """Tell land from lens: land is level triangles nearer the design's land than its lens."""
+    side, t = (0 if event[KIND] == FRONT else 1), event[DISTANCE]
     nx, ny, nz = normal_of(tiles, which)
-    face = faces[2 * b + side]
+    face, level = faces[2 * b + side], ray.z + t * ray.N
     if face[slot.ARRAY] >= 0.0 and not isnan(face[slot.LAND]):
         place = PLACE + 4 * int(face[slot.ARRAY])
-        lens = height(faces, 2 * b + side, event[place + 2] + t * L, event[place + 3] + t * M)
+        lens = height(faces, 2 * b + side, event[place + 2] + t * ray.L, event[place + 3] + t * ray.M)
         flat = nx * nx + ny * ny <= LEVEL * LEVEL * nz * nz
         if flat and (isnan(lens) or abs(level - face[slot.LAND]) < abs(level - lens)):
             event[KIND] = FRONT_LAND if side == 0 else BACK_LAND
+
+
+@exact
+def _note_normal(tiles: Tiles, which: int, origin: Vector, ray: Ray, event: Floats) -> None:
+    """Note the normal towards +z: the triangle's, or that of its corners interpolated."""
+    nx, ny, nz = normal_of(tiles, which)
     if len(tiles.corner_normal) > 0:
-        _, u, v, w = hit(tiles.corner[which], ox, oy, oz, x, y, z, L, M, N)
+        _, u, v, w = hit(tiles.corner[which], origin, ray)
         n = tiles.corner_normal[which]
         nx, ny, nz = (
             u * n[0, 0] + v * n[1, 0] + w * n[2, 0],
             u * n[0, 1] + v * n[1, 1] + w * n[2, 1],
             u * n[0, 2] + v * n[1, 2] + w * n[2, 2],
         )
-    sign = -1.0 if side == 0 else 1.0
-    event[NORMAL], event[NORMAL + 1], event[NORMAL + 2] = sign * nx, sign * ny, sign * nz
+    sign = -1.0 if event[KIND] == FRONT or event[KIND] == FRONT_LAND else 1.0
+    event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2] = sign * nx, sign * ny, sign * nz

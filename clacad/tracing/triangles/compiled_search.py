@@ -11,10 +11,11 @@ import numpy as np
 
 from clacad.base.compiled import exact, owning
 from clacad.base.types import Floats, Ints
+from clacad.tracing.compiled.records import Ray, Vector
 from clacad.tracing.triangles.tiles import LEAF, Tiles
 
-BOTH = 3
-"""What `ways_through` gives where triangles are passed inwards and outwards."""
+INWARDS, OUTWARDS, BOTH = 1, 2, 3
+"""What `ways_through` gives: how triangles are passed."""
 
 BEFORE = -1e-300
 """A facet at the very start of a ray counts."""
@@ -24,8 +25,9 @@ UPRIGHT = 1e-300
 
 
 @exact
-def _enters(box: Floats, x: float, y: float, z: float, il: float, im: float, iz: float, far: float) -> float:
-    """Distance at which a ray enters a box, or inf; a hair is granted for rounding."""
+def _enters(box: Floats, x: float, y: float, z: float, inverse: Vector, far: float) -> float:
+    """Distance at which a ray enters a box, or inf; a hair is granted for rounding. `inverse` is of its direction."""
+    il, im, iz = inverse
     a, b = (box[0] - x) * il, (box[3] - x) * il
     c, d = (box[1] - y) * im, (box[4] - y) * im
     e, f = (box[2] - z) * iz, (box[5] - z) * iz
@@ -36,24 +38,15 @@ def _enters(box: Floats, x: float, y: float, z: float, il: float, im: float, iz:
 
 
 @exact
-def hit(
-    corner: Floats,
-    ox: float,
-    oy: float,
-    oz: float,
-    x: float,
-    y: float,
-    z: float,
-    L: float,
-    M: float,
-    N: float,
-) -> tuple[float, float, float, float]:
+def hit(corner: Floats, origin: Vector, ray: Ray) -> tuple[float, float, float, float]:
     """Distance to a triangle and barycentric coordinates; inf where it is missed.
 
     Corners are taken relative to the cell and then to the ray, sheared so that the ray runs along z: edges
     that two triangles share get the same number with opposite signs, so no ray slips between them. After
     Woop, Benthin and Wald, Watertight Ray/Triangle Intersection, JCGT 2 (2013); N > 0 is the largest axis here.
     """
+    ox, oy, oz = origin
+    x, y, z, L, M, N = ray
     sx, sy = L / N, M / N
     ax, ay, az = (corner[0, 0] - ox) - x, (corner[0, 1] - oy) - y, (corner[0, 2] - oz) - z
     bx, by, bz = (corner[1, 0] - ox) - x, (corner[1, 1] - oy) - y, (corner[1, 2] - oz) - z
@@ -70,27 +63,30 @@ def hit(
     return (u * az + v * bz + w * cz) / (total * N), u / total, v / total, w / total
 
 
+@exact
+def _tree(tiles: Tiles, b: int) -> tuple[int, int, int, int]:
+    """The tree of body b: first box, first triangle, triangles, boxes that are no leaves."""
+    root = tiles.tree[b, 0]
+    nodes = (tiles.tree[b + 1, 0] if b + 1 < len(tiles.tree) else len(tiles.box)) - root
+    return root, tiles.tree[b, 1], tiles.tree[b, 2], (nodes - 1) // 2
+
+
 @owning
-def nearest(
-    tiles: Tiles, b: int, ox: float, oy: float, oz: float, x: float, y: float, z: float, L: float, M: float,
-    N: float, least: float, most: float,
-) -> tuple[float, int]:  # fmt: skip
+def nearest(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> tuple[float, int]:
     """Nearest triangle of body b at a distance between `least` and `most`: distance and number, inf and −1.
 
-    (x, y, z) is relative to (ox, oy, oz), the centre of the ray's cell.
+    The ray is relative to `origin`, the centre of its cell.
     """
-    root, first, count = tiles.tree[b, 0], tiles.tree[b, 1], tiles.tree[b, 2]
-    nodes = (tiles.tree[b + 1, 0] if b + 1 < len(tiles.tree) else len(tiles.box)) - root
-    inner = (nodes - 1) // 2
-    il, im, iz = 1.0 / L, 1.0 / M, 1.0 / N
-    gx, gy, gz = ox + x, oy + y, oz + z
+    root, first, count, inner = _tree(tiles, b)
+    inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
+    gx, gy, gz = origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z
     best, which = most, -1
     stack = np.empty(64, dtype=np.int64)
     stack[0], height_of_stack = 0, 1
     while height_of_stack > 0:
         height_of_stack -= 1
         node = stack[height_of_stack]
-        if not _enters(tiles.box[root + node], gx, gy, gz, il, im, iz, best) < inf:
+        if not _enters(tiles.box[root + node], gx, gy, gz, inverse, best) < inf:
             continue
         if node < inner:
             stack[height_of_stack], stack[height_of_stack + 1] = 2 * node + 2, 2 * node + 1
@@ -98,29 +94,25 @@ def nearest(
             continue
         start = (node - inner) * LEAF
         for k in range(start, min(start + LEAF, count)):
-            t = hit(tiles.corner[first + k], ox, oy, oz, x, y, z, L, M, N)[0]
+            t = hit(tiles.corner[first + k], origin, ray)[0]
             if least < t < best:
                 best, which = t, first + k
     return (best, which) if which >= 0 else (inf, -1)
 
 
 @owning
-def ways_through(
-    tiles: Tiles, b: int, ox: float, oy: float, oz: float, x: float, y: float, z: float, L: float, M: float,
-    N: float, least: float, most: float,
-) -> int:  # fmt: skip
-    """Which way the ray goes through the triangles between two distances: 1 inwards, 2 outwards, 3 both."""
-    root, first, count = tiles.tree[b, 0], tiles.tree[b, 1], tiles.tree[b, 2]
-    nodes = (tiles.tree[b + 1, 0] if b + 1 < len(tiles.tree) else len(tiles.box)) - root
-    inner = (nodes - 1) // 2
-    il, im, iz = 1.0 / L, 1.0 / M, 1.0 / N
+def ways_through(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> int:
+    """Which way the ray goes through the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0 for none."""
+    root, first, count, inner = _tree(tiles, b)
+    inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
+    gx, gy, gz = origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z
     found = 0
     stack = np.empty(64, dtype=np.int64)
     stack[0], height_of_stack = 0, 1
     while height_of_stack > 0:
         height_of_stack -= 1
         node = stack[height_of_stack]
-        if not _enters(tiles.box[root + node], ox + x, oy + y, oz + z, il, im, iz, most) < inf:
+        if not _enters(tiles.box[root + node], gx, gy, gz, inverse, most) < inf:
             continue
         if node < inner:
             stack[height_of_stack], stack[height_of_stack + 1] = 2 * node + 2, 2 * node + 1
@@ -128,10 +120,10 @@ def ways_through(
             continue
         start = (node - inner) * LEAF
         for k in range(start, min(start + LEAF, count)):
-            t = hit(tiles.corner[first + k], ox, oy, oz, x, y, z, L, M, N)[0]
+            t = hit(tiles.corner[first + k], origin, ray)[0]
             if least < t < most:
                 nx, ny, nz = normal_of(tiles, first + k)
-                found |= 2 if nx * L + ny * M + nz * N > 0.0 else 1
+                found |= OUTWARDS if nx * ray.L + ny * ray.M + nz * ray.N > 0.0 else INWARDS
     return found
 
 
@@ -157,10 +149,11 @@ def first_facet(
         x, y, z = position[r, 0], position[r, 1], position[r, 2]
         u, v, w = direction[r, 0], direction[r, 1], direction[r, 2]
         u, v = u if u != 0.0 else UPRIGHT, v if v != 0.0 else UPRIGHT
-        t, which = nearest(tiles, 0, 0.0, 0.0, 0.0, x, y, z, u, v, w, BEFORE, inf)
+        ray = Ray(x, y, z, u, v, w)
+        t, which = nearest(tiles, 0, (0.0, 0.0, 0.0), ray, BEFORE, inf)
         while which >= 0:
             n = normals[which]
             if facing * (n[0] * u + n[1] * v + n[2] * w) > 0.0:
                 break
-            t, which = nearest(tiles, 0, 0.0, 0.0, 0.0, x, y, z, u, v, w, t, inf)
+            t, which = nearest(tiles, 0, (0.0, 0.0, 0.0), ray, t, inf)
         distance[r], facet[r] = t if which >= 0 else nan, which

@@ -8,13 +8,15 @@ the two halves of a square, and those that need more steps, are looked up one by
 
 from __future__ import annotations
 
-from math import isnan, sqrt
+from math import isnan
 
 import numpy as np
 
 from clacad.base.compiled import exact, least
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.face import bend
+from clacad.tracing.compiled.records import Ray, Vector
 from clacad.tracing.compiled.straight_path_slots import (
     DX,
     DY,
@@ -39,22 +41,24 @@ TRIES = 8
 
 @exact
 def cross_facets(
-    tiles: Tiles, tile: int, side: int, face: Floats, s: Floats, m: int, n1: float, n2: float,
-    climb: float, ox: float, oy: float, oz: float,
+    tiles: Tiles, faces: Floats, f: int, s: Floats, m: int, media: tuple[float, float], climb: float, origin: Vector
 ) -> None:  # fmt: skip
-    """Cross one face of facets; positions plus (ox, oy, oz) are relative to cell and level, and are after."""
+    """Cross one face of facets; positions plus the origin are relative to cell and level, and are after."""
     x, y, z = s[X], s[Y], s[Z]
+    ox, oy, oz = origin
     for i in range(m):
         x[i], y[i], z[i] = x[i] + ox, y[i] + oy, z[i] + oz
+    side = f % 2
+    tile = tiles.of[f // 2, side]
     row = tiles.table[tile]
-    level = 0.5 * (face[slot.LOW] + face[slot.HIGH])
+    level = 0.5 * (faces[f, slot.LOW] + faces[f, slot.HIGH])
     _to_level(row, s, m, level)
     _planes_of_bins(tiles, side, s, m)
     _to_planes(row, s, m)
     _planes_of_bins(tiles, side, s, m)
     _to_planes(row, s, m)
     _settle(tiles, tile, side, level, s, m)
-    _refract_facets(s, m, n1, n2, climb)
+    _refract_facets(s, m, media[0], media[1], climb)
 
 
 @exact
@@ -119,7 +123,7 @@ def _settle(tiles: Tiles, tile: int, side: int, level: float, s: Floats, m: int)
         if isnan(far[i]):
             t = (level - z) / w
             guess = locate_facet(tiles, tile, x + t * u, y + t * v) if facet < 0 else facet
-            facet, far[i] = _facet_met(tiles, tile, side, guess, x, y, z, u, v, w)
+            facet, far[i] = _facet_met(tiles, tile, side, guess, Ray(x, y, z, u, v, w))
             if facet < 0:
                 s[GOOD, i] = 0.0
                 continue
@@ -127,10 +131,9 @@ def _settle(tiles: Tiles, tile: int, side: int, level: float, s: Floats, m: int)
 
 
 @exact
-def _facet_met(
-    tiles: Tiles, tile: int, side: int, guess: int, x: float, y: float, z: float, u: float, v: float, w: float
-) -> tuple[int, float]:
+def _facet_met(tiles: Tiles, tile: int, side: int, guess: int, ray: Ray) -> tuple[int, float]:
     """Facet that one ray meets, and where; −1 if it is not found, or no part of the lens."""
+    x, y, z, u, v, w = ray
     facet = guess
     for _ in range(TRIES):
         a, b, c = tiles.plane[facet, side, 0], tiles.plane[facet, side, 1], tiles.plane[facet, side, 2]
@@ -161,7 +164,7 @@ def _refract_facets(s: Floats, m: int, n1: float, n2: float, climb: float) -> No
         a, b, c = gx[i], gy[i], gz[i]
         root = u * a + v * b + w * c
         incident = mu * root
-        g = weight / (sqrt((a * a + b * b + c * c) * weight + incident * incident) + incident)
+        g = bend(a * a + b * b + c * c, incident, weight)
         dx[i], dy[i] = mu * u + g * a, mu * v + g * b
         up = mu * w + g * c
         dz[i] = up

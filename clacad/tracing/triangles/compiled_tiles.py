@@ -4,29 +4,23 @@ from __future__ import annotations
 
 from math import copysign, inf, nan
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.cells import kept, sheet_xy
 from clacad.tracing.compiled.column import (
-    BASE,
-    CELL,
-    DISTANCE,
-    HOME,
-    KIND,
-    PLACE,
-    START,
-    STEP,
     box_span,
     divide_outline,
+    enter_cell,
     in_footprint,
     jump,
-    kept,
-    sheet_xy,
     sort_divisions,
+    start_search,
     step_on,
-    to_array,
+    write_event,
 )
-from clacad.tracing.compiled.face import less_steps
+from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.records import CELL, FACET, FACET_NORMAL, START, STEP, CellRay, Ray, Vector
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.triangles.tiles import (
     BIN,
@@ -42,11 +36,8 @@ from clacad.tracing.triangles.tiles import (
     Tiles,
 )
 
-NORMAL = PLACE + 8
-"""Slot of an event where a facet's normal is kept."""
-
-FACET = 20
-"""Place in the integer scratch where the present facets of arrays 0 and 1 are kept."""
+NOT_LOOKED_UP, NONE = -2, -1
+"""Of the facet that an array is in: yet to be found; there is none."""
 
 
 @exact
@@ -106,166 +97,6 @@ def _levels(
 
 
 @exact
-def first_facet_change(
-    tiles: Tiles, faces: Floats, bodies: Floats, lat: Floats, rows: Ints, b: int, array: int, i: float, j: float,
-    x: float, y: float, z: float, L: float, M: float, N: float, inside: bool, event: Floats, work: Floats,
-    causes: Ints,
-) -> None:  # fmt: skip
-    """Find where a ray first enters the facets of body b, or leaves them: `reference.column.first_change` for facets.
-
-    A piece is what lies over one facet of each of the body's tilings; in it both faces are planes.
-    """
-    for k in range(4):
-        work[STEP + k] = 0.0
-    main = int(bodies[b, slot.ENTRY])
-    for side in range(2):
-        at = int(faces[2 * b + side, slot.ARRAY])
-        if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
-            continue
-        if at == array:
-            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
-                i,
-                j,
-                x,
-                y,
-            )
-        else:
-            u, v, p, q = to_array(lat, array, at, i, j, x, y)
-            work[HOME + 2 * at], work[HOME + 2 * at + 1], work[BASE + 2 * at], work[BASE + 2 * at + 1] = (
-                u,
-                v,
-                p,
-                q,
-            )
-        causes[FACET + at] = -2  # not looked up
-    sx, sy = sheet_xy(lat, array, i, j, x, y)
-    aside = max(box_span(lat, bodies, b, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (bodies[b, slot.BODY_HIGH] - z) / N
-    limit = min(aside, above)
-    since, cause, kind = 0.0, WALL, ASIDE
-    gx, gy, gz = 0.0, 0.0, 1.0
-    walking = not above <= 0.0
-    if not walking:
-        kind = ABOVE
-    entered = 0.0  # where the piece begins
-    while walking:
-        end, across, across_array, sense, edge, edge_array = limit, -1, -1, 1.0, -1, -1
-        for side in range(2):
-            at = int(faces[2 * b + side, slot.ARRAY])
-            if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
-                continue
-            work[CELL + 2 * at], work[CELL + 2 * at + 1] = (
-                work[HOME + 2 * at] + work[STEP + 2 * at],
-                work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
-            )
-            u, v = less_steps(
-                lat,
-                work[BASE + 2 * at],
-                work[BASE + 2 * at + 1],
-                work[STEP + 2 * at],
-                work[STEP + 2 * at + 1],
-            )
-            work[START + 2 * at], work[START + 2 * at + 1] = u, v
-            tile = tiles.of[b, side]
-            if causes[FACET + at] == -2:
-                causes[FACET + at] = -1
-                if kept(lat, rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
-                    # a hair into the piece, so that a ray along an edge is in the facet it goes to
-                    t = entered + 2.0 * lat[slot.TINY]
-                    causes[FACET + at] = locate_facet(tiles, tile, u + t * L, v + t * M)
-            for n in range(int(lat[slot.BORDERS])):
-                ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
-                speed = ux * L + uy * M
-                if speed == 0.0:
-                    continue
-                t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
-                if t < end:
-                    end, across, across_array, sense, edge = t, n, at, copysign(1.0, speed), -1
-            f = causes[FACET + at]
-            if f < 0:
-                continue
-            for n in range(3):
-                wx, wy = tiles.weight[f, n, 0], tiles.weight[f, n, 1]
-                speed = wx * L + wy * M
-                if speed >= 0.0 or tiles.beside[f, n] < 0:
-                    continue
-                t = -(wx * u + wy * v + tiles.weight[f, n, 2]) / speed
-                if t < end:
-                    end, across, edge, edge_array = t, -1, n, at
-        front_at = int(faces[2 * b, slot.ARRAY]) if faces[2 * b, slot.ARRAY] >= 0.0 else main
-        back_at = int(faces[2 * b + 1, slot.ARRAY]) if faces[2 * b + 1, slot.ARRAY] >= 0.0 else main
-        low, low_rise = _levels(tiles, faces, 2 * b, front_at, causes, work, L, M)
-        high, high_rise = _levels(tiles, faces, 2 * b + 1, back_at, causes, work, L, M)
-        work[0], causes[0] = (low - z) / (N - low_rise), _kind(tiles, faces, 2 * b, causes[FACET + front_at])
-        work[1], causes[1] = (
-            (high - z) / (N - high_rise),
-            _kind(tiles, faces, 2 * b + 1, causes[FACET + back_at]),
-        )
-        count = 2
-        if causes[FACET + main] < 0:
-            count = divide_outline(bodies, b, sx, sy, L, M, work, causes, count)
-        end = max(end, entered)
-        count = sort_divisions(work, causes, count, max(entered, since - lat[slot.TINY]), since, end)
-        changed = False
-        for c in range(count + 1):
-            to, why = (work[c], causes[c]) if c < count else (end, WALL)
-            if to - since > lat[slot.TINY]:
-                t = 0.5 * (since + to)
-                level = z + t * N
-                over = in_footprint(
-                    bodies, b, sx + t * L, sy + t * M, kept(lat, rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
-                )  # fmt: skip
-                now = over and low + t * low_rise <= level <= high + t * high_rise
-                if now != inside:
-                    changed = True
-                    break
-                since, cause = to, why
-            elif c < count and why != WALL:
-                cause = why
-        if changed:
-            kind = cause
-            f = causes[FACET + front_at] if kind == FRONT else causes[FACET + back_at]
-            if (kind == FRONT or kind == BACK) and f >= 0:
-                at = front_at if kind == FRONT else back_at
-                gx, gy, gz = facet_normal(
-                    tiles, f, 0 if kind == FRONT else 1, work[START + 2 * at] + since * L, work[START + 2 * at + 1] + since * M
-                )  # fmt: skip
-            break
-        if above <= end:
-            kind, since = ABOVE, above
-            break
-        if aside <= end:
-            kind, since = ASIDE, aside
-            break
-        entered = end
-        if inside:
-            t = jump(bodies, lat, b, array, i, j, x, y, z, L, M, N, entered, work)
-            if t > entered:
-                entered, since, cause = t, t, WALL
-                causes[FACET + 0], causes[FACET + 1] = -2, -2
-                continue
-        if across >= 0:
-            step_on(across, sense, work, STEP + 2 * across_array)
-            causes[FACET + across_array] = -2
-        elif edge >= 0:
-            causes[FACET + edge_array] = tiles.beside[causes[FACET + edge_array], edge]
-        else:
-            break
-    event[KIND], event[DISTANCE] = kind, since
-    event[NORMAL], event[NORMAL + 1], event[NORMAL + 2] = gx, gy, gz
-    for at in range(2):
-        place = PLACE + 4 * at
-        event[place], event[place + 1] = (
-            work[HOME + 2 * at] + work[STEP + 2 * at],
-            work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1],
-        )
-        u, v = less_steps(
-            lat, work[BASE + 2 * at], work[BASE + 2 * at + 1], work[STEP + 2 * at], work[STEP + 2 * at + 1]
-        )
-        event[place + 2], event[place + 3] = u, v
-
-
-@exact
 def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
     """Which crossing a face's plane is over a facet: of a lens or plane face, or of land."""
     side = row % 2
@@ -275,3 +106,169 @@ def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
     if side == 0:
         return FRONT_LAND if land else FRONT
     return BACK_LAND if land else BACK
+
+
+@exact
+def first_facet_change(
+    tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, work: Floats, causes: Ints
+) -> None:
+    """Find where a ray first enters the facets of body b, or leaves them: `reference.column.first_change` for facets.
+
+    A piece is what lies over one facet of each of the body's tilings; in it both faces are planes.
+    """
+    lat = sheet.lattice
+    start_search(sheet, b, ray, work)
+    causes[FACET], causes[FACET + 1] = NOT_LOOKED_UP, NOT_LOOKED_UP
+    array, i, j, x, y, z, L, M, N = ray
+    sx, sy = sheet_xy(lat, array, i, j, x, y)
+    along = Ray(sx, sy, z, L, M, N)
+    aside = max(box_span(lat, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
+    limit = min(aside, above)
+    since, cause, kind = 0.0, WALL, ASIDE
+    normal = (0.0, 0.0, 1.0)
+    walking = not above <= 0.0
+    if not walking:
+        kind = ABOVE
+    entered = 0.0  # where the piece begins
+    while walking:
+        end, across, edge, at, sense = _next_edge(tiles, sheet, b, along, (entered, limit), work, causes)
+        end = max(end, entered)
+        changed, since, cause = _first_stretch(
+            tiles, sheet, b, along, inside, (entered, end, since, cause), work, causes
+        )
+        if changed:
+            kind = cause
+            normal = _normal_met(tiles, sheet, b, along, (kind, since), work, causes)
+            break
+        if above <= end:
+            kind, since = ABOVE, above
+            break
+        if aside <= end:
+            kind, since = ASIDE, aside
+            break
+        entered = end
+        if inside:
+            t = jump(sheet, b, ray, entered, work)
+            if t > entered:
+                entered, since, cause = t, t, WALL
+                causes[FACET], causes[FACET + 1] = NOT_LOOKED_UP, NOT_LOOKED_UP
+                continue
+        if across >= 0:
+            step_on(across, sense, work, STEP + 2 * at)
+            causes[FACET + at] = NOT_LOOKED_UP
+        elif edge >= 0:
+            causes[FACET + at] = tiles.beside[causes[FACET + at], edge]
+        else:
+            break
+    write_event(lat, kind, since, work, event)
+    event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2] = normal
+
+
+@inlined
+def _next_edge(
+    tiles: Tiles, sheet: Packed, b: int, ray: Ray, span: tuple[float, float], work: Floats, causes: Ints
+) -> tuple[float, int, int, int, float]:
+    """Enter the present facets, and find where the ray leaves the first of them.
+
+    span : where the piece begins, and how far is looked
+    Returns the distance; the border of the cell that is crossed there, or the facet's edge, −1 for neither; of what
+    array; in what sense the border is crossed.
+    """
+    faces, lat = sheet.faces, sheet.lattice
+    entered, end = span
+    across, edge, of, sense = -1, -1, -1, 1.0
+    for side in range(2):
+        at = int(faces[2 * b + side, slot.ARRAY])
+        if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
+            continue
+        u, v = enter_cell(lat, at, work)
+        if causes[FACET + at] == NOT_LOOKED_UP:
+            causes[FACET + at] = NONE
+            if kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
+                # a hair into the piece, so that a ray along an edge is in the facet it goes to
+                t = entered + 2.0 * lat[slot.TINY]
+                causes[FACET + at] = locate_facet(tiles, tiles.of[b, side], u + t * ray.L, v + t * ray.M)
+        for n in range(int(lat[slot.BORDERS])):
+            ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
+            speed = ux * ray.L + uy * ray.M
+            if speed == 0.0:
+                continue
+            t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
+            if t < end:
+                end, across, edge, of, sense = t, n, -1, at, copysign(1.0, speed)
+        f = causes[FACET + at]
+        if f < 0:
+            continue
+        for n in range(3):
+            wx, wy = tiles.weight[f, n, 0], tiles.weight[f, n, 1]
+            speed = wx * ray.L + wy * ray.M
+            if speed >= 0.0 or tiles.beside[f, n] < 0:
+                continue
+            t = -(wx * u + wy * v + tiles.weight[f, n, 2]) / speed
+            if t < end:
+                end, across, edge, of = t, -1, n, at
+    return end, across, edge, of, sense
+
+
+@exact
+def _array_of(sheet: Packed, b: int, side: int) -> int:
+    """The array in whose cells a face of body b is looked up: its own, or the body's."""
+    array = sheet.faces[2 * b + side, slot.ARRAY]
+    return int(array) if array >= 0.0 else int(sheet.bodies[b, slot.ENTRY])
+
+
+@inlined
+def _first_stretch(
+    tiles: Tiles, sheet: Packed, b: int, ray: Ray, inside: bool, span: tuple[float, float, float, int],
+    work: Floats, causes: Ints,
+) -> tuple[bool, float, int]:  # fmt: skip
+    """Find the first of a piece's stretches that is not as the ray's state is; see `column`.
+
+    span : where the piece begins and ends, since when the state is known and why it began
+    Returns whether there is one, its start (else that of the last), and what is crossed there.
+    """
+    faces, bodies, tiny = sheet.faces, sheet.bodies, sheet.lattice[slot.TINY]
+    entered, end, since, cause = span
+    sx, sy, z, L, M, N = ray
+    main, front_at, back_at = int(bodies[b, slot.ENTRY]), _array_of(sheet, b, 0), _array_of(sheet, b, 1)
+    low, low_rise = _levels(tiles, faces, 2 * b, front_at, causes, work, L, M)
+    high, high_rise = _levels(tiles, faces, 2 * b + 1, back_at, causes, work, L, M)
+    work[0], causes[0] = (low - z) / (N - low_rise), _kind(tiles, faces, 2 * b, causes[FACET + front_at])
+    work[1], causes[1] = (high - z) / (N - high_rise), _kind(tiles, faces, 2 * b + 1, causes[FACET + back_at])
+    count = 2
+    if causes[FACET + main] < 0:
+        count = divide_outline(bodies, b, ray, work, causes, count)
+    count = sort_divisions(work, causes, count, max(entered, since - tiny), since, end)
+    over_cell = kept(sheet.lattice, sheet.rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
+    for c in range(count + 1):
+        to, why = (work[c], causes[c]) if c < count else (end, WALL)
+        if to - since > tiny:
+            t = 0.5 * (since + to)
+            level = z + t * N
+            over = in_footprint(bodies, b, sx + t * L, sy + t * M, over_cell)
+            now = over and low + t * low_rise <= level <= high + t * high_rise
+            if now != inside:
+                return True, since, cause
+            since, cause = to, why
+        elif c < count and why != WALL:
+            cause = why
+    return False, since, cause
+
+
+@inlined
+def _normal_met(
+    tiles: Tiles, sheet: Packed, b: int, ray: Ray, met: tuple[int, float], work: Floats, causes: Ints
+) -> Vector:
+    """Normal towards +z of the facet where the state changed; (0, 0, 1) where that is none."""
+    kind, t = met
+    if kind != FRONT and kind != BACK:
+        return 0.0, 0.0, 1.0
+    side = 0 if kind == FRONT else 1
+    at = _array_of(sheet, b, side)
+    f = causes[FACET + at]
+    if f < 0:
+        return 0.0, 0.0, 1.0
+    return facet_normal(
+        tiles, f, side, work[START + 2 * at] + t * ray.L, work[START + 2 * at + 1] + t * ray.M
+    )

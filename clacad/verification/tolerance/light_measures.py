@@ -38,7 +38,7 @@ from clacad.verification.tolerance.misaligned import Errors, Telescopelet, teles
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.design.model import CheckSpec
+    from clacad.design.sections import CheckSpec
 
 
 RAYS = 256

@@ -1,0 +1,49 @@
+"""Error-free sums and products of single numbers, compiled: the twins of `clacad.base.pairs`."""
+
+from __future__ import annotations
+
+from clacad.base.compiled import exact
+
+_SPLITTER = 134217729.0  # 2**27 + 1 halves a 53-bit significand
+
+
+@exact
+def two_sum(a: float, b: float) -> tuple[float, float]:
+    """Rounded sum and what rounding took away."""
+    s = a + b
+    v = s - a
+    return s, (a - (s - v)) + (b - v)
+
+
+@exact
+def two_product(a: float, b: float) -> tuple[float, float]:
+    """Rounded product and what rounding took away."""
+    p = a * b
+    t = _SPLITTER * a
+    ah = t - (t - a)
+    al = a - ah
+    t = _SPLITTER * b
+    bh = t - (t - b)
+    bl = b - bh
+    return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
+
+
+@exact
+def pair_product(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Product of two pairs."""
+    p, e = two_product(ah, bh)
+    return two_sum(p, e + (ah * bl + al * bh))
+
+
+@exact
+def pair_sum(ah: float, al: float, bh: float, bl: float) -> tuple[float, float]:
+    """Sum of two pairs."""
+    s, e = two_sum(ah, bh)
+    return two_sum(s, e + (al + bl))
+
+
+@exact
+def less_multiple(x: float, k: float, step: float) -> float:
+    """Give x − k·step with the product unrounded."""
+    high, low = two_product(k, step)
+    return (x - high) - low

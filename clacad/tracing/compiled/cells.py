@@ -1,0 +1,183 @@
+"""The cell a point belongs to, compiled: the scalar twins of `clacad.sheet.lattice` and `clacad.tracing.layout`.
+
+Held to them bit for bit by tests/test_hard_kernels.py and by every trace that is compared with the numpy path. Blocks
+of rays have loops of their own in `launch` and `straight_path`, which share `hexagon_steps`.
+"""
+
+from __future__ import annotations
+
+from math import floor
+
+from clacad.base.compiled import exact
+from clacad.base.compiled_pairs import less_multiple, two_product, two_sum
+from clacad.base.types import Floats, Ints
+from clacad.tracing.compiled import packing as slot
+
+
+@exact
+def kept(lat: Floats, rows: Ints, i: float, j: float) -> bool:
+    """Whether the lattice has this cell; a plain one has no table of rows."""
+    if lat[slot.PLAIN] != 0.0:
+        return bool(0.0 <= i < lat[slot.N1] and 0.0 <= j < lat[slot.N2])
+    if not (0.0 <= j < len(rows)):
+        return False
+    row = int(j)
+    return bool(rows[row, 0] <= i < rows[row, 1])
+
+
+@exact
+def sheet_xy(lat: Floats, array: int, i: float, j: float, x: float, y: float) -> tuple[float, float]:
+    """Sheet-frame x, y of a point of a cell."""
+    sx, sy = lat[slot.SHIFT + 2 * array], lat[slot.SHIFT + 2 * array + 1]
+    if lat[slot.HEXAGONAL] != 0.0:
+        return (lat[slot.X0] + (i + 0.5 * j) * lat[slot.PITCH] + sx) + x, (
+            lat[slot.Y0] + j * lat[slot.ROW] + sy
+        ) + y
+    cx = (2.0 * i - (lat[slot.N1] - 1.0)) * (0.5 * lat[slot.PITCH])
+    cy = (2.0 * j - (lat[slot.N2] - 1.0)) * (0.5 * lat[slot.ROW])
+    return (cx + sx) + x, (cy + sy) + y
+
+
+@exact
+def to_array(
+    lat: Floats, of: int, array: int, i: float, j: float, x: float, y: float
+) -> tuple[float, float, float, float]:
+    """Cell and local coordinates in another array of a point given in the cells of array `of`."""
+    if array != of:
+        sign = 1.0 if array > of else -1.0
+        x, y = x - sign * lat[slot.RESIDUAL], y - sign * lat[slot.RESIDUAL + 1]
+        i, j = i - sign * lat[slot.WHOLE_STEPS], j - sign * lat[slot.WHOLE_STEPS + 1]
+    di, dj, x, y = relocate(lat, x, y)
+    return i + di, j + dj, x, y
+
+
+@exact
+def _cell_of_axis(x: float, low: float, pitch: float, count: float) -> tuple[float, float]:
+    """Cell and centred coordinate along one axis; see `Lattice.locate`."""
+    half = 0.5 * pitch
+    k = float(floor(x / pitch + 0.5 * count))
+    local = _less_pair(x, low, 2.0 * k - (count - 1.0), half)
+    k = k + (1.0 if local >= half else 0.0) - (1.0 if local < -half else 0.0)
+    return k, _less_pair(x, low, 2.0 * k - (count - 1.0), half)
+
+
+@exact
+def _less_pair(x: float, low: float, k: float, step: float) -> float:
+    high, rest = two_product(k, step)
+    return (x - high) + (low - rest)
+
+
+@exact
+def _less_origin(x: float, low: float, k: float, step: float, origin: float) -> float:
+    """Give x + low − k·step − origin, rounded once."""
+    high, rest = two_product(k, step)
+    a, e = two_sum(x, -high)
+    b, f = two_sum(a, -origin)
+    return b + ((e + f) + (low - rest))
+
+
+@exact
+def _hexagon_step(u: float, v: float, half: float, slant: float) -> tuple[float, float]:
+    """Step (i, j) over the first border of a hexagon that a point of its frame lies beyond; none inside."""
+    if u >= half or u < -half:
+        return (1.0 if u >= half else -1.0), 0.0
+    across = 0.5 * u + slant * v
+    if across >= half or across < -half:
+        return 0.0, (1.0 if across >= half else -1.0)
+    across = -0.5 * u + slant * v
+    if across >= half or across < -half:
+        step = 1.0 if across >= half else -1.0
+        return -step, step
+    return 0.0, 0.0
+
+
+@exact
+def hexagon_steps(u: float, v: float, half: float, slant: float, middle: float) -> tuple[float, float]:
+    """Step (i, j) over a slanted border of a hexagon, without a branch, in the precision of `middle` = 0.5."""
+    one, zero = middle + middle, middle - middle
+    two, three = middle * u + slant * v, -middle * u + slant * v
+    second = (one if two >= half else zero) - (one if two < -half else zero)
+    third = ((one if three >= half else zero) - (one if three < -half else zero)) * (one - abs(second))
+    return -third, second + third
+
+
+@exact
+def locate(lat: Floats, x: float, xl: float, y: float, yl: float) -> tuple[float, float, float, float]:
+    """Cell of array 0 that holds a sheet point given in pairs, and the point relative to its centre."""
+    if lat[slot.HEXAGONAL] == 0.0:
+        i, u = _cell_of_axis(x, xl, lat[slot.PITCH], lat[slot.N1])
+        j, v = _cell_of_axis(y, yl, lat[slot.ROW], lat[slot.N2])
+        return i, j, u, v
+    p, row, x0, y0 = lat[slot.PITCH], lat[slot.ROW], lat[slot.X0], lat[slot.Y0]
+    half, slant = 0.5 * p, row / p
+    j = float(floor((y - y0) / row + 0.5))
+    i = float(floor((x - x0) / p - 0.5 * j + 0.5))
+    for _ in range(4):
+        u, v = _less_origin(x, xl, i + 0.5 * j, p, x0), _less_origin(y, yl, j, row, y0)
+        di, dj = _hexagon_step(u, v, half, slant)
+        if di == 0.0 and dj == 0.0:
+            break
+        i, j = i + di, j + dj
+    return i, j, _less_origin(x, xl, i + 0.5 * j, p, x0), _less_origin(y, yl, j, row, y0)
+
+
+@exact
+def relocate(lat: Floats, x: float, y: float) -> tuple[float, float, float, float]:
+    """Whole lattice steps and remaining local coordinates; see `layout.relocate`."""
+    if lat[slot.HEXAGONAL] == 0.0:
+        i, x = _relocate_axis(x, lat[slot.PITCH])
+        j, y = _relocate_axis(y, lat[slot.ROW])
+        return i, j, x, y
+    pitch, row = lat[slot.PITCH], lat[slot.ROW]
+    half = 0.5 * pitch
+    slant = row / pitch
+    j = _nearest(y / row)
+    i = _nearest(x / pitch - 0.5 * j)
+    for _ in range(4):
+        u, v = less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+        di, dj = _hexagon_step(u, v, half, slant)
+        if di == 0.0 and dj == 0.0:
+            break
+        i, j = i + di, j + dj
+    return i, j, less_multiple(x, i + 0.5 * j, pitch), less_multiple(y, j, row)
+
+
+@exact
+def _nearest(x: float) -> float:
+    """Nearest integer, ties to even."""
+    r = float(floor(x + 0.5))
+    if r - x == 0.5 and r % 2.0 != 0.0:
+        r -= 1.0
+    return r
+
+
+@exact
+def _relocate_axis(x: float, pitch: float) -> tuple[float, float]:
+    half = 0.5 * pitch
+    k = float(floor(x / pitch + 0.5))
+    local = less_multiple(x, k, pitch)
+    if local >= half:
+        k += 1.0
+    elif local < -half:
+        k -= 1.0
+    return k, less_multiple(x, k, pitch)
+
+
+@exact
+def less_steps(lat: Floats, x: float, y: float, i: float, j: float) -> tuple[float, float]:
+    """Local coordinates seen from the cell (i, j) steps away."""
+    if i == 0.0 and j == 0.0:
+        return x, y
+    if lat[slot.HEXAGONAL] != 0.0:
+        return less_multiple(x, i + 0.5 * j, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
+    return less_multiple(x, i, lat[slot.PITCH]), less_multiple(y, j, lat[slot.ROW])
+
+
+@exact
+def in_zone(lat: Floats, x: float, y: float, margin: float) -> bool:
+    """Whether a point of the cell frame lies at least `margin` inside its cell's borders."""
+    for n in range(int(lat[slot.BORDERS])):
+        across = lat[slot.NORMAL + 2 * n] * x + lat[slot.NORMAL + 2 * n + 1] * y
+        if not abs(across) <= lat[slot.HALF + n] - margin:
+            return False
+    return True

@@ -1,0 +1,118 @@
+"""What compiled functions hand to one another: rays, the rows of the result, scratch."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from clacad.base.compiled import owning
+from clacad.base.types import Bytes, Cells, Floats, Ints
+
+Vector = tuple[float, float, float]
+
+# Slots of an event, what a ray meets next: what, how far, then for each array its cell i, j and the ray's start seen
+# from there, then the normal of a facet.
+KIND, DISTANCE, PLACE, FACET_NORMAL, EVENT_NUMBERS = 0, 1, 2, 10, 13
+
+# Places in the search's floats; the first are distances that divide the ray. Two numbers for each array follow: the
+# start as given, the start seen from the present cell, the cell as given, the present cell, the steps in between.
+DIVISIONS, BASE, START, HOME, CELL, STEP, WORK_NUMBERS = 24, 24, 28, 32, 36, 40, 44
+
+FACET = 20
+"""Place in the search's integers of the facets that arrays 0 and 1 are in; before it, what each division is."""
+
+# Slots of a ray on its walk: cell, point and direction; optical length; point of the sheet; cells met first, last, and
+# first that differs; the array the cell belongs to; marks; the last face met.
+CI, CJ, X, Y, Z, DX, DY, DZ, PATH, PX, PY, PZ, FIRST = range(13)
+LAST, ODD, AT_ARRAY, SECOND, GHOSTLY, LANDED, SURFACE, WALKER_NUMBERS = 14, 16, 18, 19, 20, 21, 22, 23
+
+
+class Ray(NamedTuple):
+    """A point (lengths) and a direction, in whatever frame is said."""
+
+    x: float
+    y: float
+    z: float
+    L: float
+    M: float
+    N: float
+
+
+class CellRay(NamedTuple):
+    """A ray in a cell (i, j) of an array: x and y from the cell's centre, z over the level of the body at hand."""
+
+    array: int
+    i: float
+    j: float
+    x: float
+    y: float
+    z: float
+    L: float
+    M: float
+    N: float
+
+
+class Launched(NamedTuple):
+    """A ray carried to the first body's reference plane: in the cells of array 0, and how far it went from its start."""
+
+    i: float
+    j: float
+    x: float
+    y: float
+    z: float
+    L: float
+    M: float
+    N: float
+    carried: float
+
+
+class Outcome(NamedTuple):
+    """Columns of the result; see `clacad.optics.rays.TraceResult`.
+
+    Attributes
+    ----------
+    position, direction : (n, 3); fate : (n,) bytes; path : (n,) lengths
+    cell, order : (n, 2) ints; surface : (n,) ints
+    hits, turns : (faces, n, 3) or (0, n, 3)
+        Where each face was met and the direction behind it.
+    """
+
+    position: Floats
+    direction: Floats
+    fate: Bytes
+    path: Floats
+    cell: Cells
+    order: Cells
+    surface: Cells
+    hits: Floats
+    turns: Floats
+
+
+class Scratch(NamedTuple):
+    """Room for one ray's walk.
+
+    Attributes
+    ----------
+    walker, left : (WALKER_NUMBERS,)
+        The ray, and as it left the last body.
+    event : (EVENT_NUMBERS,)
+        What it meets next.
+    work : (WORK_NUMBERS,), causes : (DIVISIONS,) ints
+        The search for that.
+    """
+
+    walker: Floats
+    left: Floats
+    event: Floats
+    work: Floats
+    causes: Ints
+
+
+@owning
+def new_scratch() -> Scratch:
+    """Room for the walks of one thread."""
+    return Scratch(
+        np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS), np.empty(EVENT_NUMBERS), np.empty(WORK_NUMBERS),
+        np.empty(DIVISIONS, dtype=np.int64),
+    )  # fmt: skip
