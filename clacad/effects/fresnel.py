@@ -55,15 +55,21 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 
 def _compiled(block: RayBlock) -> None:
-    from clacad.effects.engine.compiled_passes import fresnel_pass
+    from clacad.effects.engine.compiled_passes import Traced, fresnel_pass
 
     rays, result = block.rays, block.result
     assert result.hits is not None
     assert result.directions is not None
-    fresnel_pass(
-        rays.position, rays.direction, result.hits, result.directions, result.fate, result.surface,
-        block.indices, result.flux,
-    )  # fmt: skip
+    traced = Traced(
+        rays.position,
+        rays.direction,
+        result.hits,
+        result.directions,
+        result.fate,
+        result.surface,
+        block.indices,
+    )
+    fresnel_pass(traced, result.flux)
 
 
 def losses(situation: Situation) -> Floats:

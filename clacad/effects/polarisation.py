@@ -56,15 +56,15 @@ def effect(window: Window, setting: Setting) -> Effect:
         block.result.flux[:] *= passed(setting, block.state.pop(NAME), block.result.direction)
 
     def compiled(block: RayBlock) -> None:
-        from clacad.effects.engine.compiled_passes import polarisation_pass
+        from clacad.effects.engine.compiled_passes import Traced, polarisation_pass
 
         rays, result = block.rays, block.result
         assert result.hits is not None
         assert result.directions is not None
-        polarisation_pass(
-            rays.position, rays.direction, result.hits, result.directions, result.fate, result.surface,
-            block.indices, _pointing(setting.analyser), _pointing(setting.polariser), result.flux,
+        traced = Traced(
+            rays.position, rays.direction, result.hits, result.directions, result.fate, result.surface, block.indices
         )  # fmt: skip
+        polarisation_pass(traced, _pointing(setting.analyser), _pointing(setting.polariser), result.flux)
 
     bare = setting.coating == "none"
     return Effect(

@@ -55,7 +55,7 @@ class OrderedResult:
         self, rows: slice, rays: Rays, wavelength: float | None, lossy: Sequence[Effect]
     ) -> TraceResult:
         """Trace a block and count the light lost on the way; rays that had to be walked have it counted afterwards."""
-        from clacad.effects.engine.compiled_passes import losses_pass
+        from clacad.effects.engine.compiled_passes import Traced, losses_pass
 
         bodies = self.window.bodies
         indices = tuple(body.index_at(wavelength) for body in bodies)
@@ -70,10 +70,10 @@ class OrderedResult:
         assert turns is not None
         flux = result.flux
         flux[:] = turns[-1].reshape(-1)[: len(rays)]
-        losses_pass(
-            rays.position, rays.direction, hits, turns, result.fate, result.surface, np.array(around(indices)),
-            rates, reflects, flux,
-        )  # fmt: skip
+        traced = Traced(
+            rays.position, rays.direction, hits, turns, result.fate, result.surface, np.array(around(indices))
+        )
+        losses_pass(traced, rates, reflects, flux)
         return replace(result, hits=None, directions=None)
 
     def traced(

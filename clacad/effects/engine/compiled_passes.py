@@ -7,80 +7,99 @@ D·D' and nothing else. Loaded only where the tracer's compiled kernels are.
 from __future__ import annotations
 
 from math import exp, sqrt
+from typing import NamedTuple
 
 from clacad.base.compiled import exact
 from clacad.base.types import Bytes, Cells, Floats
+from clacad.optics.rays import Fate
+from clacad.tracing.compiled.records import Vector
 
-GHOST, TIR, MISSED = 1, 4, 7  # of clacad.optics.rays.Fate: compiled code reads plain numbers
+GHOST, TIR, MISSED = int(Fate.GHOST), int(Fate.TIR), int(Fate.MISSED)
+
+
+class Traced(NamedTuple):
+    """What a trace recorded, and the refractive indices on the way.
+
+    Attributes
+    ----------
+    start, ray : (n, 3)
+        As launched, directions of any length.
+    hits, turns : (f, n, 3)
+        Where each face was met and the direction behind it.
+    fate : (n,) bytes, last : (n,) ints
+        What became of the ray, and the last face it met.
+    indices : (f + 1,)
+        Refractive index before the first face and behind each.
+    """
+
+    start: Floats
+    ray: Floats
+    hits: Floats
+    turns: Floats
+    fate: Bytes
+    last: Cells
+    indices: Floats
 
 
 @exact
-def crosses(fate: int, last: int, k: int, hits: Floats, start: Floats, row: int) -> bool:
+def crosses(traced: Traced, k: int, row: int) -> bool:
     """Whether a ray went through face k: it met it at another place than the one before, and did not end there."""
+    fate, last = traced.fate[row], traced.last[row]
     if fate <= GHOST:
         return True
     if last < k or fate >= MISSED or (fate >= TIR and last == k):
         return False
     for c in range(3):
-        before = start[row, c] if k == 0 else hits[k - 1, row, c]
-        if hits[k, row, c] != before:
+        before = traced.start[row, c] if k == 0 else traced.hits[k - 1, row, c]
+        if traced.hits[k, row, c] != before:
             return True
     return False
 
 
 @exact
-def let_through(x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float) -> float:
-    """Share of unpolarised light that passes a bare face which turns (x, y, z) into (u, v, w)."""
-    step = (n2 - n1) * (n2 + n1)
-    if step == 0.0:
-        return 1.0
-    square = (n2 - n1) * (n2 - n1)
-    turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
-    cos, s = 1.0 - turn, square + 2.0 * n1 * n2 * turn
-    p = (square - (n1 * n1 + n2 * n2) * turn) / cos
-    return 1.0 - 0.5 * (s * s + p * p) / (step * step)
+def deviation(before: Vector, after: Vector) -> float:
+    """1 − D·D' of unit directions, without its cancellation."""
+    x, y, z = before
+    u, v, w = after
+    return 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
 
 
 @exact
-def fresnel_share(
-    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Bytes, last: Cells, index: Floats, row: int
-) -> float:
+def reflected(turn: float, n1: float, n2: float) -> float:
+    """Share of unpolarised light that a bare face reflects where the passage turns the ray by 1 − D·D' = turn.
+
+    The one compiled twin of `clacad.optics.surface.fresnel_coefficients.amplitudes`.
+    """
+    step = (n2 - n1) * (n2 + n1)
+    if step == 0.0:
+        return 0.0
+    square = (n2 - n1) * (n2 - n1)
+    cos, s = 1.0 - turn, square + 2.0 * n1 * n2 * turn
+    p = (square - (n1 * n1 + n2 * n2) * turn) / cos
+    return 0.5 * (s * s + p * p) / (step * step)
+
+
+@exact
+def fresnel_share(traced: Traced, row: int) -> float:
     """Share of unpolarised light that the bare faces which one ray crossed let through; see `fresnel_pass`."""
+    ray, turns, index = traced.ray, traced.turns, traced.indices
     x, y, z = ray[row, 0], ray[row, 1], ray[row, 2]
     length = 1.0 / sqrt(x * x + y * y + z * z)
     x, y, z = x * length, y * length, z * length
     share = 1.0
     for k in range(len(index) - 1):
         u, v, w = turns[k, row, 0], turns[k, row, 1], turns[k, row, 2]
-        if fate[row] <= GHOST or crosses(fate[row], last[row], k, hits, start, row):
-            share *= let_through(x, y, z, u, v, w, index[k], index[k + 1])
+        if traced.fate[row] <= GHOST or crosses(traced, k, row):
+            share *= 1.0 - reflected(deviation((x, y, z), (u, v, w)), index[k], index[k + 1])
         x, y, z = u, v, w
     return share
 
 
 @exact
-def fresnel_pass(
-    start: Floats,
-    ray: Floats,
-    hits: Floats,
-    turns: Floats,
-    fate: Bytes,
-    last: Cells,
-    index: Floats,
-    flux: Floats,
-) -> None:
-    """Multiply each ray's flux by what bare faces let through of unpolarised light.
-
-    Parameters
-    ----------
-    start, ray : (n, 3)
-        As launched, any length.
-    hits, turns : (f, n, 3)
-    index : (f + 1,)
-        Refractive index before the first face and behind each.
-    """
+def fresnel_pass(traced: Traced, flux: Floats) -> None:
+    """Multiply each ray's flux (n,) by what bare faces let through of unpolarised light."""
     for row in range(len(flux)):
-        flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
+        flux[row] *= fresnel_share(traced, row)
 
 
 @exact
@@ -104,20 +123,14 @@ def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
 
 
 @exact
-def losses_pass(
-    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Bytes, last: Cells, index: Floats, rates: Floats,
-    reflects: bool, flux: Floats,
-) -> None:  # fmt: skip
+def losses_pass(traced: Traced, rates: Floats, reflects: bool, flux: Floats) -> None:
     """Give a flux to the rays that have none (NaN), from their hits: those that the straight trace did not hold for."""
     for row in range(len(flux)):
         if flux[row] == flux[row]:
             continue
-        flux[row] = absorbed(hits, rates, row)
+        flux[row] = absorbed(traced.hits, rates, row)
         if reflects:
-            flux[row] *= fresnel_share(start, ray, hits, turns, fate, last, index, row)
-
-
-Vector = tuple[float, float, float]
+            flux[row] *= fresnel_share(traced, row)
 
 
 @exact
@@ -130,15 +143,14 @@ def across(wx: float, wy: float, x: float, y: float, z: float) -> Vector:
 
 
 @exact
-def carried(
-    a: float, b: float, c: float, x: float, y: float, z: float, u: float, v: float, w: float, n1: float, n2: float
-) -> Vector:  # fmt: skip
-    """Carry the field (a, b, c) over a face that turns the ray D = (x, y, z) into D' = (u, v, w).
+def carried(field: Vector, before: Vector, after: Vector, n1: float, n2: float) -> Vector:
+    """Carry the field E over a face that turns the ray D into D'.
 
     Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part across
     the plane of incidence times τ_s, the rest turned and times τ_p. τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
     """
-    turn = 0.5 * ((u - x) * (u - x) + (v - y) * (v - y) + (w - z) * (w - z))
+    (a, b, c), (x, y, z), (u, v, w) = field, before, after
+    turn = deviation(before, after)
     cos, less, step = 1.0 - turn, n2 - n1, (n2 - n1) * (n2 + n1)
     tau = 1.0
     if step != 0.0:
@@ -148,10 +160,7 @@ def carried(
 
 
 @exact
-def polarisation_pass(
-    start: Floats, ray: Floats, hits: Floats, turns: Floats, fate: Bytes, last: Cells, index: Floats,
-    analyser: Floats, polariser: Floats, flux: Floats,
-) -> None:  # fmt: skip
+def polarisation_pass(traced: Traced, analyser: Floats, polariser: Floats, flux: Floats) -> None:
     """Multiply each ray's flux by what polariser, faces and analyser pass; see `clacad.effects.polarisation`.
 
     Parameters
@@ -159,6 +168,7 @@ def polarisation_pass(
     analyser, polariser : (2,)
         Directions (cos, sin) of the sheet's x and y; NaN where there is none.
     """
+    ray, turns, index = traced.ray, traced.turns, traced.indices
     single = analyser[0] == analyser[0]
     filtered = polariser[0] == polariser[0]
     for row in range(len(flux)):
@@ -173,8 +183,8 @@ def polarisation_pass(
                 a, b, c = y * c - z * b, z * a - x * c, x * b - y * a
             for k in range(len(turns)):
                 u, v, w = turns[k, row, 0], turns[k, row, 1], turns[k, row, 2]
-                if fate[row] <= GHOST or crosses(fate[row], last[row], k, hits, start, row):
-                    a, b, c = carried(a, b, c, x, y, z, u, v, w, index[k], index[k + 1])
+                if traced.fate[row] <= GHOST or crosses(traced, k, row):
+                    a, b, c = carried((a, b, c), (x, y, z), (u, v, w), index[k], index[k + 1])
                 x, y, z = u, v, w
             if filtered:
                 p, q, r = across(polariser[0], polariser[1], x, y, z)
