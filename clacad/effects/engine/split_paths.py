@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from clacad.base.types import Bools, Floats
+from clacad.base.types import Bools
 from clacad.effects.engine.block import unit_rows
 from clacad.effects.engine.block_order import around
 from clacad.effects.engine.light_rays import LightRays, join_light
@@ -17,7 +15,7 @@ from clacad.effects.engine.passes import blocks, take_rays
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
+from clacad.tracing.layout import lay_out
 
 
 def reflected_paths(
@@ -65,13 +63,18 @@ def known_to_compiled(window: Window, setting: Setting) -> bool:
 
 
 def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[LightRays, Bools]:
-    """Split paths of the rays that went through lenses only, and which rays (n,) those are."""
-    from clacad.effects.engine.compiled_split_paths import bounce_pass
+    """Split paths of the rays that went through lenses only, and which rays (n,) those are.
+
+    Parameters
+    ----------
+    setting : Setting
+        With the effects that are on.
+    """
+    from clacad.effects.engine.compiled_split_paths import Passing, SplitPaths, bounce_pass
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.trace import trace
 
-    layout = lay_out(window)
-    faces, lattice, runs = packed_faces(layout), packed_lattice(layout), pack(layout).rows
+    sheet = pack(lay_out(window))
     done = np.zeros(len(rays), dtype=bool)
     parts = []
     every = np.arange(len(rays))
@@ -85,55 +88,20 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
         rules = rules_for(window, setting, wavelength, setting.order)
         index = np.array(around(rules.indices))
         rates = np.array(rules.attenuation or (0.0,) * len(window.bodies))
-        paths = len(faces) * (len(faces) + 1) // 2
-        position, direction = np.empty((len(rows), paths, 3)), np.empty((len(rows), paths, 3))
-        flux = np.zeros((len(rows), paths))
-        layer = rules.ratio if setting.coating == "quarter-wave" else 0.0
+        shape = len(rows), len(sheet.faces) * (len(sheet.faces) + 1) // 2
+        paths = SplitPaths(np.empty((*shape, 3)), np.empty((*shape, 3)), np.zeros(shape))
+        passing = Passing(index, rates, rules.ratio if setting.coating == "quarter-wave" else 0.0)
         bounce_pass(
-            faces, lattice, runs, index, rates, layer, setting.order, rows, unit_rows(part.direction), result.hits,
-            result.directions, position, direction, flux,
-        )  # fmt: skip
-        lit = flux > 0.0
-        parent = np.broadcast_to(every[chosen][rows][:, None], flux.shape)[lit]
-        parts.append(LightRays(parent, position[lit], direction[lit], flux[lit]))
+            sheet,
+            passing,
+            setting.order,
+            rows,
+            unit_rows(part.direction),
+            result.hits,
+            result.directions,
+            paths,
+        )
+        lit = paths.flux > 0.0
+        parent = np.broadcast_to(every[chosen][rows][:, None], lit.shape)[lit]
+        parts.append(LightRays(parent, paths.position[lit], paths.direction[lit], paths.flux[lit]))
     return join_light(*parts), done
-
-
-def packed_faces(layout: Layout) -> Floats:
-    """Faces (2 × bodies, COLUMNS) as the kernel reads them, sheet frame."""
-    from clacad.effects.engine import compiled_split_paths as slot
-
-    rows = []
-    for body in layout.bodies:
-        for face in (body.front, body.back):
-            rows.append(_face(slot, layout, face, body))
-    return np.array(rows)
-
-
-def _face(slot: Any, layout: Layout, face: FacePlan, body: BodyPlan) -> Floats:
-    """One row (COLUMNS,) of `packed_faces`."""
-    row = np.zeros(slot.COLUMNS)
-    surface = face.surface
-    assert isinstance(surface, Quadric)
-    row[slot.CX], row[slot.CY], row[slot.KAPPA] = surface.curvature_x, surface.curvature_y, surface.kappa
-    row[slot.SIDE] = surface.side
-    row[slot.VX : slot.VZ + 1] = face.vertex
-    row[slot.VZ] += body.level
-    row[slot.STRUCTURED] = float(face.array is not None)
-    if face.array is not None:
-        row[slot.SHIFT_X : slot.SHIFT_Y + 1] = layout.window.shifts[face.array]
-    row[slot.ROTATION : slot.ROTATION + 9] = (np.eye(3) if face.rotation is None else face.rotation).ravel()
-    row[slot.LAND] = face.land + body.level
-    row[slot.MID_X : slot.MID_Y + 1] = body.centre
-    row[slot.HALF_X : slot.RADIUS + 1] = body.inner
-    return row
-
-
-def packed_lattice(layout: Layout) -> Floats:
-    """The lattice (9,) as the kernel reads it: lengths, first centre, margin, cells, whether land is opaque."""
-    lattice = layout.lattice
-    pitch = lattice.pitch
-    row = lattice.a2[1] if lattice.hexagonal else pitch[1]
-    x, y = lattice.first_centre
-    opaque = float(layout.window.land.opaque)
-    return np.array([float(lattice.hexagonal), pitch[0], row, x, y, layout.margin, *lattice.count, opaque])
