@@ -246,3 +246,25 @@ def test_importing_the_package_loads_no_numpy():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "[]"
+
+
+def test_whatever_compiled_code_takes_names_from_makes_it_compile_anew():
+    """A cached kernel keeps the callees and constants it was built with; `base.compiled` drops those older than SOURCES."""
+    text = files()["base/compiled.py"].read_text(encoding="utf-8")
+    [given] = [
+        node.value
+        for node in ast.parse(text).body
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "SOURCES"
+    ]
+    patterns = ast.literal_eval(given)
+    covered = set()
+    for pattern in patterns:
+        found = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.glob(pattern)}
+        assert found, f"nothing is called {pattern}"
+        covered |= found
+    kernels = {
+        name for name, path in files().items() if "base.compiled import" in path.read_text(encoding="utf-8")
+    }
+    for name in sorted(kernels):
+        missing = {target for target in imports(name) if not target.endswith("__init__.py")} - covered
+        assert not missing - {"base/types.py"}, f"{name} reads {sorted(missing)}"

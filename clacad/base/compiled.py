@@ -15,16 +15,17 @@ from typing import Any, TypeVar, cast
 from numba import njit, types
 from numba.extending import intrinsic
 
+SOURCES = (
+    "tracing/**/*.py", "**/*compiled*.py", "**/compiled/*.py",
+    "optics/*.py", "optics/surface/*.py", "rendering/scene_arrays.py",
+)  # fmt: skip
+"""Files that kernels are made of: their own, and those whose constants are compiled in."""
+
 
 def _forget_stale() -> None:
     """Drop cached kernels older than any kernel source: a cached caller keeps the callees it was built with."""
     package = Path(__file__).parent.parent
-    sources = [
-        p
-        for pattern in ("tracing/**/*.py", "**/*compiled*.py", "**/compiled/*.py")
-        for p in package.glob(pattern)
-    ]
-    newest = max(path.stat().st_mtime for path in sources)
+    newest = max(path.stat().st_mtime for pattern in SOURCES for path in package.glob(pattern))
     for cached in package.glob("**/__pycache__/*.nbi"):
         with suppress(OSError):  # read-only, or another process was first
             if cached.stat().st_mtime < newest:
