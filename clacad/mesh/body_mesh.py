@@ -246,20 +246,21 @@ class Mesh:
 
     @cached_property
     def _expanded(self) -> tuple[Floats, Ints]:
+        """Vertices and triangles of all bodies."""
         vertices = [body.vertices for body in self.bodies]
         starts = np.cumsum([0, *(len(v) for v in vertices)])[:-1]
         triangles = [body.triangles + start for body, start in zip(self.bodies, starts)]
         return np.concatenate(vertices), np.concatenate(triangles)
 
     @property
-    def vertices(self) -> Floats:
-        """Vertices (n, 3) of all bodies, sheet frame (lengths). Expands everything."""
-        return self._expanded[0]
-
-    @property
     def triangles(self) -> Ints:
         """Vertex numbers (m, 3) of all bodies, outward. Expands everything."""
         return self._expanded[1]
+
+    @property
+    def vertices(self) -> Floats:
+        """Vertices (n, 3) of all bodies, sheet frame (lengths). Expands everything."""
+        return self._expanded[0]
 
 
 def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:

@@ -24,11 +24,8 @@ class Columns:
 
     Parameters
     ----------
-    shells : Shells
-    layer : Layer
-    lattice : Lattice
-        In design units; `scale` mm per unit.
-    around : Surround
+    shells, layer, lattice, scale, around
+        As for its `Borders`.
     """
 
     def __init__(
