@@ -155,7 +155,7 @@ class Content:
     @property
     def asked(self) -> list[tuple[str, str, str]]:
         """What was asked, and what was built or measured."""
-        from clacad.verification.asked_and_built import asked_and_built
+        from clacad.verification.verification_report import asked_and_built
 
         return asked_and_built(self.report)
 

@@ -14,7 +14,7 @@ from clacad.cli import main
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance import Farm, bench, parse_vary, sweep, tolerance, write_sweep
-from clacad.verification.tolerance.no_tolerances import CannotVary
+from clacad.verification.tolerance.parameter_sweep import CannotVary
 from clacad.verification.tolerance.study_files import study_table, sweep_parquet, sweep_table
 
 SHEET = {

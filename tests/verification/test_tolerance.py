@@ -32,7 +32,7 @@ from clacad.verification.tolerance import (
     tolerance,
     write_study,
 )
-from clacad.verification.tolerance.no_tolerances import NoCluster
+from clacad.verification.tolerance.farm import NoCluster
 
 SLAB = {
     "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-1.0, -1.0]},

@@ -82,6 +82,21 @@ def _measured(
     return AccuracyTable(name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
+TASK = "accuracy"
+"""Name under which the time it takes is noted."""
+
+
+def accuracy_seconds(rays: int, bodies: int, quads: Sequence[int] | None = None) -> float:
+    """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`): the 50-digit
+    trace, the STEP spot and the floors; rays through every row; facets laid out.
+    """
+    from clacad.verification.accuracy.measure_rungs import QUADS
+
+    grids = tuple(quads or QUADS)
+    each = 1.55 + 8.4e-6 * rays * len(grids) + 1.35e-4 * sum(q * q for q in grids)
+    return 0.4 + bodies * each
+
+
 def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:
     surfaces = next(row for row in rows if row.rung == "surfaces")
     notes = [

@@ -16,15 +16,14 @@ if TYPE_CHECKING:
     from clacad.verification.tolerance.farm import Farm
     from clacad.verification.tolerance.light_measures import MEASURES, Bench, bench
     from clacad.verification.tolerance.misaligned import as_made, telescopelet
-    from clacad.verification.tolerance.no_tolerances import NoTolerances
     from clacad.verification.tolerance.parameter_sweep import Sweep, parse_vary, sweep
     from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
-    from clacad.verification.tolerance.study import Study, tolerance
+    from clacad.verification.tolerance.study import NoTolerances, Study, tolerance
     from clacad.verification.tolerance.study_files import read_study, write_study, write_sweep
     from clacad.verification.tolerance.study_plots import plot_sweep, plot_tolerances
 
 _HOME = {
-    "Checkpoint": "checkpoint", "OtherStudy": "checkpoint", "NoTolerances": "no_tolerances", "Farm": "farm",
+    "Checkpoint": "checkpoint", "OtherStudy": "checkpoint", "NoTolerances": "study", "Farm": "farm",
     "MEASURES": "light_measures", "Bench": "light_measures", "bench": "light_measures", "Parameter": "perturbations", "draw": "perturbations",
     "parameters": "perturbations", "plot_sweep": "study_plots", "plot_tolerances": "study_plots", "Study": "study",
     "tolerance": "study", "Sweep": "parameter_sweep", "parse_vary": "parameter_sweep", "sweep": "parameter_sweep", "as_made": "misaligned",

@@ -18,13 +18,18 @@ from multiprocessing import active_children, get_context, parent_process
 from typing import Any, Protocol
 
 from clacad import __version__
-from clacad.verification.tolerance.no_tolerances import NoCluster
 
 Work = Callable[[str, Any], list[Any]]
 """Takes a study as text and a piece of it; a function of a module, so that other processes find it."""
 
 PER_WORKER = 3
 """Pieces handed out ahead to each worker."""
+
+
+class NoCluster(RuntimeError):
+    """The scheduler, or the package that talks to it, is not there."""
+
+    exit_status = 2
 
 
 class Broken(RuntimeError):

@@ -20,7 +20,6 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
-from clacad.verification.tolerance.no_tolerances import CannotVary
 from clacad.verification.tolerance.study import FORMAT, worked
 
 if TYPE_CHECKING:
@@ -49,6 +48,12 @@ _NUMBER = re.compile(
 
 Axis = tuple[str, tuple[Any, ...]]
 """A dotted key and its values."""
+
+
+class CannotVary(ValueError):
+    """A --vary that names no values, or no key."""
+
+    exit_status = 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ import numpy as np
 from clacad import __version__
 from clacad.storage.atomic import Stage, canonical_json
 from clacad.verification.tolerance.light_measures import MEASURES
-from clacad.verification.tolerance.no_tolerances import CannotVary
-from clacad.verification.tolerance.parameter_sweep import Sweep, shown
+from clacad.verification.tolerance.parameter_sweep import CannotVary, Sweep, shown
 from clacad.verification.tolerance.study import FORMAT, RANKED, Study, finite
 
 TOLERANCES, SWEEP = "tolerances", "sweep"
