@@ -13,16 +13,17 @@ RUN = 6
 
 
 def code_lines(path: Path) -> list[tuple[int, str]]:
-    """Number and stripped text of each line that says something: no blank, comment, import or lone bracket."""
+    """Number and stripped text of each line that does something: no blank, comment, import, lone bracket or field's type."""
     text = path.read_text(encoding="utf-8")
-    imports = {
+    said = {
         number
         for node in ast.walk(ast.parse(text))
         if isinstance(node, (ast.Import, ast.ImportFrom))
+        or (isinstance(node, ast.AnnAssign) and node.value is None)
         for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)
     }
     lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
-    return [(n, line) for n, line in lines if n not in imports and re.match(r"[^#]*\w", line)]
+    return [(n, line) for n, line in lines if n not in said and re.match(r"[^#]*\w", line)]
 
 
 def doubles(sources: dict[str, list[tuple[int, str]]]) -> dict[tuple[str, str], list[str]]:
