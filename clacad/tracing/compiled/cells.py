@@ -1,6 +1,6 @@
 """The cell a point belongs to, compiled: the scalar twins of `clacad.sheet.lattice` and `clacad.tracing.layout`.
 
-Held to them bit for bit by tests/test_hard_kernels.py and by every trace that is compared with the numpy path. Blocks
+Held to them by every trace that is compared with the numpy path: same cells, on the hard list too. Blocks
 of rays have loops of their own in `launch` and `straight_path`, which share `hexagon_steps`.
 """
 
