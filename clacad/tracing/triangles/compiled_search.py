@@ -17,6 +17,9 @@ from clacad.tracing.triangles.tiles import LEAF, Tiles
 INWARDS, OUTWARDS, BOTH = 1, 2, 3
 """What `ways_through` gives: how triangles are passed."""
 
+DEPTH = 64
+"""Boxes that wait at most."""
+
 BEFORE = -1e-300
 """A facet at the very start of a ray counts."""
 
@@ -71,17 +74,18 @@ def _tree(tiles: Tiles, b: int) -> tuple[int, int, int, int]:
     return root, tiles.tree[b, 1], tiles.tree[b, 2], (nodes - 1) // 2
 
 
-@owning
-def nearest(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> tuple[float, int]:
+@exact
+def search(
+    tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
+) -> tuple[float, int]:
     """Nearest triangle of body b at a distance between `least` and `most`: distance and number, inf and −1.
 
-    The ray is relative to `origin`, the centre of its cell.
+    The ray is relative to `origin`, the centre of its cell; `stack` (DEPTH,) is scratch.
     """
     root, first, count, inner = _tree(tiles, b)
     inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
     gx, gy, gz = origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z
     best, which = most, -1
-    stack = np.empty(64, dtype=np.int64)
     stack[0], height_of_stack = 0, 1
     while height_of_stack > 0:
         height_of_stack -= 1
@@ -101,13 +105,19 @@ def nearest(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: 
 
 
 @owning
+def nearest(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> tuple[float, int]:
+    """As `search`, with scratch of its own."""
+    return search(tiles, b, origin, ray, least, most, np.empty(DEPTH, dtype=np.int64))
+
+
+@owning
 def ways_through(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> int:
     """Which way the ray goes through the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0 for none."""
     root, first, count, inner = _tree(tiles, b)
     inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
     gx, gy, gz = origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z
     found = 0
-    stack = np.empty(64, dtype=np.int64)
+    stack = np.empty(DEPTH, dtype=np.int64)
     stack[0], height_of_stack = 0, 1
     while height_of_stack > 0:
         height_of_stack -= 1
@@ -136,7 +146,7 @@ def normal_of(tiles: Tiles, k: int) -> tuple[float, float, float]:
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@exact
+@owning
 def first_facet(
     tiles: Tiles, normals: Floats, position: Floats, direction: Floats, facing: float, distance: Floats,
     facet: Ints,
@@ -145,15 +155,15 @@ def first_facet(
 
     Of the facets of body 0 of `tiles` with facing × normal · direction > 0 the nearest ahead.
     """
+    origin, stack = (0.0, 0.0, 0.0), np.empty(DEPTH, dtype=np.int64)
     for r in range(len(position)):
-        x, y, z = position[r, 0], position[r, 1], position[r, 2]
         u, v, w = direction[r, 0], direction[r, 1], direction[r, 2]
         u, v = u if u != 0.0 else UPRIGHT, v if v != 0.0 else UPRIGHT
-        ray = Ray(x, y, z, u, v, w)
-        t, which = nearest(tiles, 0, (0.0, 0.0, 0.0), ray, BEFORE, inf)
+        ray = Ray(position[r, 0], position[r, 1], position[r, 2], u, v, w)
+        t, which = search(tiles, 0, origin, ray, BEFORE, inf, stack)
         while which >= 0:
             n = normals[which]
             if facing * (n[0] * u + n[1] * v + n[2] * w) > 0.0:
                 break
-            t, which = nearest(tiles, 0, (0.0, 0.0, 0.0), ray, t, inf)
+            t, which = search(tiles, 0, origin, ray, t, inf, stack)
         distance[r], facet[r] = t if which >= 0 else nan, which
