@@ -29,7 +29,7 @@ LIT, CHECKER, COORDINATES, STRIPES, IMAGE = range(5)
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """One primitive before it is put into the arrays; fields as in `Stage`."""
+    """One primitive before it is put into the arrays; fields as in `SceneArrays`."""
 
     kind: int
     rotation: Floats
@@ -70,7 +70,7 @@ class Primitive:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class SceneArrays:
     """All objects of a scene.
 
     Attributes
@@ -125,7 +125,7 @@ class Stage:
     ground: Floats
 
 
-def set_stage(scene: Scene) -> Stage:
+def set_stage(scene: Scene) -> SceneArrays:
     """Lay out the objects of a scene.
 
     Raises
@@ -140,7 +140,7 @@ def set_stage(scene: Scene) -> Stage:
     )
 
 
-def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> Stage:
+def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> SceneArrays:
     """Lay out primitives, those of one object together."""
     clusters = [cluster for cluster in clusters if cluster]
     flat = [one for cluster in clusters for one in cluster]
@@ -153,7 +153,7 @@ def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> 
     forest, roots, facets = behind_one_another(trees)
     which = np.cumsum([one.tree is not None for one in flat]) - 1
     bounds = np.array([one.bound for one in flat]).reshape(-1, 4)
-    return Stage(
+    return SceneArrays(
         kind=np.array([one.kind for one in flat], dtype=np.int64),
         rotation=np.array([one.rotation for one in flat]).reshape(-1, 3, 3),
         origin=np.array([one.origin for one in flat], dtype=np.float64).reshape(-1, 3),

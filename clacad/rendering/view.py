@@ -15,7 +15,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats
 from clacad.optics.rays import Fate, Rays
 from clacad.rendering.reference.scene_hits import background, look
-from clacad.rendering.scene_arrays import FLOOR, Stage, set_stage
+from clacad.rendering.scene_arrays import FLOOR, SceneArrays, set_stage
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
 from clacad.rendering.spectrum import SpectralLine, lines
 from clacad.scene import Camera, Scene
@@ -28,7 +28,7 @@ class Viewing:
 
     Attributes
     ----------
-    stage : Stage
+    stage : SceneArrays
     window : Window
     passage : Passage
         How rays pass the sheet: rung, effects, which fates shine.
@@ -54,7 +54,7 @@ class Viewing:
         The sheet for the kernel that does everything, where that can be.
     """
 
-    stage: Stage
+    stage: SceneArrays
     window: Window
     passage: Passage
     lines: tuple[SpectralLine, ...]
@@ -190,7 +190,7 @@ def _before(viewing: Viewing, position: Floats, direction: Floats) -> tuple[Floa
     return np.where(hidden[:, None], light, 0.0), hidden
 
 
-def may_stand_before(stage: Stage, front: float, camera: Camera, box: Floats) -> bool:
+def may_stand_before(stage: SceneArrays, front: float, camera: Camera, box: Floats) -> bool:
     """Whether any object may be met between the camera and the sheet (box, scene lengths).
 
     A floor below both, or above both, is not: rays are straight.

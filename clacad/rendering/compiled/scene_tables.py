@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.rendering.scene_arrays import CONE, FLOOR, MESH, PRISM, SCREEN, SPHERE, Stage
+from clacad.rendering.scene_arrays import CONE, FLOOR, MESH, PRISM, SCREEN, SPHERE, SceneArrays
 
 # Columns of `Tables.prim`.
 KIND, PAINT, PATTERN, PIECE, END, ROWS, COLUMNS, SIZE, BOUND, ORIGIN, TURN, COLOUR = (
@@ -28,7 +28,7 @@ BLOCK = 256
 
 
 class Tables(NamedTuple):
-    """A `Stage` in four plain arrays: compiled code passes few arrays quickly and many slowly.
+    """A `SceneArrays` in four plain arrays: compiled code passes few arrays quickly and many slowly.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Tables(NamedTuple):
     store: Floats
 
 
-def tables(stage: Stage) -> Tables:
+def tables(stage: SceneArrays) -> Tables:
     """Lay a stage out for compiled code."""
     forest, n = stage.forest, len(stage.kind)
     sizes = [stage.outline.size, stage.pixels.size, NODE * len(forest.first), forest.corners.size]
@@ -73,7 +73,7 @@ def tables(stage: Stage) -> Tables:
     return Tables(world, np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH), store)
 
 
-def _round(stage: Stage, boxes: Floats) -> Floats:
+def _round(stage: SceneArrays, boxes: Floats) -> Floats:
     """Centre and half extents (m, 6) of a box along the scene's axes round each object."""
     found = np.empty((len(stage.cluster), 6))
     for row, (first, end) in enumerate(stage.cluster):
@@ -89,7 +89,7 @@ def _round(stage: Stage, boxes: Floats) -> Floats:
     return found
 
 
-def _box(stage: Stage, k: int) -> Floats:
+def _box(stage: SceneArrays, k: int) -> Floats:
     """Low and high corner (2, 3), scene frame, of a box round primitive k."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
     half, middle = np.array([a, b, c]), np.zeros(3)

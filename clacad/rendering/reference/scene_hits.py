@@ -20,7 +20,7 @@ from clacad.rendering.scene_arrays import (
     PRISM,
     SPHERE,
     STRIPES,
-    Stage,
+    SceneArrays,
 )
 from clacad.tracing.triangles.embree import first_triangle
 
@@ -28,7 +28,7 @@ UNTURNED = np.eye(3)
 
 
 def look(
-    stage: Stage, origin: Floats, direction: Floats, limit: Floats | float = np.inf
+    stage: SceneArrays, origin: Floats, direction: Floats, limit: Floats | float = np.inf
 ) -> tuple[Floats, Bools]:
     """Light that rays find, looking from `origin` along `direction`.
 
@@ -57,7 +57,7 @@ def look(
 
 
 def nearest(
-    stage: Stage, origin: Floats, direction: Floats, limit: Floats | float
+    stage: SceneArrays, origin: Floats, direction: Floats, limit: Floats | float
 ) -> tuple[Floats, Ints, Ints]:
     """Distance (n,), primitive (n,) and triangle (n,) of the first hit; −1 where there is none."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -65,7 +65,7 @@ def nearest(
 
 
 def _nearest(
-    stage: Stage, origin: Floats, direction: Floats, limit: Floats | float
+    stage: SceneArrays, origin: Floats, direction: Floats, limit: Floats | float
 ) -> tuple[Floats, Ints, Ints]:
     """As `nearest`, with the warnings of divisions."""
     distance = np.full(len(origin), limit) if np.isscalar(limit) else np.array(limit, dtype=np.float64)
@@ -105,7 +105,7 @@ def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Bools:
                       & (along >= -bound[3] * np.sqrt(length2)))  # fmt: skip
 
 
-def _distance(stage: Stage, k: int, local: Floats, ray: Floats) -> Floats:
+def _distance(stage: SceneArrays, k: int, local: Floats, ray: Floats) -> Floats:
     """Distance (n,) to a primitive in its own frame; NaN or ∞ where it is missed."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
     if kind == FLOOR:
@@ -199,7 +199,7 @@ def _inside(outline: Floats, x: Floats, y: Floats) -> Bools:
 # -- light -------------------------------------------------------------------------------------
 
 
-def background(stage: Stage, direction: Floats) -> Floats:
+def background(stage: SceneArrays, direction: Floats) -> Floats:
     """Light (n, 3) of the sky, linear in elevation, or of the ground below the horizon."""
     down = (direction[:, 1] < 0.0)[:, None]
     if (stage.sky[0] == stage.sky[1]).all():
@@ -211,7 +211,7 @@ def background(stage: Stage, direction: Floats) -> Floats:
 
 
 def _painted(
-    stage: Stage, k: int, origin: Floats, direction: Floats, distance: Floats, triangle: Ints
+    stage: SceneArrays, k: int, origin: Floats, direction: Floats, distance: Floats, triangle: Ints
 ) -> Floats:
     """Light (n, 3) of primitive k where rays meet it."""
     turn = stage.rotation[k]
@@ -239,7 +239,7 @@ def _painted(
     return np.asarray(colour * shade[:, None])
 
 
-def _normal(stage: Stage, k: int, local: Floats, triangle: Ints) -> Floats:
+def _normal(stage: SceneArrays, k: int, local: Floats, triangle: Ints) -> Floats:
     """Unit normals (n, 3) in the primitive's frame, of either sign."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
     normal = np.zeros_like(local)
@@ -283,7 +283,7 @@ def _prism_normal(local: Floats, half: float, outline: Floats) -> Floats:
     return normal
 
 
-def _sampled(stage: Stage, k: int, local: Floats) -> Floats:
+def _sampled(stage: SceneArrays, k: int, local: Floats) -> Floats:
     """Bilinear light of a picture; its right edge is at −x, where a viewer before the screen sees it right."""
     height, width = stage.picture[k]
     x = np.clip((0.5 - local[:, 0] / (2.0 * stage.size[k, 0])) * width - 0.5, 0.0, width - 1.0)
