@@ -91,16 +91,8 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
         shape = len(rows), len(sheet.faces) * (len(sheet.faces) + 1) // 2
         paths = SplitPaths(np.empty((*shape, 3)), np.empty((*shape, 3)), np.zeros(shape))
         passing = Passing(index, rates, rules.ratio if setting.coating == "quarter-wave" else 0.0)
-        bounce_pass(
-            sheet,
-            passing,
-            setting.order,
-            rows,
-            unit_rows(part.direction),
-            result.hits,
-            result.directions,
-            paths,
-        )
+        onwards = unit_rows(part.direction)
+        bounce_pass(sheet, passing, setting.order, rows, onwards, result.hits, result.directions, paths)
         lit = paths.flux > 0.0
         parent = np.broadcast_to(every[chosen][rows][:, None], lit.shape)[lit]
         parts.append(LightRays(parent, paths.position[lit], paths.direction[lit], paths.flux[lit]))

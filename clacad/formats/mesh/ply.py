@@ -33,20 +33,7 @@ def ply_bytes(vertices: int, facets: int, header: int = 0) -> int:
 def write_ply(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> None:
     """Write pieces into one binary little-endian PLY file, instances expanded.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Each with `normals`.
-    path : Path
-    scale : float
-        Millimetres per design unit.
-    name : str
-
-    Raises
-    ------
-    OSError
-    FileDisagrees
-        A value is not finite, or a piece has no normals.
+    Parameters and errors: see `clacad.formats.mesh.glb.write_glb`; `scale` is in millimetres per design unit.
     """
     vertices = sum(len(piece.vertices) * piece.count for piece in pieces)
     facets = sum(len(piece.triangles) * piece.count for piece in pieces)

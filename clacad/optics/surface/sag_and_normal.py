@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, isfinite
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,8 +29,22 @@ from clacad.base.types import Floats
 ULP = 2.0**-52
 
 
+class _OverXY:
+    """What every surface given as a height over (x, y) has."""
+
+    __slots__ = ()
+
+    def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Height (...) above the apex plane over x, y (...), lengths; see `sag`."""
+        return sag(cast("Surface", self), x, y)
+
+    def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Unit normal (..., 3) towards +z over x, y (...), lengths; see `normal`."""
+        return normal(cast("Surface", self), x, y)
+
+
 @dataclass(frozen=True, slots=True)
-class Quadric:
+class Quadric(_OverXY):
     """Quadric cx x² + cy y² + κ z² − 2 side z = 0 with its apex at the origin.
 
     Parameters
@@ -55,17 +70,9 @@ class Quadric:
     def __post_init__(self) -> None:
         _check("Quadric", self.side, self.curvature_x, self.curvature_y, self.kappa)
 
-    def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Height (...) above the apex plane over x, y (...), lengths; see `sag`."""
-        return sag(self, x, y)
-
-    def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Unit normal (..., 3) towards +z over x, y (...), lengths; see `normal`."""
-        return normal(self, x, y)
-
 
 @dataclass(frozen=True, slots=True)
-class Biconic:
+class Biconic(_OverXY):
     """Surface with its own apex curvature and conic constant in x and in y.
 
     Parameters
@@ -95,14 +102,6 @@ class Biconic:
 
     def __post_init__(self) -> None:
         _check("Biconic", self.side, self.curvature_x, self.curvature_y, self.conic_x, self.conic_y)
-
-    def sag(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Height (...) above the apex plane over x, y (...), lengths; see `sag`."""
-        return sag(self, x, y)
-
-    def normal(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Unit normal (..., 3) towards +z over x, y (...), lengths; see `normal`."""
-        return normal(self, x, y)
 
 
 Surface = Quadric | Biconic
