@@ -93,10 +93,10 @@ MUTATIONS = [
     Mutation("launch: plane step in double", LAUNCH, "return quotient, rest[0] / scaled[:, 2]", "return quotient, 0.0 * rest[0]", f"{HARD} -k distance_of_the_source"),
     Mutation("launch: lateral step in double", LAUNCH, "return pair_sum(pair_product((high, low), pair(along)), pair(x))", "return x + high * along, 0.0 * x", SHEETS),
     # -- cells
-    Mutation("cell: rounded product", "clacad/sheet/lattice.py", "high, low = two_product(k, step)", "high, low = k * step, 0.0"),
+    Mutation("cell: rounded product", "clacad/sheet/lattice.py", "high, low = two_product(k, step)\n    a, lost_a", "high, low = k * step, 0.0\n    a, lost_a"),
     Mutation("cell: floor alone", "clacad/sheet/lattice.py", "guess = guess + (local >= half) - (local < -half)", "guess = guess + 0.0 * half"),
     Mutation("cell: hexagons by rounding alone", "clacad/sheet/lattice.py", "for _ in range(4):  # a nearest-row", "for _ in range(0):  # a nearest-row", LATTICE),
-    Mutation("cell: relative to the sheet's centre", "clacad/tracing/layout.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
+    Mutation("cell: relative to the sheet's centre", "clacad/sheet/lattice.py", "high, low = two_product(k, step)\n    return np.asarray((x - high) - low)", "return np.asarray(((x + 1024.0) - k * step) - 1024.0)", SHEETS),
     # -- law
     Mutation("law: t - δ rounded", MODEL, "m = total + (total_error - product_error)", "m = total"),
     Mutation("law: slopes without scaling", MODEL, "shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]", "shift = 0 * np.frexp(np.where(answered, largest, 1.0))[1]"),

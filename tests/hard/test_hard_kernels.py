@@ -167,7 +167,7 @@ def test_the_kernel_tells_a_nearly_tangent_ray_from_a_miss_to_the_last_bit(seed)
 @pytest.mark.parametrize("step", [1e-6, 1e-10, -1e-13])
 def test_the_kernel_tells_how_little_a_small_index_step_bends(step):
     """An axial ray on a slope of 1/2: its x component behind is the bending alone, and keeps its digits."""
-    out = kernel.snell(0.0, 0.0, 1.0, -0.5, 0.0, 1.0, 1.0, 1.0, 1 + step)
+    out = kernel.snell((0.0, 0.0, 1.0), (-0.5, 0.0, 1.0), 1.0, 1.0, 1 + step)
     with mp.workdps(60):
         length2, mu = mpf(5) / 4, 1 / mpf(1 + step)
         bend = mp.sqrt(1 - mu**2 * (1 - 1 / length2)) / mp.sqrt(length2) - mu / length2

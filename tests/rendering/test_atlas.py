@@ -18,7 +18,7 @@ from viewscenes import ROOT
 from clacad.rendering.atlas import paper_figures
 from clacad.rendering.atlas.figure1 import MeasuredLenses, quadrics, section_findings, solid_findings
 from clacad.rendering.atlas.figure1_section import section_svg
-from clacad.rendering.atlas.finding import Finding
+from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
 from clacad.rendering.atlas.make_atlas import Atlas, AtlasRequest, Movie, make_atlas, parameters, prepare
 from clacad.rendering.picture_cost import atlas_seconds
@@ -226,7 +226,7 @@ class Parsed(HTMLParser):
 
 def test_names_in_the_page_are_text_and_it_loads_nothing_but_its_pictures():
     figure = paper_figures.Figure(HOSTILE, HOSTILE, HOSTILE, ((HOSTILE, HOSTILE),), lambda load: iter(()))
-    finding = Finding(HOSTILE, 1.0, 1.0, 0.1)
+    finding = AtlasFinding(HOSTILE, 1.0, 1.0, 0.1)
     page = Parsed(
         page_of([figure], {HOSTILE: (finding,)}, [(HOSTILE, HOSTILE)], ["fig1a.svg", "fig1b.png", HOSTILE])
     )

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from clacad import Design, DesignError, Law, Rays, prescribe, trace
-from clacad.effects.engine.nonsequential import Rules, follow
+from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.optics.rays import Fate
 
 FINITE = settings(
@@ -263,7 +263,7 @@ def test_a_sheet_conserves_energy(data, seed, order, dark):
     indices = tuple(body.index for body in window.bodies)
     rules = Rules(walls=True, total=True, losses=True, order=order, indices=indices,
                   attenuation=tuple(dark / 2.0**-8 for _ in window.bodies))  # fmt: skip
-    shares = follow(window, rays, met, rules).share
+    shares = trace_nonsequential(window, rays, met, rules).share
     assert np.abs(sum(shares.values())[met] - 1.0).max() <= 1e-12
     assert all((share[met] >= -1e-15).all() for share in shares.values())
 

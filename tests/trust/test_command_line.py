@@ -315,7 +315,7 @@ def test_doctor_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.Monkey
     from clacad import doctor
 
     there = doctor._installed
-    monkeypatch.setattr(doctor, "_kernel", lambda: iter(()))
+    monkeypatch.setattr(doctor, "_occ", lambda: iter(()))
     monkeypatch.setattr(
         doctor, "_installed", lambda name: {"numba": None, "embreex": None, "numpy": "1.26.4"}.get(name, there(name))
     )  # fmt: skip
