@@ -366,7 +366,7 @@ def test_light_meets_the_lens_inside_the_solids_rim_and_none_outside():
 def test_an_export_states_the_errors_of_fitted_faces_and_rims(tmp_path):
     wanted = design(pair__thickness=0.012, pair__web=0.008, lattice__count=[1, 1])
     (step,) = export(wanted, tmp_path / "x", ("step",)).files
-    assert step["checks"] == ["closed", "shape", "volume"]
+    assert step["checks"] == ["closed", "shape", "placement", "volume"]
     assert 0.0 < step["rim_error"] <= 5e-11
     assert 0.0 < step["fit_error"] <= 5e-11
 
