@@ -20,7 +20,7 @@ from typing import Any, Literal
 State = Literal["ok", "warn", "fail", "absent"]
 
 LEAST_MEMORY = 2_000_000_000
-"""Free memory below which the CAD kernel is likely to starve, bytes."""
+"""Free memory below which OCC is likely to starve, bytes."""
 
 LEAST_SPEED = 10e6
 """Writing speed below which the disk decides how long an export takes, bytes per second."""
@@ -171,7 +171,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def probe_occ() -> dict[str, Any]:
-    """Load the CAD kernel and judge one solid; runs in a worker."""
+    """Load OCC and judge one solid; runs in a worker."""
     from OCP.BRepCheck import BRepCheck_Analyzer
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
 
@@ -180,7 +180,7 @@ def probe_occ() -> dict[str, Any]:
 
 
 def _occ() -> Iterator[Diagnosis]:
-    """Whether the CAD kernel loads in a process of its own and makes a valid box, and how long that takes."""
+    """Whether OCC loads in a process of its own and makes a valid box, and how long that takes."""
     from clacad.storage.errors import ExportError
     from clacad.storage.worker import Worker
 

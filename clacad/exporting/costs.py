@@ -36,12 +36,12 @@ def welded_seconds(name: str, held: int, places: int) -> float:
 
 
 def step_seconds(size: int, mode: str) -> float:
-    """STEP: text, and the CAD kernel reading it in a process of its own."""
+    """STEP: text, and OCC reading it in a process of its own."""
     return 0.68 + 1.12e-6 * size if mode == "fused" else 0.85 + 2.8e-6 * size
 
 
 def solid_seconds(size: int) -> float:
-    """Solids made by the CAD kernel: frame, coupon, BREP."""
+    """Solids made by OCC: frame, coupon, BREP."""
     return 1.5 + 2.0e-6 * size
 
 

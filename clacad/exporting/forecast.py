@@ -150,7 +150,7 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
 
 
 def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
-    """Price of a mesh format with letters: its own, four facets a point of their outlines, and the kernel's start."""
+    """Price of a mesh format with letters: its own, four facets a point of their outlines, and OCC's start."""
     from clacad.solid.marks import mark_text
 
     window = meshes.window

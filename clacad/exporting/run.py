@@ -44,7 +44,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     began, used = time.monotonic(), time.process_time()
     with ended_by_signals(), Worker(memory=_worker_memory(), preload=CAD_MODULES) as worker:
         if "step" in formats:
-            worker.start()  # the CAD kernel loads while the design is prescribed and forecast
+            worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
         meshes = Meshes(window, request.saddle_bevel)
@@ -131,7 +131,7 @@ def _silent(_name: str, _done: float) -> None:
 
 
 def _worker_memory() -> int:
-    """Address space of the worker: what is free, but never less than the CAD kernel itself maps."""
+    """Address space of the worker: what is free, but never less than OCC itself maps."""
     return max(4_000_000_000, int(limits.MEMORY_SHARE * limits.free_memory()))
 
 

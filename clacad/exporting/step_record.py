@@ -1,4 +1,4 @@
-"""STEP through the worker: write, read back with the kernel, hold against the design."""
+"""STEP through the worker: write, read back with OCC, hold against the design."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ SHAPE_LIMIT = 1e-7
 VOLUME_LIMIT = 1e-9
 """Largest relative difference of volumes beyond what merged steps explain."""
 FITTED = 1e-7
-"""How closely a kernel fits the parameter curves that a file leaves out: its own least tolerance (mm)."""
+"""How closely OCC fits the parameter curves that a file leaves out: its own least tolerance (mm)."""
 TOLERANCE = 3e-7
-"""Gaps that a kernel finds between exact edges and faces, by its own least tolerance of 1e-7 (mm)."""
+"""Gaps that OCC finds between exact edges and faces, by its own least tolerance of 1e-7 (mm)."""
 SECONDS = 3600.0
 
 
@@ -34,7 +34,7 @@ def step_record(job: Job) -> FileRecord:
     Raises
     ------
     WorkerDied
-        The kernel crashed, or ran out of memory or time.
+        OCC crashed, or ran out of memory or time.
     FileDisagrees
         The file holds something else than the design.
     """
@@ -80,14 +80,14 @@ def _stated(error: float) -> float | None:
 def write(
     window: Window, path: str, mode: Mode, schema: Schema = "AP242", pcurves: bool = True
 ) -> dict[str, Any]:
-    """Write in the worker; the kernel is not needed, but its memory and time are."""
+    """Write in the worker; OCC is not needed, but its memory and time are."""
     from clacad.formats.step.step_files import write_step
 
     return write_step(window, path, mode, schema, pcurves)
 
 
 def read(path: str, window: Window) -> dict[str, Any]:
-    """Read in the worker, with the kernel where the file is of a size it can take."""
+    """Read in the worker, with OCC where the file is of a size it can take."""
     from clacad.formats.step.read_back import read_brep, read_step
 
     return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window)
@@ -133,7 +133,7 @@ def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window,
 
 
 def _compare_solids(written: dict[str, Any], found: dict[str, Any], name: str) -> None:
-    """Compare what the CAD kernel finds with what was written: solids, faces, and gaps between edges and faces."""
+    """Compare what OCC finds with what was written: solids, faces, and gaps between edges and faces."""
     for key in ("solids", "faces"):
         if found[f"kernel_{key}"] != written[key]:
             raise FileDisagrees(
@@ -151,13 +151,13 @@ def _compare_solids(written: dict[str, Any], found: dict[str, Any], name: str) -
 
 def _compare_volume(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral, scale: float, name: str
                     ) -> None:  # fmt: skip
-    """Compare the volume that the CAD kernel finds with the exact integral; `scale`: millimetres per design unit."""
+    """Compare the volume that OCC finds with the exact integral; `scale`: millimetres per design unit."""
     x0, x1, y0, y1 = whole_extent(window)
     area = (x1 - x0) * (y1 - y0) * scale**2 * 2 * len(window.bodies)
     want = exact.value * scale**3
     # The heights themselves are doubles: far from the origin they are coarse.
     coarse = 2.0 * float(np.spacing(max(abs(z) for z in window.z_range) * scale)) * area
-    # A kernel that fits its own curves gains or loses so much along the borders of cells and of islands in them.
+    # OCC that fits its own curves gains or loses so much along the borders of cells and of islands in them.
     fitted = 0.0 if written["pcurves"] else 8.0 * FITTED / (min(window.lattice.pitch) * scale)
     room = (
         coarse

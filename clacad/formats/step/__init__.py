@@ -1,4 +1,4 @@
-"""STEP: written as text, read back by the CAD kernel, its own text judged.
+"""STEP: written as text, read back by OCC, its own text judged.
 
 The exact faces come from `solid`.
 """

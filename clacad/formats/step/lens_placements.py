@@ -1,6 +1,6 @@
 """How lens faces found in a file of solids lie on the design, each in all its placements. Lengths in mm.
 
-Whoever read the file, from its text or with a kernel, gives points of its lens faces in the frame of their part,
+Whoever read the file, from its text or with OCC, gives points of its lens faces in the frame of their part,
 and where the parts stand.
 """
 

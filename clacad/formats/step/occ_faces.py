@@ -1,4 +1,4 @@
-"""What the faces of the CAD kernel's shapes are: lenses and where they lie, round holes, letters in a border. mm."""
+"""What the faces of OCC's shapes are: lenses and where they lie, round holes, letters in a border. mm."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _hole(face: Any) -> dict[str, Any] | None:
 
 
 def occ_lenses(several: list[ShapePart], each: int = 3) -> LensPoints:
-    """Points of every curved face of every piece, in its piece's frame, as the CAD kernel reads them."""
+    """Points of every curved face of every piece, in its piece's frame, as OCC reads them."""
     place, outward, part = [np.empty((0, 3))], [np.empty((0, 3))], []
     counts = []
     for number, piece in enumerate(several):

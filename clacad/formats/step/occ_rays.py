@@ -1,8 +1,8 @@
-"""Rays against the faces of a file of solids as the CAD kernel reads them.
+"""Rays against the faces of a file of solids as OCC reads them.
 
-Nothing of the window's formulas is used: the kernel finds the hits on its own trimmed faces and gives the tangents
+Nothing of the window's formulas is used: OCC finds the hits on its own trimmed faces and gives the tangents
 there; only Snell's law is ours. Solids that touch are one piece to the light: what leaves one and enters the next
-in the same place is not bent. Lengths in mm. Run it in a worker: the kernel can crash.
+in the same place is not bent. Lengths in mm. Run it in a worker: OCC can crash.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def cast_rays(
     Raises
     ------
     UnreadableFile
-        The kernel finds no shape in the file.
+        OCC finds no shape in the file.
     """
     found = follow_rays(path, position, direction, indices, (-np.inf, -np.inf), (np.inf, np.inf))
     return [way if end == 0 else None for way, end in zip(found["direction"], found["end"], strict=True)]
@@ -76,7 +76,7 @@ def follow_rays(
     Raises
     ------
     UnreadableFile
-        The kernel cannot read the file.
+        OCC cannot read the file.
     """
     intersector = _column(path, tuple(low), tuple(high))
     media, many = media_of(indices), len(position)

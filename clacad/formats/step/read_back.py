@@ -1,4 +1,4 @@
-"""Read a STEP file back: what the CAD kernel finds in it, and how far its lens faces lie from the design.
+"""Read a STEP file back: what OCC finds in it, and how far its lens faces lie from the design.
 
 Nothing here knows how the file was written. Lengths in mm.
 """
@@ -18,7 +18,7 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 
 OCC_BYTES = 24_000_000
-"""Files larger than this are scanned only: a kernel would take minutes and gigabytes."""
+"""Files larger than this are scanned only: OCC would take minutes and gigabytes."""
 
 FEW_FACES = 2000
 """Faces up to which each is looked at in three places; in its middle, where there are more."""
@@ -33,15 +33,15 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     path, window
         The lens faces are measured against the closed form of this window.
     kernel : bool or None
-        Whether the CAD kernel reads the file too; None: up to 24 MB.
+        Whether OCC reads the file too; None: up to 24 MB.
     lens_faces, points : int
-        The kernel's lens faces are sampled: at most so many of them, so many points on each.
+        OCC's lens faces are sampled: at most so many of them, so many points on each.
 
     Returns
     -------
     dict
         Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges, entities.
-        With a window: patch_error, patches (every lens patch, from the text). By the kernel: kernel = True, valid,
+        With a window: patch_error, patches (every lens patch, from the text). By OCC: kernel = True, valid,
         kernel_solids, kernel_faces, volume, area, box (low, high), tolerance (largest distance at which it took a vertex or
         edge for lying on its face, mm), and with a window lens_error, lens_points, engraved (volume of letters, mm³).
 
@@ -67,7 +67,7 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
 
 
 def _occ_placement(path: str | os.PathLike[str], window: Window) -> dict[str, Any] | None:
-    """Where the lenses stand, as the kernel finds them."""
+    """Where the lenses stand, as OCC finds them."""
     several = loaded(path).pieces
     many = sum(len(piece.faces) for piece in several)
     lenses = occ_lenses(several, 3 if many < FEW_FACES else 1)
@@ -78,12 +78,12 @@ def _occ_placement(path: str | os.PathLike[str], window: Window) -> dict[str, An
 
 def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_faces: int = 200, points: int = 24
               ) -> dict[str, Any]:  # fmt: skip
-    """Read a BREP file of the CAD kernel, mm: what `read_step` says by the kernel; there is no text to scan.
+    """Read a BREP file of OCC, mm: what `read_step` says by OCC; there is no text to scan.
 
     Raises
     ------
     UnreadableFile
-        The kernel cannot read it, or finds no face in it.
+        OCC cannot read it, or finds no face in it.
     OSError
         The file cannot be read.
     """
@@ -129,13 +129,13 @@ def _held(
     return {"solids": solids, "shells": shells, "faces": faces, "prototypes": len(rows), "parts": rows[:64]}
 
 
-# -- the kernel -------------------------------------------------------------------------------------
+# -- OCC -------------------------------------------------------------------------------------
 
 
 def _occ_facts(
     path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int
 ) -> dict[str, Any]:
-    """What the CAD kernel finds in a file; with a window its sampled lens faces against that. Lengths in mm."""
+    """What OCC finds in a file; with a window its sampled lens faces against that. Lengths in mm."""
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
     from clacad.solid.occ_writer import engraved_volume, is_valid, surface_area, volume
@@ -172,7 +172,7 @@ def _occ_facts(
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """A file as the CAD kernel read it: its shape, and the pieces of that."""
+    """A file as OCC read it: its shape, and the pieces of that."""
 
     shape: Any
     pieces: list[ShapePart]
@@ -203,12 +203,12 @@ _KEPT: dict[tuple[str, int, int], Loaded] = {}
 
 
 def loaded(path: str | os.PathLike[str]) -> Loaded:
-    """What the CAD kernel reads from a file; kept for the next call in this process.
+    """What OCC reads from a file; kept for the next call in this process.
 
     Raises
     ------
     UnreadableFile
-        The kernel cannot read it.
+        OCC cannot read it.
     """
     key = _state(path)
     if key not in _KEPT:
@@ -219,12 +219,12 @@ def loaded(path: str | os.PathLike[str]) -> Loaded:
 
 
 def occ_shape(path: str | os.PathLike[str]) -> Any:
-    """The shape the CAD kernel reads from a STEP file, or from a file of its own named .brep (mm).
+    """The shape OCC reads from a STEP file, or from a file of its own named .brep (mm).
 
     Raises
     ------
     UnreadableFile
-        The kernel cannot read it.
+        OCC cannot read it.
     """
     if os.fspath(path).lower().endswith(".brep"):
         return _own_shape(os.fspath(path))

@@ -1,4 +1,4 @@
-"""What a shape of the CAD kernel is made of: each part once, and all its placements. Lengths in mm.
+"""What a shape of OCC is made of: each part once, and all its placements. Lengths in mm.
 
 An assembly of 80,000 cells is a few shapes and a tree of placements; nothing here visits a part twice.
 """
@@ -101,7 +101,7 @@ def _nowhere() -> Any:
 
 
 def placement_of(location: Any) -> Floats:
-    """A location of the kernel as (3, 4)."""
+    """A location of OCC as (3, 4)."""
     move = location.Transformation()
     return np.array([[move.Value(i, j) for j in (1, 2, 3, 4)] for i in (1, 2, 3)])
 

@@ -1,6 +1,6 @@
 """STEP files: exact solids as AP242 or AP214, fused or instanced, and their re-reading. Lengths in mm.
 
-`write_step` needs no CAD kernel; `read_step` asks the kernel what it finds in a file, without knowing how it was
+`write_step` needs no CAD kernel; `read_step` asks OCC what it finds in a file, without knowing how it was
 made. Both return plain facts (JSON-able).
 """
 

@@ -1,6 +1,6 @@
 """Scan a STEP file's own text: is it whole, are its shells closed, do its lens patches lie on the design?
 
-No CAD kernel and none of the writer's code: a second opinion that also reads files far too large for a kernel.
+No CAD kernel and none of the writer's code: a second opinion that also reads files far too large for OCC.
 Lengths in mm, whatever unit the file is in; every part in all its placements.
 """
 
