@@ -85,5 +85,13 @@ def test_an_export_of_format_1_is_recognised_and_owned(tmp_path: Path) -> None:
     clacad.export(design, folder, formats=("stl",), quads=3)
 
 
+def test_every_design_that_comes_with_the_program_keeps_its_hash() -> None:
+    """A new key at its default is absent from the canonical text, so that exports made before stay known as theirs."""
+    recorded = json.loads((HERE / "designs_sha256.json").read_text(encoding="utf-8"))
+    designs = {path.name: path for path in sorted(HERE.parents[1].joinpath("designs").glob("*.toml"))}
+    assert recorded.keys() <= designs.keys()
+    assert {name: clacad.load(designs[name]).sha256 for name in recorded} == recorded
+
+
 if __name__ == "__main__":
     sys.stdout.write(json.dumps({p.stem: meaning(p) for p in DESIGNS}, indent=1, sort_keys=True) + "\n")
