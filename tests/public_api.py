@@ -27,10 +27,16 @@ def called(value: Any) -> str:
 
 
 def members(value: type) -> list[str]:
-    """Public methods, properties and members of a class, its own ones."""
+    """Public methods, properties and members of a class, its own and those of the package's classes it is made from."""
+    own = {
+        n: one
+        for base in value.__mro__[::-1]
+        if base.__module__.startswith("clacad")
+        for n, one in vars(base).items()
+    }
     return sorted(
         name + (called(one) if inspect.isfunction(one) else "")
-        for name, one in vars(value).items()
+        for name, one in own.items()
         if not name.startswith("_")
         and (callable(one) or isinstance(one, (property, staticmethod, classmethod)))
     )
