@@ -16,7 +16,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.choose_setting import facets_for
-from clacad.verification.accuracy.rows import MOST_DISAGREEMENT, TargetOutOfReach
+from clacad.verification.accuracy.error_and_seconds import MOST_DISAGREEMENT, TargetOutOfReach
 
 MOST_QUADS = 256
 """Finest facets a scene file may ask for."""

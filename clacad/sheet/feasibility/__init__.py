@@ -11,7 +11,7 @@ import numpy as np
 from clacad.optics.aperture import equivalent_widths, first_zeros
 from clacad.sheet.feasibility.as_rows import FactRow, describe
 from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness
-from clacad.sheet.feasibility.facts import (
+from clacad.sheet.feasibility.derived_numbers import (
     DEFAULT_WAVELENGTH,
     VIEWING_DISTANCE,
     BodyFacts,

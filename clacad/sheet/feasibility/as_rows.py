@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.digits import digits
-from clacad.sheet.feasibility.facts import VIEWING_DISTANCE, BodyFacts, Feasibility, LensFacts, Two
+from clacad.sheet.feasibility.derived_numbers import VIEWING_DISTANCE, BodyFacts, Feasibility, LensFacts, Two
 from clacad.sheet.window import Window
 
 LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.sheet.feasibility.convex_extremes import Heights, border, least
-from clacad.sheet.feasibility.facts import BodyFacts, BorderFacts, two
+from clacad.sheet.feasibility.derived_numbers import BodyFacts, BorderFacts, two
 from clacad.sheet.feasibility.lenses import thickness_over_cell
 from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes
 from clacad.sheet.window import Body, Window, column, face_height, lens_height

@@ -11,7 +11,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.surface import principal_radii
 from clacad.sheet.feasibility.convex_extremes import border
-from clacad.sheet.feasibility.facts import Feasibility
+from clacad.sheet.feasibility.derived_numbers import Feasibility
 from clacad.sheet.window import Face, Window, lens_height_and_normal, optical_tile
 
 FINE = 20

@@ -6,7 +6,7 @@ import io
 from math import isfinite
 from typing import Any
 
-from clacad.verification.accuracy.rows import AccuracyRow, AccuracyTable, pareto
+from clacad.verification.accuracy.error_and_seconds import AccuracyRow, AccuracyTable, pareto
 
 SIZE = (9.6, 4.6)
 

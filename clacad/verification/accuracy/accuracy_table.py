@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
-from clacad.verification.accuracy.rows import AccuracyRow, AccuracyTable, TargetOutOfReach
+from clacad.verification.accuracy.error_and_seconds import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
+from clacad.verification.accuracy.error_and_seconds import TargetOutOfReach
 from clacad.verification.accuracy.file_floors import (
     FAMILIES,
     SMALL,
@@ -22,7 +23,6 @@ from clacad.verification.accuracy.file_floors import (
     probe,
 )
 from clacad.verification.accuracy.file_rounding import EXACT
-from clacad.verification.accuracy.rows import TargetOutOfReach
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -15,8 +15,8 @@ from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
+from clacad.verification.accuracy.error_and_seconds import AccuracyRow
 from clacad.verification.accuracy.extended_precision import direction_errors
-from clacad.verification.accuracy.rows import AccuracyRow
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.types import Progress
 from clacad.sheet.window import Window
-from clacad.verification.accuracy.rows import AccuracyRow
+from clacad.verification.accuracy.error_and_seconds import AccuracyRow
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -29,7 +29,7 @@ server; other machines differ by a factor, which moves all points of the plot al
 class Ladder:
     """Rows of the ladder, their forecast microseconds a ray, and how well the truth itself is known.
 
-    rows : tuple of clacad.verification.accuracy.rows.AccuracyRow
+    rows : tuple of clacad.verification.accuracy.error_and_seconds.AccuracyRow
     forecast : tuple of float, microseconds
     reference : float, radians
         Rms of the truth against a trace in 50 digits.

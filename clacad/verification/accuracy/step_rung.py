@@ -18,8 +18,8 @@ from clacad.base.types import Bools, Floats, Rows
 from clacad.base.units import millimetres
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
+from clacad.verification.accuracy.error_and_seconds import AccuracyRow
 from clacad.verification.accuracy.measure_rungs import TracedRays, statistics
-from clacad.verification.accuracy.rows import AccuracyRow
 
 if TYPE_CHECKING:
     from clacad.storage.worker import Worker

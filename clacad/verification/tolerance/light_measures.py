@@ -31,7 +31,7 @@ from clacad.base.types import Floats
 from clacad.effects.scatter import haze
 from clacad.optics.law import Law, angle_between
 from clacad.sheet.bundle import bundle, field_points, middle_direction
-from clacad.sheet.feasibility.facts import DEFAULT_WAVELENGTH
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.tolerance.misaligned import Errors, Telescopelet, telescopelet
