@@ -51,17 +51,11 @@ def measure_accuracy(
 
 
 def _write(out: Path, measured: AccuracyTable, target: float | None, overwrite: bool) -> None:
-    from clacad.storage.atomic import write_file
+    from clacad.storage.atomic import write_content
     from clacad.verification.accuracy.accuracy_plot import plot_png, plot_svg
 
-    if out.suffix.lower() == ".png":
-        write_file(out, lambda path: _bytes(path, plot_png(measured, target)), overwrite=overwrite)
-    else:
-        write_file(out, lambda path: _bytes(path, plot_svg(measured, target).encode()), overwrite=overwrite)
-
-
-def _bytes(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
+    plot = plot_png if out.suffix.lower() == ".png" else plot_svg
+    write_content(out, plot(measured, target), overwrite=overwrite)
 
 
 def accuracy_text(measured: AccuracyTable) -> str:

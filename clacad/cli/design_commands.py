@@ -14,21 +14,17 @@ if TYPE_CHECKING:
 def new_design(name: str, template: str, *, overwrite: bool, json: bool, quiet: bool) -> int:
     """Write NAME.toml from a template and say what to do next."""
     from clacad.design import template as text_of
-    from clacad.storage.atomic import write_file
+    from clacad.storage.atomic import write_content
 
     stem = name.removesuffix(".toml")
     text = text_of(Path(stem).name, template)
     target = Path(f"{stem}.toml")
-    write_file(target, lambda path: _put(path, text), overwrite=overwrite)
+    write_content(target, text, overwrite=overwrite)
     if json:
         show_json({"path": str(target), "template": template})
     else:
         show_text(f"wrote {target}\nnext: clacad check {target}", quiet=quiet)
     return 0
-
-
-def _put(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def print_schema(*, scene: bool) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
-from clacad.base.types import Progress
+from clacad.base.types import Progress, silent
 from clacad.exporting import costs, limits
 from clacad.exporting.forecast import Forecast, forecast
 from clacad.exporting.format_names import known_formats
@@ -36,7 +36,7 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
     """Do what `clacad.exporting.export_design.export` promises."""
-    report = progress if progress is not None else _silent
+    report = progress if progress is not None else silent
     formats = known_formats(request.formats)
     made = design if request.cells is None else design.with_cells(request.cells)
     if not request.force:
@@ -124,10 +124,6 @@ def in_all(rows: Sequence[Forecast]) -> Span:
             *(rates.span(r.task, r.modelled) for r in rows),
         ]
     )
-
-
-def _silent(_name: str, _done: float) -> None:
-    return
 
 
 def _worker_memory() -> int:

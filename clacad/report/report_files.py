@@ -6,11 +6,10 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.storage.atomic import write_file
+from clacad.storage.atomic import write_content
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
@@ -58,11 +57,13 @@ def write_report(
     PdfMissing
         The extra package that sets the PDF is not installed.
     """
+    from clacad.base.types import silent
+
     if pdf:
         from clacad.report.pdf import typesetter
 
         typesetter()  # said before the work is done, not after it
-    return _write_all(report, Path(folder), overwrite, progress or _silent, more, pdf=pdf, timings=timings)
+    return _write_all(report, Path(folder), overwrite, progress or silent, more, pdf=pdf, timings=timings)
 
 
 def _write_all(
@@ -79,32 +80,20 @@ def _write_all(
     written = [html, numbers]
     texts = ((numbers, _json(contents.numbers(made))), (html, page(made, MARK, more, tell)))
     for path, text in texts:
-        write_file(path, partial(_put, text=text), overwrite=overwrite or is_report(path))
+        write_content(path, text, overwrite=overwrite or is_report(path))
     if pdf:
         from clacad.report.pdf import pdf_bytes
 
         tell("setting the PDF", 0.0)
         paper, data = folder / "report.pdf", pdf_bytes(made)
-        write_file(paper, partial(_put_bytes, data=data), overwrite=overwrite or is_report(paper))
+        write_content(paper, data, overwrite=overwrite or is_report(paper))
         written.append(paper)
     _write_run(folder / "run.json", made.evidence.ladder.measured(), time.monotonic() - began)
     return tuple(written)
 
 
-def _silent(_stage: str, _done: float) -> None:
-    return
-
-
 def _json(numbers: dict[str, Any]) -> str:
     return json.dumps(numbers, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _put(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _put_bytes(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
 
 
 def _write_run(path: Path, measured: list[dict[str, Any]], seconds: float) -> None:
@@ -112,7 +101,7 @@ def _write_run(path: Path, measured: list[dict[str, Any]], seconds: float) -> No
     if path.exists() and not is_report(path):
         return
     facts = {"what": RUN_MARK, "seconds": round(seconds, 3), "accuracy": measured}
-    write_file(path, partial(_put, text=_json(facts)), overwrite=True)
+    write_content(path, _json(facts), overwrite=True)
 
 
 def is_report(path: Path) -> bool:

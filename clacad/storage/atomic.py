@@ -249,6 +249,20 @@ def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, o
         stage.publish()
 
 
+def write_content(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool = False) -> None:
+    """Write a text (UTF-8, as it stands) or bytes as one file, atomically; see `write_file`.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+    """
+
+    def write(private: Path) -> None:
+        private.write_bytes(content.encode() if isinstance(content, str) else content)
+
+    write_file(path, write, overwrite=overwrite)
+
+
 def owns(manifest: Mapping[str, Any], target: Path) -> bool:
     """Tell whether `target` is byte for byte a file this manifest lists."""
     for entry in manifest["files"]:
