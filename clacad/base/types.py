@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ Words = NDArray[np.uint64]
 
 Bytes = NDArray[np.uint8]
 """Fates, states and pixels."""
+
+Singles = NDArray[Any]
+"""Compiled passes over float32 take either precision."""
 
 Rung = Literal["law", "thin", "surfaces", "mesh"]
 """Step of the ladder of exactness that a trace runs on."""

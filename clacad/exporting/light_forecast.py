@@ -28,7 +28,7 @@ from clacad.sheet.light_against_law import (
     rms_error,
     shift_of_array_2,
 )
-from clacad.sheet.window import Window
+from clacad.sheet.window import WALL, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -334,7 +334,6 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
 def _optical(window: Window, rows: Iterator[Floats], bevel: float) -> tuple[Floats, Bools]:
     """Facets (t, 3, 3) that are neither walls nor bevels, and whether each belongs to the back (t,)."""
     from clacad.mesh.saddle_bevel import in_corners
-    from clacad.tracing.triangles.telescopelet_facets import WALL
 
     corners = np.concatenate([np.asarray(block, dtype=np.float64) for block in rows])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from math import exp, isfinite, nan
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, owning
-from clacad.base.types import Floats, Rows
+from clacad.base.types import Floats, Rows, Singles
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.launch import launch_block, launch_ray
@@ -39,8 +37,6 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 from clacad.tracing.compiled.walk import walk_ray
 from clacad.tracing.triangles.tiles import Tiles
-
-Singles = NDArray[Any]  # float32: every pass takes either precision
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 

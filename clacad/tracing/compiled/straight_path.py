@@ -15,10 +15,8 @@ with (X, Y) = N (x, y) − z (L, M),  b = N B,  c = N² C  and  q = side N r −
 from __future__ import annotations
 
 from math import inf, sqrt
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, inlined, least, owning
 from clacad.base.types import Floats, Ints, Rows
@@ -54,8 +52,6 @@ from clacad.tracing.compiled.straight_path_slots import (
 from clacad.tracing.compiled.walk import reach
 from clacad.tracing.triangles.compiled_tile_block import cross_facets
 from clacad.tracing.triangles.tiles import Tiles
-
-Singles = NDArray[Any]  # float32: every pass takes either precision
 
 Media = tuple[float, float]
 """Refractive indices before a face and behind it."""

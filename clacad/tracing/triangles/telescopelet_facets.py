@@ -20,9 +20,6 @@ from clacad.tracing.sampled_face import SampledFace, meet_sampled
 from clacad.tracing.triangles.tiles import NO_TILES, Tiles
 from clacad.tracing.triangles.triangle_soup import hierarchy
 
-WALL = 0.05
-"""Facets whose |n_z| is below this are walls."""
-
 
 @dataclass(frozen=True, eq=False)
 class FacetFace:

@@ -15,10 +15,9 @@ from clacad.exporting.compare_instances import owner as owner
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.volume_and_extent import distance_to_face
-from clacad.sheet.window import Face, Window, lens_height
+from clacad.sheet.window import WALL, Face, Window, lens_height
 from clacad.solid.marks import pockets
 from clacad.tracing.triangles.telescopelet_facets import (
-    WALL,
     AnyFace,
     ExactFace,
     FacetBody,
