@@ -8,7 +8,17 @@ Public names resolve lazily (PEP 562): importing clacad loads neither a CAD kern
 >>> window = clacad.prescribe(design)                      # doctest: +SKIP
 """
 
-from __future__ import annotations
+import sys
+
+if (
+    getattr(sys, "argv", [])[:1] == ["-m"] and not sys.flags.safe_path
+):  # some `python -m` looks for its module
+    if sys.orig_argv[-len(sys.argv)].removeprefix("-m") == "clacad":
+        # The current folder stands first on the path: a json.py left there would be run. Before this not even
+        # __future__ may be imported. Should the package itself lie in that folder, it goes last.
+        _here = sys.path.pop(0)
+        if _here not in sys.path and __file__.startswith((f"{_here}/clacad", f"{_here}\\clacad")):
+            sys.path.append(_here)
 
 from importlib import import_module
 
@@ -39,6 +49,7 @@ _HOME = {
     "Mesh": "clacad.mesh",
     "Interface": "clacad.tracing.trace",
     "trace": "clacad.tracing.trace",
+    "Tracer": "clacad.tracing.tracer",
     "trace_sequence": "clacad.tracing.trace",
     "export": "clacad.exporting.export_design",
     "solids": "clacad.solid.solids",
@@ -52,7 +63,7 @@ _HOME = {
 __all__ = sorted(_HOME)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Import a public name from its home module when it is first used."""
     if name not in _HOME:
         raise AttributeError(f"module 'clacad' has no attribute {name!r}")

@@ -37,7 +37,7 @@ class Diagnosis:
     Parameters
     ----------
     topic : str
-        packages, kernel, memory, disk, cache, rates, threads or fonts.
+        packages, kernel, memory, disk, cache, rates, threads, fonts or readers.
     name : str
     state : "ok", "warn", "fail" or "absent"
     value : str, float, int or None
@@ -71,6 +71,7 @@ def examine(folder: str | os.PathLike[str] = ".") -> tuple[Diagnosis, ...]:
     """
     return (
         *_versions(), *_packages(), *_occ(), *_memory(), *_disk(Path(folder)), *_cache(), *_rates(), *_threads(), *_fonts(),
+        *_readers(),
     )  # fmt: skip
 
 
@@ -233,7 +234,7 @@ def _memory() -> Iterator[Diagnosis]:
 
 
 def _threads() -> Iterator[Diagnosis]:
-    from clacad.tracing.compiled.surfaces import thread_count
+    from clacad.tracing.compiled.threads import thread_count
 
     asked = os.environ.get("CLACAD_THREADS")
     try:
@@ -286,7 +287,9 @@ def kernel_cache() -> tuple[Path | None, list[Path]]:
     """
     beside = Path(__file__).parent / "tracing" / "compiled" / "__pycache__"
     named = os.environ.get("NUMBA_CACHE_DIR")
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path("~").expanduser() / ".cache")
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(
+        os.path.expanduser("~"), ".cache"
+    )  # "~" without one
     for place in (Path(named),) if named else (beside, Path(home) / "numba"):
         if _writable(place):
             kept = sorted(place.rglob("*.nbc")) if place.is_dir() else []
@@ -339,3 +342,22 @@ def _rates() -> Iterator[Diagnosis]:
             yield Diagnosis(
                 "rates", task, "ok", round(last, 3), f"seconds of the last run of {len(noted)}; again {now}"
             )
+
+
+def _readers() -> Iterator[Diagnosis]:
+    """What each reader takes of a file; one that takes more is refused with exit status 3."""
+    from clacad.base.reading_budgets import BUDGETS, MEGABYTE
+
+    for name, budget in BUDGETS.items():
+        said = [budget.files]
+        if budget.items is not None:
+            said.append(f"{budget.items:,} {budget.item}")
+        if budget.seconds is not None:
+            said.append(
+                f"{budget.seconds:g} s of processor time and {budget.seconds_per_megabyte:g} s more a megabyte"
+            )
+        if budget.memory is not None:
+            said.append(
+                f"{budget.memory / MEGABYTE:,.0f} MB of memory and {budget.memory_per_byte} bytes more a byte"
+            )
+        yield Diagnosis("readers", name, "ok", budget.bytes, "; ".join(said))

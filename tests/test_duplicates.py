@@ -46,21 +46,9 @@ def sources() -> dict[str, list[tuple[int, str]]]:
     return {path.relative_to(ROOT).as_posix(): code_lines(path) for path in paths}
 
 
-KNOWN = {
-    ("clacad/tracing/compiled/column.py", "clacad/tracing/triangles/compiled_tiles.py"),
-    ("clacad/tracing/triangles/compiled_search.py", "clacad/tracing/triangles/compiled_search.py"),
-}
-"""Pairs that share a run: inner loops of compiled searches, which share what they are only where a call costs nothing.
-
-One that is gone fails.
-"""
-
-
 def test_no_run_of_six_lines_stands_twice():
-    found = doubles(sources())
-    new = [place for pair in sorted(found.keys() - KNOWN) for place in found[pair]]
-    assert not new, "these lines need one home:\n" + "\n".join(new)
-    assert KNOWN <= found.keys(), f"these are gone, take them off the list: {sorted(KNOWN - found.keys())}"
+    places = [place for found in doubles(sources()).values() for place in found]
+    assert not places, "these lines need one home:\n" + "\n".join(places)
 
 
 def test_a_run_that_stands_twice_is_found_whatever_stands_between_its_lines(tmp_path):

@@ -8,55 +8,50 @@ would, too. It gains nothing measurable, and would break the exact products of `
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from numba import njit, types
-from numba.extending import intrinsic
-
-SOURCES = (
-    "tracing/**/*.py", "**/*compiled*.py", "**/compiled/*.py",
-    "optics/*.py", "optics/surface/*.py", "rendering/scene_arrays.py",
-)  # fmt: skip
-"""Files that kernels are made of: their own, and those whose constants are compiled in."""
-
-
-def _forget_stale() -> None:
-    """Drop cached kernels older than any kernel source: a cached caller keeps the callees it was built with."""
-    package = Path(__file__).parent.parent
-    newest = max(path.stat().st_mtime for pattern in SOURCES for path in package.glob(pattern))
-    for cached in package.glob("**/__pycache__/*.nbi"):
-        with suppress(OSError):  # read-only, or another process was first
-            if cached.stat().st_mtime < newest:
-                cached.unlink()
-
-
-_forget_stale()
+from clacad.base.compiled_parts import PartCompiler
+from clacad.base.kernel_cache import keep, numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_PLAIN: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": True}
+_PLAIN: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+_PART: dict[str, Any] = {
+    **_PLAIN,
+    "pipeline_class": PartCompiler,
+    "no_cfunc_wrapper": True,
+    "no_cpython_wrapper": True,
+}
 
 
 def exact(function: Function) -> Function:
-    """Compile so that every operation is rounded as written; the function may make no array.
+    """Compile a part of kernels, every operation rounded as written; the function may make no array.
 
     Without arrays of its own a function need not count who holds those it is given. That counting, an
     atomic instruction for every array of every call, takes ten times as long as a walk's arithmetic, and
-    threads wait for one another's.
+    threads wait for one another's. A part is called by compiled code only; see `PartCompiler`.
     """
-    return cast(Function, njit(_nrt=False, **_PLAIN)(function))
+    return cast(Function, numba.njit(_nrt=False, **_PART)(function))
 
 
 def inlined(function: Function) -> Function:
     """Compile like `exact`, into its callers: handing over a dozen arrays costs more than what it does."""
-    return cast(Function, njit(_nrt=False, forceinline=True, **_PLAIN)(function))
+    return cast(Function, numba.njit(_nrt=False, forceinline=True, **_PART)(function))
+
+
+def making(function: Function) -> Function:
+    """Compile like `exact` a part that makes arrays."""
+    return cast(Function, numba.njit(_nrt=True, **_PART)(function))
+
+
+def entry(function: Function) -> Function:
+    """Compile a kernel that Python calls: with all its parts, kept on disk; it may make no array."""
+    return cast(Function, keep(numba.njit(_nrt=False, **_PLAIN)(function)))
 
 
 def owning(function: Function) -> Function:
-    """Compile like `exact` a function that makes arrays of its own, in expressions too."""
-    return cast(Function, njit(_nrt=True, **_PLAIN)(function))
+    """Compile like `entry` a kernel that makes arrays of its own, in expressions too."""
+    return cast(Function, keep(numba.njit(_nrt=True, **_PLAIN)(function)))
 
 
 def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
@@ -65,10 +60,10 @@ def _multiply_add(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
 
-    return types.float64(types.float64, types.float64, types.float64), generate
+    return numba.types.float64(numba.types.float64, numba.types.float64, numba.types.float64), generate
 
 
-multiply_add: Callable[[float, float, float], float] = intrinsic(_multiply_add)
+multiply_add: Callable[[float, float, float], float] = numba.extending.intrinsic(_multiply_add)
 """a b + c with one rounding, so that multiply_add(a, b, −(a b)) is exactly what the product lost."""
 
 

@@ -66,7 +66,9 @@ def note(event: str, **facts: Any) -> None:
         return
     line = {"t": round(time.monotonic() - _began, 4), "event": event, **facts}
     with suppress(OSError, ValueError):
-        _stream.write(json.dumps(line, default=str, ensure_ascii=False) + "\n")
+        _stream.write(
+            json.dumps(line, default=str) + "\n"
+        )  # ASCII: nothing in it steers a terminal or ends the line
         _stream.flush()
 
 

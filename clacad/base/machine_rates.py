@@ -21,6 +21,8 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 
+from clacad.base.regular_file import read_regular
+
 FORMAT = 1
 KEPT = 12
 """Observations kept a task, the newest; older ones tell of another state of the machine."""
@@ -244,9 +246,7 @@ def machine_key() -> str:
 def _read(path: Path) -> dict[str, tuple[Noted, ...]]:
     """Observations of a file; none where it is missing, too large or not what it should be."""
     try:
-        with path.open("rb") as stream:
-            text = stream.read(MOST_BYTES + 1)
-        found = json.loads(text) if len(text) <= MOST_BYTES else None
+        found = json.loads(read_regular(path, MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
     if (

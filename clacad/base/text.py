@@ -71,3 +71,16 @@ def plain(value: Any, not_finite: Callable[[float], Any] = null, depth: int = 0)
     if isinstance(value, float) and not isfinite(value):
         return not_finite(value)
     return value
+
+
+def printable_lines(text: str) -> str:
+    """Return a text of several lines without what could move the cursor; see `printable`."""
+    return "\n".join(map(printable, text.rstrip("\n").split("\n")))
+
+
+def printable(text: str) -> str:
+    """Return the text with every character that could move the cursor replaced by a space or a '?'.
+
+    A stranger's file must not steer the terminal. The length is kept, so that carets stay in place.
+    """
+    return "".join(" " if c == "\t" else c if c.isprintable() else "?" for c in text)

@@ -109,24 +109,40 @@ def design_unit(text: str) -> Unit | None:
     return Unit(text, parts[0] * LENGTHS[parts[1]])
 
 
+def _nearest(number: Fraction) -> float:
+    """Round to a double; what is beyond the largest is infinite."""
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
+
+
 def in_design_units(number: Fraction, word: str, unit: Unit) -> float:
     """Convert a length with a unit word to design units."""
-    return float(number * LENGTHS[word] / unit.metres)
+    return _nearest(number * LENGTHS[word] / unit.metres)
 
 
 def in_metres(number: Fraction, word: str) -> float:
     """Convert a length or wavelength with a unit word to metres."""
-    return float(number * LENGTHS[word])
+    return _nearest(number * LENGTHS[word])
 
 
 def in_degrees(number: Fraction, word: str) -> float:
     """Convert an angle with a unit word to degrees; exact before the one rounding for deg and its parts."""
-    return float(number * DEGREES[word]) if word in DEGREES else math.degrees(float(number * RADIANS[word]))
+    return (
+        _nearest(number * DEGREES[word])
+        if word in DEGREES
+        else math.degrees(_nearest(number * RADIANS[word]))
+    )
 
 
 def in_radians(number: Fraction, word: str) -> float:
     """Convert an angle with a unit word to radians; exact before the one rounding for rad and its parts."""
-    return float(number * RADIANS[word]) if word in RADIANS else math.radians(float(number * DEGREES[word]))
+    return (
+        _nearest(number * RADIANS[word])
+        if word in RADIANS
+        else math.radians(_nearest(number * DEGREES[word]))
+    )
 
 
 def millimetres(metres: float) -> float:

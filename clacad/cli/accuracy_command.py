@@ -22,12 +22,14 @@ def measure_accuracy(
 ) -> int:  # fmt: skip
     """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
     design = load_counted(path, overrides)
+    from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
 
     limit = None if target is None else parse_angle("--target", target)
     progress = Progress(quiet=quiet)
     try:
-        with forecast(TASK, accuracy_seconds(rays, 1 if design.pair.form == "slab" else 2), quiet=quiet):
+        with forecast(TASK, accuracy_seconds(rays, prescribe(design)), quiet=quiet) as span:
+            progress.expect(span.middle)
             measured = accuracy(design, rays=rays, progress=progress)
     finally:
         progress.done()

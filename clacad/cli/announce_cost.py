@@ -12,9 +12,14 @@ from clacad.cli.console import say
 WORTH_SAYING = 2.0
 """Processor seconds from which a forecast is said."""
 
+MEASURED = 1.3
+"""Factor by which a part of some work tells what the whole takes."""
+
 
 @contextmanager
-def forecast(task: str, modelled: float, *, quiet: bool, clock: Clock = processor_seconds) -> Iterator[Span]:
+def forecast(
+    task: str, modelled: float, *, quiet: bool, clock: Clock = processor_seconds, measured: bool = False
+) -> Iterator[Span]:
     """Say what the block will cost on this machine, then note what it did cost.
 
     A run in which kernels were compiled is not noted: the next one will not be like it.
@@ -28,9 +33,11 @@ def forecast(task: str, modelled: float, *, quiet: bool, clock: Clock = processo
     quiet : bool
     clock : callable
         Processor seconds so far.
+    measured : bool
+        `modelled` was measured here on a part of the work, and is what all of it takes within MEASURED.
     """
     rates = Rates.here()
-    span = rates.span(task, modelled)
+    span = Span(modelled / MEASURED, modelled * MEASURED) if measured else rates.span(task, modelled)
     if span.high >= WORTH_SAYING:
         say(f"this takes {span} of processor time", quiet=quiet)
     kept, began = _kernels(), clock()

@@ -51,7 +51,7 @@ def _main(
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the design; writes NAME.toml.")],
     template: Annotated[str, typer.Option("--template", metavar="T", help="paper, galilean, slab, plano, hexagonal, "
-                                                                          "window.")] = "paper",
+                                "tilted, window; or a design of the paper: fig3, fig6-theta-1, paper-b …")] = "paper",
     overwrite: Replace = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -352,8 +352,8 @@ def render(
 @app.command()
 def atlas(
     out: Out,
-    scenes: Annotated[Path, typer.Option("--scenes", metavar="DIR", help="Folder of the scene files.")]
-    = Path("designs/scenes"),
+    scenes: Annotated[Path | None, typer.Option("--scenes", metavar="DIR", help="Folder of the scene files; default those "
+                                                "that come with clacad.")] = None,
     rows: Annotated[str, typer.Option("--rows", metavar="F1,F2", help="Only these; default all.")] = "",
     size: Annotated[int, typer.Option("--size", min=16, max=8192, help="Pixels across a figure.")] = 440,
     samples: Annotated[int, typer.Option("--samples", min=1, max=4096, help="Rays a pixel.")] = 16,
@@ -368,8 +368,10 @@ def atlas(
 ) -> int:  # fmt: skip
     """Every figure and movie of the paper, each with its numbers measured in the picture."""
     from clacad.cli.atlas_command import make_atlas
+    from clacad.design.shipped_folder import shipped_designs
     from clacad.rendering.atlas.make_atlas import AtlasRequest
 
+    folder = shipped_designs() / "scenes" if scenes is None else scenes
     chosen = tuple(row.strip().upper() for row in rows.split(",") if row.strip())
-    request = AtlasRequest(scenes, out, size, samples, movies, movie_size, chosen, measure, overwrite)
+    request = AtlasRequest(folder, out, size, samples, movies, movie_size, chosen, measure, overwrite)
     return make_atlas(request, json=json, quiet=quiet)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.cli.console import show_json, show_text, table
+from clacad.config.toml_text import top_keys
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -52,13 +53,7 @@ def show_effects(
 
 def load_target(path: Path, overrides: list[str]) -> Scene | Design:
     """Read a scene; a file with a [law] and no [sheet] is read as a design."""
-    import tomllib
-
-    try:
-        with path.open("rb") as stream:
-            keys = set(tomllib.loads(stream.read(1 << 24).decode("utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError, RecursionError):
-        keys = set()  # the reader names line and column, or what else is wrong
+    keys = top_keys(str(path))
     if "law" in keys and "sheet" not in keys:
         from clacad.design import load
 

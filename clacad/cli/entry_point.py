@@ -1,18 +1,23 @@
 """Entry point: parse, call the command, turn what went wrong into one sentence and an exit status.
 
 0 done, all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
-4 cannot write; 70 internal; 130 interrupted.
+4 cannot write, or workers were lost; 70 internal; 130 interrupted.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from errno import EAGAIN, ELOOP, EMFILE, ENAMETOOLONG, ENFILE
 from typing import Any
 
 from clacad.base import log
+from clacad.base.text import printable_lines
 from clacad.cli.interrupts import INTERRUPTED, InterruptHandler, ended_in_time
+from clacad.cli.streams import make_writable
 
 OK, FAILED, BAD_INPUT, REFUSED, CANNOT_WRITE, INTERNAL = 0, 1, 2, 3, 4, 70
 
@@ -25,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Without the program's name; default sys.argv[1:].
     """
+    make_writable()
     given = list(sys.argv[1:] if arguments is None else arguments)
     interrupts = InterruptHandler()
     try:
@@ -38,8 +44,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         log.stop()
 
 
+@contextmanager
+def _own_warnings_plain() -> Iterator[None]:
+    """Within the block the package's warnings are said as its errors are, without file and line."""
+    before = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if category.__module__.startswith("clacad."):
+            _say(str(message))
+        else:
+            before(message, category, *place, **more)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = before
+
+
 def _answered(given: list[str], interrupts: InterruptHandler) -> int:
-    with ended_in_time(interrupts):
+    with ended_in_time(interrupts), _own_warnings_plain():
         try:
             status = _status(given, interrupts)
         except KeyboardInterrupt:
@@ -100,8 +124,10 @@ def _explained(error: Exception) -> int:
 
 def _sentence(error: Exception) -> str:
     """The system's errors by the place and the cause, without their numbers."""
-    if isinstance(error, OSError) and error.strerror and isinstance(error.filename, str):
-        return f"{error.filename}: {error.strerror.lower()}"
+    if isinstance(error, OSError) and error.strerror:
+        place = f"{error.filename}: " if isinstance(error.filename, str) else ""
+        more = "; ulimit -n raises the limit" if error.errno == EMFILE else ""
+        return f"{place}{error.strerror.lower()}{more}"
     return str(error)
 
 
@@ -129,7 +155,11 @@ def status_of(error: Exception) -> int | None:
         return BAD_INPUT
     if type(error).__name__ == "UnidentifiedImageError":
         return BAD_INPUT
-    if isinstance(error, (PermissionError, OSError)):
+    if isinstance(error, OSError) and error.errno in (ENAMETOOLONG, ELOOP):
+        return BAD_INPUT
+    if isinstance(error, OSError) and error.errno in (EMFILE, ENFILE, EAGAIN):
+        return REFUSED
+    if isinstance(error, OSError):
         return CANNOT_WRITE
     return None
 
@@ -154,4 +184,5 @@ def _usage(error: Exception) -> int:
 
 
 def _say(text: str) -> None:
+    text = printable_lines(text)
     print(f"clacad: {text}" if "\n" not in text else text, file=sys.stderr)  # noqa: T201

@@ -90,6 +90,7 @@ def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool
     from clacad.sheet.feasibility import describe, feasibility
 
     progress = Progress(quiet=quiet)
+    _announce(_cut(design, asked), asked, progress, quiet=quiet)
     try:
         manifest = run_export(design, str(out), asked, progress)
     finally:
@@ -106,6 +107,17 @@ def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool
     if not quiet:
         say(f"next: clacad verify {path} --files {out}")
     return 0
+
+
+def _announce(design: Design, asked: Request, progress: Progress, *, quiet: bool) -> None:
+    """Say at once about how long it will take; a closer forecast needs meshes, and takes its time."""
+    from clacad.cli.announce_cost import WORTH_SAYING
+    from clacad.exporting.rough_seconds import rough_span
+
+    span = rough_span(design, asked)
+    progress.expect(span.middle)
+    if span.low >= WORTH_SAYING:  # so wide a range says nothing of short ones
+        say(f"this takes {span} of processor time", quiet=quiet)
 
 
 def _warn_of(name: str, entry: Mapping[str, Any], limit: float) -> None:

@@ -5,17 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from clacad.cli.console import show_json, show_text
+from clacad.config.toml_text import top_keys
 
 
 def is_scene(path: Path) -> bool:
     """Whether a file is a scene: it has a sheet, which no design has."""
-    import tomllib
-
-    try:
-        with path.open("rb") as stream:
-            return "sheet" in tomllib.load(stream)
-    except (OSError, ValueError):  # told by whoever reads it
-        return False
+    return "sheet" in top_keys(str(path))
 
 
 def export_scene(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def parse_angle(option: str, text: str) -> float:
     if parts is None or (parts[1] and family_of(parts[1]) != "angle"):
         raise BadOption(f"{option} {text}: it is an angle such as '5 mrad' or '0.3 deg'")
     value = in_radians(parts[0], parts[1] or "deg")
-    if not value > 0.0:
+    if not (value > 0.0 and isfinite(value)):
         raise BadOption(f"{option} {text}: it is an angle above 0, such as '5 mrad'")
     return value
 
@@ -84,7 +85,7 @@ def parse_length(text: str | None, design: Design) -> float:
     parts = split(text)
     if parts is None or (parts[1] and family_of(parts[1]) != "length"):
         raise BadOption(f"--saddle-bevel {text}: it is a length such as '5 um'")
-    value = in_metres(parts[0], parts[1]) / design.unit_m if parts[1] else float(parts[0])
-    if not value > 0.0:
+    value = in_metres(parts[0], parts[1]) / design.unit_m if parts[1] else in_metres(parts[0], "m")
+    if not (value > 0.0 and isfinite(value)):
         raise BadOption(f"--saddle-bevel {text}: it is a length above 0, such as '5 um'")
     return value

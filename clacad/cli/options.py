@@ -14,7 +14,7 @@ HELP = "Design, make and verify generalized confocal lenslet arrays."
 EPILOG = """Same design, same bytes.
 
 Exit status: 0 all checks passed; 1 a check failed or did not run; 2 bad input; 3 refused by a limit;
-4 cannot write; 70 internal; 130 interrupted.
+4 cannot write, or workers were lost; 70 internal; 130 interrupted.
 
 Example: clacad export designs/paper-a-covered.toml -o exports/paper --format step,3mf,stl --cells 10x10"""
 

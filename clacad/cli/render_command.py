@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +15,7 @@ from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.rendering.picture import Picture
+    from clacad.rendering.sheet_passage import Passage
     from clacad.scene import Scene
 
 MOVIE_ENDINGS = (".webp", ".apng", ".gif", ".mp4")
@@ -35,7 +38,6 @@ class RenderRequest:
 def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, json: bool, quiet: bool) -> int:
     """Render a scene file: a picture, or a movie where the scene is animated and the ending allows it."""
     from clacad.rendering.picture import view_through
-    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.picture_files import write_picture
     from clacad.scene import load_scene
 
@@ -45,12 +47,28 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
         return _movie(scene, request, progress, json=json, quiet=quiet)
     if scene.animation is not None:
         scene = scene.at(request.frame or 0)
-    with forecast(task(scene), picture_seconds(scene), quiet=quiet):
-        picture = view_through(scene, progress=progress)
+    with _announced(scene, progress, quiet=quiet) as passage:
+        picture = view_through(scene, progress=progress, passage=passage)
     progress.done()
     write_picture(picture, request.out, overwrite=request.overwrite)
     _told([picture], [request.out], json=json, quiet=quiet)
     return 0
+
+
+@contextmanager
+def _announced(scene: Scene, progress: Progress, frames: int = 1, *, quiet: bool) -> Iterator[Passage]:
+    """Plan a still, try some of its pixels, and say before the block what all of them will take; gives the plan."""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.picture_cost import picture_seconds, task
+    from clacad.rendering.sheet_passage import plan_passage
+
+    progress("planning the effects")
+    passage = plan_passage(scene, prescribe(scene.design()))
+    progress("trying some pixels")
+    modelled = picture_seconds(scene, passage, frames)
+    with forecast(task(scene), modelled, quiet=quiet, measured=True) as span:
+        progress.expect(span.middle)
+        yield passage
 
 
 def _adjusted(scene: Scene, request: RenderRequest) -> Scene:
@@ -84,11 +102,10 @@ def _within_target(scene: Scene, text: str) -> Scene:
 def _movie(scene: Scene, request: RenderRequest, progress: Progress, *, json: bool, quiet: bool) -> int:
     """Write all frames as a movie, print how many; return the exit status."""
     from clacad.rendering.picture import render_movie
-    from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.picture_files import write_movie
 
     assert scene.animation is not None
-    with forecast(task(scene), picture_seconds(scene, scene.animation.frames), quiet=quiet):
+    with _announced(scene.at(0), progress, scene.animation.frames, quiet=quiet):
         frames = write_movie(
             render_movie(scene, progress=progress),
             request.out,

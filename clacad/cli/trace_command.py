@@ -7,8 +7,11 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, TYPE_CHECKING, Any
 
+from clacad.base.regular_file import require_regular
+from clacad.base.text import printable
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
@@ -22,7 +25,7 @@ CHUNK = 1_000_000
 COLUMNS = ("position", "direction", "fate", "optical_path", "cell", "order", "surface", "flux")
 
 
-DAMAGED = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError)
+DAMAGED = (zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError, EOFError, OSError)
 """What a zip file raises that is cut, changed, encrypted or packed in an unknown way."""
 
 
@@ -58,14 +61,25 @@ class RayFile:
     ------
     BadRays
         It is no such archive, an array is missing or has the wrong shape or type.
+    OverBudget
+        More bytes or rays than are read.
     """
 
     def __init__(self, path: Path) -> None:
+        from clacad.storage.archive import open_archive
+        from clacad.storage.errors import OverBudget, UnreadableFile
+        from clacad.storage.spending import Spending
+
         try:
-            self._archive = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
-            why = (error.strerror or "").lower() if isinstance(error, OSError) else ""
-            raise BadRays(f"{path}: {why or 'not an .npz archive'}") from None
+            require_regular(path)
+            spent = Spending("rays", path)
+            self._archive = open_archive(path, spent, streamed=True)
+        except OverBudget:
+            raise
+        except UnreadableFile as error:
+            raise BadRays(f"{error}: not an .npz archive of rays") from None
+        except OSError as error:
+            raise BadRays(f"{path}: {(error.strerror or 'cannot be read').lower()}") from None
         names = {name.removesuffix(".npy"): name for name in self._archive.namelist()}
         for needed in ("position", "direction"):
             if needed not in names:
@@ -80,6 +94,7 @@ class RayFile:
             counts = ", ".join(f"{key} {count}" for key, count in lengths.items())
             raise BadRays(f"{path}: the arrays differ in length: {counts}")
         self.count = lengths["position"]
+        spent.count(self.count)
 
     def _opened(self, key: str) -> tuple[IO[bytes], np.dtype[Any], int]:
         """Stream at the first row, type, number of rows."""
@@ -94,8 +109,9 @@ class RayFile:
                 else np.lib.format.read_array_header_2_0
             )
             shape, fortran, kind = read(stream)
-        except (*DAMAGED, ValueError) as error:
-            raise BadRays(f"{self._archive.filename}: array '{key}': {error}") from None
+        except (*DAMAGED, ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
+            why = printable(str(error).partition("\n")[0])[:160]
+            raise BadRays(f"{self._archive.filename}: array '{key}': {why}") from None
         wanted = 1 if key == "wavelength" else 2
         good = len(shape) == wanted and (wanted == 1 or shape[1] == 3) and not (fortran and wanted == 2)
         if not good or shape[0] < 0 or kind.kind not in "fiu":
@@ -233,16 +249,15 @@ def _write(
     import numpy as np
 
     from clacad.optics.rays import Rays
-    from clacad.tracing.trace import trace
+    from clacad.tracing.tracer import Tracer
 
+    tracer = Tracer(window, path="size", **options)
     parts = {name: private.with_name(f"{private.name}.{name}") for name in COLUMNS}
     streams = {name: part.open("wb") for name, part in parts.items()}
     try:
         done = 0
         for chunk in rays.chunks(CHUNK):
-            result = trace(
-                window, Rays(chunk["position"], chunk["direction"], chunk.get("wavelength")), **options
-            )
+            result = tracer(Rays(chunk["position"], chunk["direction"], chunk.get("wavelength")))
             for name, count in result.counts().items():
                 label = getattr(name, "name", str(name))
                 counts[label] = counts.get(label, 0) + int(count)
@@ -255,7 +270,7 @@ def _write(
         for stream in streams.values():
             stream.close()
     if rays.count == 0:
-        last = trace(window, Rays(np.empty((0, 3)), np.empty((0, 3))), **options)
+        last = tracer(Rays(np.empty((0, 3)), np.empty((0, 3))))
     _gather(private, parts, last, rays.count)
 
 

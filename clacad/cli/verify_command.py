@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +16,7 @@ from clacad.cli.option_values import parse_angle, parse_cells
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.verification import Report
+    from clacad.verification.files.find_files import Delivery
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +45,12 @@ def verify_design(
     progress = Progress(quiet=quiet)
     written: list[Path] = []
     try:
-        report = _judged(design, request, progress, quiet=quiet)
-        if request.out is not None:
-            report = report.with_evidence(progress)
-            written = _write(report, request.out, request, progress)
+        delivery, rays = _asked(design, request)
+        with _announced(rays, delivery, request, progress, quiet=quiet):
+            report = _judged(design, delivery, rays, request, progress)
+            if request.out is not None:
+                report = report.with_evidence(progress)
+                written = _write(report, request.out, request, progress)
     finally:
         progress.done()
     _tell(report, design.name, json=json, quiet=quiet)
@@ -54,24 +59,45 @@ def verify_design(
     return report.exit_status
 
 
-def _judged(design: Design, request: VerifyRequest, progress: Progress, *, quiet: bool) -> Report:
-    """The report: checks and verdicts, by the target where one is given."""
-    from clacad.verification import verify
-    from clacad.verification.error_target import judged_by
-    from clacad.verification.files.find_files import declared_roles, find_files
+def _asked(design: Design, request: VerifyRequest) -> tuple[Delivery | None, int]:
+    """What there is to judge, and by how many rays."""
+    from clacad.verification.files.find_files import declared_roles, list_files
+
+    roles = declared_roles(parse_roles(request.role))
+    delivery = None if request.files is None else list_files(request.files, roles)
+    if request.target is None:
+        return delivery, request.rays
+    target = parse_angle("--target", request.target)
+    return delivery, _rays(design, request.files, target, parse_cells(request.cells))
+
+
+@contextmanager
+def _announced(
+    rays: int, delivery: Delivery | None, request: VerifyRequest, progress: Progress, *, quiet: bool
+) -> Iterator[None]:
+    """Say before the block what it will take, and note afterwards what it took."""
     from clacad.verification.verification_cost import seconds, task
 
-    roles = parse_roles(request.role)
-    target = None if request.target is None else parse_angle("--target", request.target)
-    rays = (
-        request.rays if target is None else _rays(design, request.files, target, parse_cells(request.cells))
-    )
-    found = () if request.files is None else find_files(request.files, declared_roles(roles)).subjects
-    with forecast(task(found), seconds(rays, found), quiet=quiet):
-        report = verify(
-            design, files=request.files, cells=parse_cells(request.cells), rays=rays, progress=progress, role=roles
-        )  # fmt: skip
-    return report if target is None else judged_by(report, target)
+    subjects, page = () if delivery is None else delivery.subjects, request.out is not None
+    with forecast(task(subjects, page), seconds(rays, subjects, page), quiet=quiet) as span:
+        progress.expect(span.middle)
+        yield
+
+
+def _judged(
+    design: Design, delivery: Delivery | None, rays: int, request: VerifyRequest, progress: Progress
+) -> Report:
+    """The report: checks and verdicts, by the target where one is given; of the design alone it is said at once."""
+    from clacad.verification.error_target import judged_by
+    from clacad.verification.run import verified
+
+    steps = verified(design, delivery, parse_cells(request.cells), rays, progress)
+    report = next(steps)
+    if delivery is not None:
+        progress.say(f"the design itself {report.verdict()}; now its files")
+    for whole in steps:
+        report = whole
+    return report if request.target is None else judged_by(report, parse_angle("--target", request.target))
 
 
 def _write(report: Report, out: Path, request: VerifyRequest, progress: Progress) -> list[Path]:

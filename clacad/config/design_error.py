@@ -57,3 +57,9 @@ class DesignError(ValueError):
         """
         mistake = Mistake(code, message, key=key, found=found, allowed=allowed, hint=hint)
         return cls(located([mistake], design.source, design.path, ()))
+
+
+class DesignTooLarge(DesignError):
+    """A file with more bytes than are read of a design or scene: refused by that limit, whatever is in it."""
+
+    exit_status = 3

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from clacad.base.text import printable
+
 CODES: dict[str, str] = {
     "CL100": "the file cannot be read",
     "CL101": "the text is not TOML (or JSON)",
@@ -99,14 +101,6 @@ class Mistake:
         caret = " " * (self.column - 1 - start) + "^" * max(1, min(self.width, WIDTH // 2))
         number = "" if self.line is None else str(self.line)
         return [f"  {number} | {shown}".rstrip(), f"  {' ' * len(number)} | {caret}"]
-
-
-def printable(text: str) -> str:
-    """Return the text with every character that could move the cursor replaced by a space or a '?'.
-
-    A stranger's file must not steer the terminal. The length is kept, so that carets stay in place.
-    """
-    return "".join(" " if c == "\t" else c if c.isprintable() else "?" for c in text)
 
 
 def in_order(mistakes: Iterable[Mistake]) -> list[Mistake]:

@@ -12,6 +12,9 @@ from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
 from clacad.config.value_kinds import JsonSchema, Refusal, not_this, shown
 
+SMALLEST_M: Final = 1e-12
+"""Lengths between 0 and this, metres, are slips; what is computed from them leaves the range of the numbers."""
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -50,6 +53,9 @@ class Quantity:
         number = self._with_unit(value, unit) if isinstance(value, str) else self._bare(value, unit)
         if not math.isfinite(number):
             raise self._refused("CL106", "is not a finite number", value, unit)
+        if self.family == "length" and number != 0.0 and abs(number) * float(unit.metres) < SMALLEST_M:
+            hint = "no length but 0 is below 1 pm, a hundredth of an atom"
+            raise self._refused("CL106", "is out of range", value, unit, hint)
         if not (number > self.above and self.least <= number <= self.most):
             raise self._refused("CL106", "is out of range", value, unit, self._scale_hint(value))
         return number + 0.0  # -0.0 becomes 0.0: equal designs must have equal texts

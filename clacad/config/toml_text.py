@@ -10,15 +10,19 @@ import os
 import re
 import tomllib
 from dataclasses import replace
+from errno import EFBIG, ENOENT
 from typing import Any, Final, NoReturn
 
+from clacad.base.reading_budgets import BUDGETS
+from clacad.base.regular_file import read_regular
 from clacad.base.text import DEEPEST, did_you_mean, near
-from clacad.config.design_error import DesignError
+from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import Place, find, syntax_place
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import kind_of
 
-LARGEST_FILE: Final = 16 * 2**20
+LARGEST_FILE: Final = BUDGETS["design"].bytes
+MOST_MARKS: Final = BUDGETS["design"].items or 0
 
 
 def _refuse(mistake: Mistake) -> NoReturn:
@@ -26,27 +30,32 @@ def _refuse(mistake: Mistake) -> NoReturn:
 
 
 def read_text(name: str, what: str = "design") -> str:
-    """Read a UTF-8 text of at most 16 MB.
+    """Read a UTF-8 text of at most 1 MB and 200,000 lines and keys; a larger file is refused unread.
 
     Raises
     ------
     DesignError
-        With one mistake: no such file, too large, not UTF-8.
+        With one mistake: no such file, no file at all but a pipe, device or folder, not UTF-8.
+    DesignTooLarge
     """
     try:
-        with open(name, "rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
+        raw = read_regular(name, LARGEST_FILE)
     except OSError as problem:
+        if problem.errno == EFBIG:
+            why = f"the file is too large for a {what}"
+            raise DesignTooLarge([Mistake("CL100", why, path=name, allowed="up to 1 MB")]) from None
         why = (problem.strerror or str(problem)).lower()
-        _refuse(Mistake("CL100", f"cannot read the {what}: {why}", path=name, hint=_nearest_file(name)))
+        _refuse(Mistake("CL100", f"cannot read the {what}: {why}", path=name,
+                        hint=_nearest_file(name) if problem.errno == ENOENT else ""))  # fmt: skip
     except ValueError:
         _refuse(
             Mistake(
                 "CL100", f"cannot read the {what}: the name holds a zero byte", path=name.replace("\0", "?")
             )
         )
-    if len(raw) > LARGEST_FILE:
-        _refuse(Mistake("CL100", f"the file is too large for a {what}", path=name, allowed="16 MB"))
+    if sum(map(raw.count, (b"\n", b"=", b":"))) > MOST_MARKS:
+        why = f"too many lines and keys for a {what}"
+        raise DesignTooLarge([Mistake("CL100", why, path=name, allowed=f"up to {MOST_MARKS:,}")])
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -97,6 +106,14 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
     if twins:
         _refuse_syntax(f"not a {what}: a key that is there twice", name, text, twins[0])
     return data
+
+
+def top_keys(name: str) -> frozenset[str]:
+    """Keys and sections at the top of a file, none where it cannot be read: whoever reads it says why."""
+    try:
+        return frozenset(parse(read_text(name), name))
+    except DesignError:
+        return frozenset()
 
 
 def _refuse_syntax(message: str, name: str, text: str, place: Place) -> NoReturn:

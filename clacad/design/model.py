@@ -156,7 +156,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
     Parameters
     ----------
     path : path
-        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
+        TOML, or JSON if the name ends in .json; at most 1 MB, nested at most 64 deep.
     overrides : sequence of str
         "key.path=value" each, as with --set; applied in order.
 

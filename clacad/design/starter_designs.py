@@ -1,4 +1,7 @@
-"""Commented design files to start from (`clacad new`)."""
+"""Design files to start from (`clacad new`): a commented one of each form, and those of the paper.
+
+Where both have one name, as "slab", the commented one is meant.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,15 @@ from clacad.config.design_error import DesignError
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.keys import ROOT
+from clacad.design.shipped_folder import shipped_designs
 
 _FOLDER = Path(__file__).parent / "templates"
+_NAME = re.compile(r'^name = ".*"$', re.MULTILINE)
 
 
 def templates() -> dict[str, str]:
     """Return the kinds of template with one line about each, in alphabetical order."""
-    return {path.stem: _about(path.read_text(encoding="utf-8")) for path in sorted(_FOLDER.glob("*.toml"))}
+    return {kind: _about(path.read_text(encoding="utf-8")) for kind, path in sorted(_files().items())}
 
 
 def template(name: str, kind: str = "slab") -> str:
@@ -27,7 +32,8 @@ def template(name: str, kind: str = "slab") -> str:
     name : str
         Name of the design, 1 to 80 letters, digits, spaces and - _ . , + ( ) =.
     kind : str
-        A key of `templates()`: "galilean", "hexagonal", "paper", "plano", "slab", "tilted" or "window".
+        A key of `templates()`: "galilean", "hexagonal", "paper", "plano", "slab", "tilted", "window", or the name of
+        a shipped design, such as "fig3".
 
     Returns
     -------
@@ -39,10 +45,10 @@ def template(name: str, kind: str = "slab") -> str:
     DesignError
         For a name that a design cannot have, or an unknown kind.
     """
-    nothing = Unit("m", LENGTHS["m"])
+    nothing, files = Unit("m", LENGTHS["m"]), _files()
     for key, reader, value in (
         ("name", ROOT["name"].kind, name),
-        ("template", Word(tuple(templates())), kind),
+        ("template", Word(tuple(sorted(files))), kind),
     ):
         try:
             reader.read(value, nothing)
@@ -51,8 +57,13 @@ def template(name: str, kind: str = "slab") -> str:
             raise DesignError(
                 [Mistake(refusal.code, message, key, allowed=refusal.allowed, hint=refusal.hint)]
             ) from None
-    text = (_FOLDER / f"{kind}.toml").read_text(encoding="utf-8")
-    return text.replace('name = "NAME"', f'name = "{name}"', 1)
+    text = files[kind].read_text(encoding="utf-8")
+    return _NAME.sub(lambda _: f'name = "{name}"', text, count=1)
+
+
+def _files() -> dict[str, Path]:
+    """Every template by its name."""
+    return {path.stem: path for folder in (shipped_designs(), _FOLDER) for path in folder.glob("*.toml")}
 
 
 def _about(text: str) -> str:

@@ -75,7 +75,7 @@ def _compiled(block: RayBlock) -> None:
 def losses(situation: Situation) -> Floats:
     """Share (k,) lost by each probe ray that passes the sheet."""
     own = effect(situation.window, situation.setting)
-    result = trace_with(situation.window, situation.rays, "surfaces", (own,))
+    result = trace_with(situation.window, situation.rays, "surfaces", (own,), path="size")
     return np.asarray(1.0 - result.flux[result.fate <= Fate.LAND])
 
 

@@ -1,4 +1,4 @@
-"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL137."""
+"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL138."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _NOTHING_MADE = (
 
 MISTAKES: dict[str, Text] = {
     "CL100": (
-        "The file is missing, is no text, is larger than 16 MB or nested more than 64 deep.", _NOTHING_MADE, "",
+        "The file is missing, is no text, is larger than 1 MB or nested more than 64 deep.", _NOTHING_MADE, "",
         "Check the path and that it is a text file in UTF-8; `clacad new NAME` writes a good one.",
     ),
     "CL101": (
@@ -136,5 +136,9 @@ MISTAKES: dict[str, Text] = {
     "CL137": (
         "A body is so thin that float32 heights cannot tell front from back.", "Mesh files hold float32; the faces would touch.",
         "thickness ≥ some 10⁻⁶ of the distance from the origin", "A thicker body, or STEP.",
+    ),
+    "CL138": (
+        "A lenslet is so small in its cell that the grid of facets has no point on it.", "The mesh would be land without lens.",
+        "", "More quads; or a thicker lens, a smaller aperture or displacement, so that the lens fills more of its cell.",
     ),
 }  # fmt: skip

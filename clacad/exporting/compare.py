@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats
 from clacad.exporting.compare_instances import measure_mesh, standing
 from clacad.formats.mesh.closed_stream import Measure, crowded_edges
@@ -171,7 +172,7 @@ def _compare_shape(
 
     For a surface of second order the mean height of chord over arc is 3/4 of that at the centroid.
     """
-    normal = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
+    normal = doubled_normals(facets)
     length = np.linalg.norm(normal, axis=1)
     n_z = np.where(length > 0.0, normal[:, 2] / np.where(length > 0.0, length, 1.0), 0.0)
     optical = np.abs(n_z) >= WALL

@@ -13,6 +13,7 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds
@@ -308,7 +309,7 @@ def _covered(
 
 def _lying(corners: Floats, window: Window) -> Iterator[tuple[Side, Ints, Floats]]:
     """Cells (k, 2) and areas (k,) seen along z of the facets (n, 3, 3) of each lens face."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = doubled_normals(corners)
     optical = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
     middle = corners.mean(axis=1)
     body = np.searchsorted(levels(window), middle[:, 2])

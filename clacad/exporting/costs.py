@@ -12,24 +12,27 @@ from math import log2
 BASE = 0.02
 """Opening, hashing and reading back a file of next to nothing."""
 
+PREPARE = "export prepare"
+"""Name under which is noted what an export takes before its first file."""
+
 
 def prepare_seconds(quads: Sequence[int]) -> float:
     """Everything before the first file and after the last: prescribing, forecasting, meshing a cell at every grid and
     tracing it, publishing.
     """
-    return 0.11 + 1.9e-4 * sum(grid * grid for grid in quads) + (1.6 if quads else 0.0)
+    return 0.11 + 0.9e-4 * sum(grid * grid for grid in quads) + (1.6 if quads else 0.0)
 
 
 def stl_seconds(facets: int) -> float:
     """Triangles streamed out and back."""
-    return BASE + 4.4e-6 * facets
+    return BASE + 3.5e-7 * facets
 
 
 def welded_seconds(name: str, held: int, places: int) -> float:
     """Shared vertices, exact normals and, where cells repeat, their places."""
     if name == "ply":
         return BASE + 4.2e-7 * held * log2(max(2, held))
-    each, place = {"glb": (4.0e-6, 1.3e-5), "3mf": (5.5e-6, 7.0e-6)}[name]
+    each, place = {"glb": (4.0e-6, 1.3e-5), "3mf": (4.5e-6, 6.0e-6)}[name]
     if places == 0:  # the whole sheet is welded: sorting decides
         return BASE + 6.0e-7 * held * log2(max(2, held))
     return BASE + 0.01 + each * held + place * places
@@ -37,7 +40,7 @@ def welded_seconds(name: str, held: int, places: int) -> float:
 
 def step_seconds(size: int, mode: str) -> float:
     """STEP: text, and OCC reading it in a process of its own."""
-    return 0.68 + 1.12e-6 * size if mode == "fused" else 0.85 + 2.8e-6 * size
+    return 0.68 + 1.12e-6 * size if mode == "fused" else 0.6 + 1.4e-6 * size
 
 
 def solid_seconds(size: int) -> float:

@@ -20,7 +20,7 @@ from clacad.sheet.window import Window
 if TYPE_CHECKING:
     from clacad.base.types import Floats
 
-SAMPLE = 20_000
+SAMPLE = 6_000
 """Facets or places whose text is drawn up; the rest is taken to be like them."""
 
 

@@ -263,15 +263,23 @@ def outlook(window: Window) -> list[dict[str, Any]]:
     except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
         return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
     meshes = Meshes(window)
-    square = (meshes.facets(8) - 2 * meshes.facets(4)) / 32
-    linear = meshes.facets(4) / 4 - 4 * square
-    facets = {quads: int(linear * quads + square * quads * quads) for quads in QUADS}
+    facets = _facets_of_finer(meshes.facets(4), meshes.facets(8))
     quads = next(
         (q for q in QUADS if 84 + 50 * facets[q] <= MOST_BYTES and facets[q] <= MOST_FACETS), QUADS[-1]
     )
     plain = _forecast_stl("stl", facets[quads], 1, quads, exact=quads <= 8)
     rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8)]
     return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in timed(rows)]
+
+
+def _facets_of_finer(four: int, eight: int) -> dict[int, int]:
+    """Facets at every grid of `QUADS`, a sum of a linear and a square part, from those at 4 and at 8 quads a side.
+
+    Where a rim is told only by finer grids the two do not say so: then the number is taken to grow in proportion.
+    """
+    square = max(0.0, (eight - 2 * four) / 32)
+    linear = max(0.0, eight / 8 - 8 * square)
+    return {4: four, 8: eight} | {q: int(linear * q + square * q * q) for q in QUADS if q > 8}
 
 
 def _refusal(meshes: Meshes, row: Forecast) -> str | None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import difference_of_laws
@@ -336,7 +337,7 @@ def _optical(window: Window, rows: Iterator[Floats], bevel: float) -> tuple[Floa
     from clacad.mesh.saddle_bevel import in_corners
 
     corners = np.concatenate([np.asarray(block, dtype=np.float64) for block in rows])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = doubled_normals(corners)
     keep = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
     if bevel > 0.0:
         keep &= ~in_corners(window, corners.mean(axis=1), bevel)

@@ -228,6 +228,11 @@ def free_memory() -> int:
     return available
 
 
+def worker_memory() -> int:
+    """Address space of a worker, bytes: what is free, but never less than OCC itself maps."""
+    return max(4_000_000_000, int(MEMORY_SHARE * free_memory()))
+
+
 def free_disk(folder: Path) -> int:
     """Bytes free where `folder` is or will be."""
     place = folder.absolute()

@@ -34,6 +34,7 @@ class Sizes:
 
     def __init__(self, meshes: Meshes) -> None:
         self.meshes = meshes
+        self._rows: dict[tuple[str, int], Forecast] = {}
 
     def facets(self, format: str, quads: int) -> int:
         """Facets that a file of a format stores, about; those of one cell where the format repeats it."""
@@ -42,10 +43,8 @@ class Sizes:
 
     def bytes(self, format: str, quads: int) -> int:
         """Size of the file, about, from one that is small enough to be drawn up."""
-        from clacad.exporting.forecast import forecast
-
         drawn = min(quads, FINE if self._repeats(format) else COUNTED[1])
-        row = forecast(self.meshes, [format], drawn)[0]
+        row = self._drawn(format, drawn)
         facets = self.facets(format, quads)
         if format in STL_FORMATS:
             return row.bytes + 50 * (facets - self.facets(format, drawn))
@@ -61,6 +60,14 @@ class Sizes:
     def finest(self, format: str) -> int:
         """Finest grid of "auto" that fits, or the coarsest there is."""
         return max((quads for quads in POWERS if self.fits(format, quads)), default=POWERS[0])
+
+    def _drawn(self, format: str, quads: int) -> Forecast:
+        """Forecast of a file on a coarse grid, drawn up once."""
+        from clacad.exporting.forecast import forecast
+
+        if (format, quads) not in self._rows:
+            self._rows[format, quads] = forecast(self.meshes, [format], quads)[0]
+        return self._rows[format, quads]
 
     def _repeats(self, format: str) -> bool:
         return format in REPEATING and instanceable(self.meshes.window)

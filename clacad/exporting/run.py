@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
 
-PREPARE = "export prepare"
-
 CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 """What the worker loads while the parent still prepares the work."""
 
@@ -42,7 +40,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
     began, used = time.monotonic(), time.process_time()
-    with ended_by_signals(), Worker(memory=_worker_memory(), preload=CAD_MODULES) as worker:
+    with ended_by_signals(), Worker(memory=limits.worker_memory(), preload=CAD_MODULES) as worker:
         if "step" in formats:
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
@@ -55,7 +53,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             job = Job(
                 window, safe_name(design.name), stage, meshes.at(limits.QUADS[-1]), worker, request, report
             )
-            Rates.here().note(PREPARE, prepare_seconds(quads), time.process_time() - used)
+            Rates.here().note(costs.PREPARE, prepare_seconds(quads), time.process_time() - used)
             records, failures, seconds = _produced(job, meshes, rows)
             if not records:
                 raise next(iter(failures.values()))
@@ -120,15 +118,10 @@ def in_all(rows: Sequence[Forecast]) -> Span:
     quads = {row.quads for row in rows if row.quads is not None}
     return total(
         [
-            rates.span(PREPARE, prepare_seconds(quads)),
+            rates.span(costs.PREPARE, prepare_seconds(quads)),
             *(rates.span(r.task, r.modelled) for r in rows),
         ]
     )
-
-
-def _worker_memory() -> int:
-    """Address space of the worker: what is free, but never less than OCC itself maps."""
-    return max(4_000_000_000, int(limits.MEMORY_SHARE * limits.free_memory()))
 
 
 def _prescribed(design: Design) -> Window:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import Promise
 from clacad.exporting.format_names import REPEATING
@@ -199,7 +200,7 @@ def exact_normals(window: Window, faces: Sequence[Face], corners: Floats) -> Flo
     -------
     (n, 3, 3) array
     """
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = doubled_normals(corners)
     length = np.linalg.norm(flat, axis=1)
     flat = np.where(
         length[:, None] > 0.0, flat / np.where(length > 0.0, length, 1.0)[:, None], np.array([0.0, 0.0, 1.0])

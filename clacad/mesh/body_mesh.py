@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.mesh.cell_template import Template, TemplateMaker
+from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.land_ring import row_states
 from clacad.sheet.window import Body, Window
 
@@ -84,10 +85,6 @@ class BodyMesh:
         Land ring and outline wall.
     step : length
         Height of one z level.
-    slope_error : float
-        rms angle between facet and exact normal, area-weighted over optical facets, worse face (radians).
-    sag_error : float
-        Largest normal distance between facet and exact surface (length).
     saddles : int
         Vertical lines in which two columns touch and nothing else.
     bevel_volume : float
@@ -101,10 +98,24 @@ class BodyMesh:
     ringed: bool
     plain: Plain
     step: float
-    slope_error: float
-    sag_error: float
     saddles: int = 0
     bevel_volume: float = 0.0
+
+    @cached_property
+    def _errors(self) -> tuple[float, float]:
+        """Slope and sag error of the worst of its prototiles; measured when first asked for."""
+        found = [facet_errors(tiled.maker.tile, self.body) for tiled in self.tiled]
+        return max(slope for slope, _ in found), max(sag for _, sag in found)
+
+    @property
+    def slope_error(self) -> float:
+        """Rms angle between facet and exact normal, area-weighted over optical facets, worse face (radians)."""
+        return self._errors[0]
+
+    @property
+    def sag_error(self) -> float:
+        """Largest normal distance between facet and exact surface (length)."""
+        return self._errors[1]
 
     def blocks(self) -> Iterator[CellBlock]:
         """Cells grouped by row and template."""

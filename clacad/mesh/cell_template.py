@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.unique_rows import unique_rows
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
 from clacad.mesh.prototile import Prototile
@@ -72,21 +73,35 @@ class TemplateMaker:
 
     def __post_init__(self) -> None:
         self.offsets = neighbour_offsets(self.lattice)
-        triangles = self.tile.plan.triangles
         self._levels = self.tile.corner_levels()
-        a = triangles[:, [0, 1, 2]].ravel()
-        b = triangles[:, [1, 2, 0]].ravel()
-        number = np.repeat(np.arange(len(triangles)), 3)
-        self._left = dict(zip(zip(a.tolist(), b.tolist()), number.tolist()))
-        self._third = dict(zip(zip(a.tolist(), b.tolist()), triangles[:, [2, 0, 1]].ravel().tolist()))
-        self._after = dict(zip(zip(number.tolist(), a.tolist()), (np.arange(len(a)) % 3).tolist()))
         self._apart = bool((np.abs(self.tile.land) == FAR).any())
         self.places = self._canonical()
         self._caps = self._make_caps()
-        self._inner = _inner_walls(triangles, self._levels)
+        self._inner = _inner_walls(self.tile.plan.triangles, self._levels)
         ends = {point for wall in self._inner for point in wall[:2]}
-        self._spokes = {point: [edge for edge in self._left if edge[0] == point] for point in ends}
+        self._join_edges(ends)
+        self._spokes: dict[int, list[tuple[int, int]]] = {point: [] for point in ends}
+        for edge in self._left:
+            if edge[0] in self._spokes:
+                self._spokes[edge[0]].append(edge)
         self._rings: dict[tuple[int, bytes], Ring] = {}
+
+    def _join_edges(self, ends: set[int]) -> None:
+        """Say of each edge that begins where a wall may stand, at one of `ends` or on a side of the tile, which triangle
+        is left of it, the third corner of that, and which of its corners the edge begins at.
+        """
+        triangles = self.tile.plan.triangles
+        walled = np.zeros(len(self.tile.plan.xy), dtype=bool)
+        walled[list(ends)] = True
+        walled[np.concatenate(self.tile.plan.sides)] = True
+        edge = np.flatnonzero(walled[triangles.ravel()])
+        a, b, third = (
+            triangles[:, turned].ravel()[edge].tolist() for turned in ([0, 1, 2], [1, 2, 0], [2, 0, 1])
+        )
+        number = (edge // 3).tolist()
+        self._left = dict(zip(zip(a, b), number))
+        self._third = dict(zip(zip(a, b), third))
+        self._after = dict(zip(zip(number, a), (edge % 3).tolist()))
 
     # -- where points belong ------------------------------------------------------------------
 
@@ -205,7 +220,7 @@ class TemplateMaker:
             levels.append(z)
             kinds.append(kind)
         key = np.stack([np.concatenate(points).ravel(), np.concatenate(levels).ravel()], axis=1)
-        vertex, inverse = np.unique(key, axis=0, return_inverse=True)
+        vertex, inverse = unique_rows(key)
         return vertex[:, 0], vertex[:, 1], inverse.reshape(-1, 3), np.concatenate(kinds).astype(np.uint8)
 
     # -- templates ----------------------------------------------------------------------------
@@ -221,14 +236,18 @@ class TemplateMaker:
         """The template of a cell: its caps and walls, with the vertices they use and no others."""
         walls = self._walls(states, code)
         point, level, caps, kinds = self._caps
-        known = dict(zip(zip(point.tolist(), level.tolist()), range(len(point))))
+        walled = np.zeros(len(self.tile.plan.xy), dtype=bool)
+        walled[[vertex[0] for triangle in walls for vertex in triangle]] = True
+        shared = np.flatnonzero(walled[point])
+        known = dict(zip(zip(point[shared].tolist(), level[shared].tolist()), shared.tolist()))
+        count = len(point)
         more: list[tuple[int, int]] = []
         rows = []
         for triangle in walls:
             row = []
             for vertex in triangle:
                 if vertex not in known:
-                    known[vertex] = len(known)
+                    known[vertex] = count + len(more)
                     more.append(vertex)
                 row.append(known[vertex])
             rows.append(row)
@@ -236,12 +255,15 @@ class TemplateMaker:
         point, level = np.concatenate([point, extra[:, 0]]), np.concatenate([level, extra[:, 1]])
         triangles = np.concatenate([caps, np.asarray(rows, dtype=np.int64).reshape(-1, 3)])
         kind = np.concatenate([kinds, np.full(len(rows), WALL, dtype=np.uint8)])
-        used = np.unique(triangles)
+        taken = np.zeros(len(point), dtype=bool)
+        taken[triangles] = True
+        used = np.flatnonzero(taken)
         renumber = np.zeros(len(point), dtype=np.int64)
         renumber[used] = np.arange(len(used))
         point, level = point[used], level[used]
         owner, canonical = self.places[0][point], self.places[1][point]
-        return Template(owner, canonical, level, self.tile.plan.xy[canonical], level * self.tile.step,
+        heights = np.asarray(level * self.tile.step, dtype=np.float64)
+        return Template(owner, canonical, level, self.tile.plan.xy[canonical], heights,
                         renumber[triangles], kind)  # fmt: skip
 
     def _walls(self, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints
+from clacad.base.unique_rows import unique_rows
 from clacad.sheet.lattice import Lattice
 
 Tags = TypeVar("Tags", NDArray[np.bool_], NDArray[np.uint8])
@@ -228,8 +229,8 @@ def polygon_fan(corners: Ints) -> Ints:
 def edges_of(triangles: Ints) -> tuple[Ints, Ints]:
     """Undirected edges (e, 2), and each triangle's three edge numbers (m, 3); edge s is corner s → s + 1."""
     both = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, inverse = np.unique(both, axis=0, return_inverse=True)
-    return edges, inverse.reshape(-1, 3).astype(np.int64)
+    edges, number = unique_rows(both)
+    return edges, number.reshape(-1, 3)
 
 
 def split(triangles: Ints, zone: Tags, xy: Floats, number: Ints, middle: Ints) -> tuple[Ints, Tags]:

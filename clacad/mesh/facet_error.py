@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.mesh.integer_heights import LENS
 from clacad.mesh.prototile import Prototile
 from clacad.optics.law.angle import angle_between
@@ -42,7 +43,7 @@ def _face_errors(tile: Prototile, face: Face, side: int, chosen: NDArray[np.bool
     corner = np.concatenate(
         [tile.plan.xy[triangles], (tile.lens[triangles, side] * tile.step)[..., None]], axis=2
     )
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    cross = doubled_normals(corner)
     area = np.linalg.norm(cross, axis=1)
     flat = area > 0.0
     corner, cross, area = corner[flat], cross[flat], area[flat]

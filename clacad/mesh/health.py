@@ -220,9 +220,9 @@ def _join(label: Ints, edges: Words, owner: Ints) -> Ints:
 @cache
 def _union() -> Callable[[Ints, Ints, Ints], Ints]:
     """Union by least root with path halving, compiled."""
-    from numba import njit
+    from clacad.base.foreign_settings import without_settings
 
-    @njit
+    @without_settings("numba").njit
     def union(label, one, two):  # type: ignore[no-untyped-def]
         for n in range(len(one)):
             a, b = one[n], two[n]

@@ -18,6 +18,7 @@ from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
 from clacad.sheet.window import optical_tile
+from clacad.topology.cannot_build import CannotBuild
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +94,9 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
 
     Raises
     ------
-    ValueError
-        A lenslet's surface ends inside the cell (its equator), leaving a face with no defined edge; or no point of the
-        grid meets the lenslet.
+    CannotBuild, ValueError
+        No point of the grid meets the lenslet; a lenslet's surface ends inside the cell (its equator), leaving a face
+        with no defined edge.
     """
     window = make.window
     zone = optical_tile(window)
@@ -104,9 +105,10 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
     lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), levels)
     plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
-        raise ValueError(
+        raise CannotBuild(
+            "CL138",
             f"quads = {quads}: no point of the grid meets the lenslet of body {make.body.name!r}, whose rim lies well "
-            "inside its cell; more quads would find it"
+            "inside its cell; more quads would find it",
         )
     whole = not (part == VOID).any()
     lifted = None

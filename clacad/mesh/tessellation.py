@@ -78,7 +78,6 @@ def mesh_body(
             "CL134",
             f"body {body.name!r} needs land on both faces out to its outline: give body.border a width",
         )
-    errors = [facet_errors(tile, body) for tile in tiles]
     plain = make_plain(window, tiled, parts.step) if ringed else no_plain()
     return BodyMesh(
         body.name,
@@ -88,8 +87,6 @@ def mesh_body(
         ringed,
         plain,
         parts.step,
-        max(e[0] for e in errors),
-        max(e[1] for e in errors),
         saddle_count(parts.cells),
         window.lattice.cell_count * sum(tile.bevel_volume() for tile in tiles),
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.cell_template import BACK, FRONT, Template
@@ -61,7 +62,7 @@ def local_xy(window: Window, template: Template) -> Floats:
 def template_normals(window: Window, body: Body, template: Template) -> Floats:
     """Outward unit normals at the corners of a template's triangles, (t, 3, 3)."""
     corners = np.concatenate([local_xy(window, template), template.z[:, None]], axis=1)[template.triangles]
-    facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facet = doubled_normals(corners)
     facet /= np.linalg.norm(facet, axis=1, keepdims=True)
     normals = np.repeat(facet[:, None, :], 3, axis=1)
     for kind, face, outward in ((FRONT, body.front, -1.0), (BACK, body.back, 1.0)):
@@ -84,6 +85,6 @@ def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
         yield np.tile(known[id(template)], (cells, 1, 1))
     if len(mesh.plain.triangles):
         corners = mesh.plain.vertices[mesh.plain.triangles]
-        facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facet = doubled_normals(corners)
         facet /= np.linalg.norm(facet, axis=1, keepdims=True)
         yield np.repeat(facet[:, None, :], 3, axis=1)

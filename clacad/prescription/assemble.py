@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import hypot, isinf
+from math import hypot, isfinite, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,7 +58,7 @@ class Intent:
 def build_window(design: Design) -> Window:
     """Build the window of a design; see `clacad.prescription.prescribe.prescribe`."""
     intent = _intent(design)
-    _refuse_short_radius(intent)
+    _refuse_radius(intent)
     window = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}[design.pair.form](intent)
     window = replace(window, z_range=window_range(window))
     asked = intent.law.refract(intent.turn[:, 2][None])[0]
@@ -117,8 +117,12 @@ def _separation(intent: Intent) -> float:
     return thickness[0] / intent.index
 
 
-def _refuse_short_radius(intent: Intent) -> None:
-    """A face whose radius is below half the cell's diagonal ends inside its cell."""
+LEAST_SAG = 1e-14
+"""Height of a lens over its cell, part of the separation, below which it is lost in the rounding of its place."""
+
+
+def _refuse_radius(intent: Intent) -> None:
+    """A face whose radius is below half the cell's diagonal ends inside its cell; one of next to no sag is no lens."""
     reach = intent.lattice.circumradius
     factor = intent.index - 1.0
     if intent.design.pair.form == "biconvex":
@@ -126,6 +130,14 @@ def _refuse_short_radius(intent: Intent) -> None:
     for axis, value in zip("xy", intent.eta, strict=True):
         for number, f in enumerate(thin_focal_lengths(value, _separation(intent)), start=1):
             radius = abs(factor * f)
+            sag = reach * reach / (2.0 * radius) if radius > reach else reach
+            if isfinite(radius) and sag < LEAST_SAG * _separation(intent):
+                raise NoSuchLens(
+                    f"lens {number} would rise by {sag:.3g} over its cell in {axis}, less than its place between "
+                    f"lenses {_separation(intent):.6g} apart is known to",
+                    key="pair.separation",
+                    hint=f"a smaller separation or a larger pitch: the height must be above {LEAST_SAG:g} of the separation",
+                )
             if radius < reach:
                 raise NoSuchLens(
                     f"lens {number} would have the radius {radius:.6g} in {axis}, less than half the diagonal of "

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
 BORDER_SAMPLES = 65
@@ -72,10 +73,21 @@ def face_range(window: Window, face: Face) -> tuple[float, float]:
     """Lowest and highest lens point of a structured face over its optical zone (lengths), NaN-free.
 
     Samples and the point whose normal is the sheet's normal, where it lies in the zone.
+
+    Raises
+    ------
+    NoSuchLens
+        The lens has no point over the zone.
     """
     points = zone_points(window)
     z = lens_height(face, points[:, 0], points[:, 1])
     z = np.append(z[np.isfinite(z)], _level_point(window, face))
+    if not len(z):
+        raise NoSuchLens(
+            f"the surface of lens {1 + (face.array or 0)} ends before it reaches its cell: no point of the cell is lens",
+            key="lattice.aperture",
+            hint="a smaller displacement of the cells, a smaller tilt, or a smaller pitch",
+        )
     return float(z.min()), float(z.max())
 
 

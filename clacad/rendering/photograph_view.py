@@ -11,6 +11,7 @@ from clacad.config import overrides as override
 from clacad.config.mistakes import Mistake
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe
+from clacad.rendering.photographs import picture_size
 from clacad.rendering.picture import Picture, Progress, view_through
 from clacad.scene import Scene
 from clacad.sheet.window import Window
@@ -61,7 +62,7 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
 
     Raises
     ------
-    DesignError, SceneError, OSError
+    DesignError, SceneError, BadPicture, OverBudget, OSError
     """
     design = load(request.design, overrides)
     folder = os.path.commonpath([request.design.resolve().parent, request.photo.resolve().parent])
@@ -82,14 +83,12 @@ def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
 
 def _camera_and_screen(request: EyeRequest, window: Window, photo: str) -> dict[str, Any]:
     """A scene's camera where the eye is, and its only object: the photograph on a screen; lengths in design units."""
-    from PIL import Image
-
     x0, x1, y0, y1 = window.lattice.extent()
     side = max(x1 - x0, y1 - y0)
     eye = 4.0 * side if request.eye is None else request.eye
     distance = 2.0 * side if request.distance is None else request.distance
-    with Image.open(request.photo) as picture:
-        ratio = picture.width / picture.height
+    width, tall = picture_size(request.photo)
+    ratio = width / tall
     frame = MARGIN * side
     height = (
         frame * (eye + distance) / eye / min(1.0, ratio) * 1.02 if request.height is None else request.height

@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.storage.errors import OverBudget
+from clacad.storage.spending import Spending
 
-LARGEST_PICTURE = 1 << 28
-"""Pixels of a picture that is read at most."""
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF")
+"""Formats that are opened; the library knows others, of which some start an interpreter."""
+
+KEPT = 1 << 24
+"""Pixels of a picture that are kept: of a larger one means of whole blocks are, of linear light."""
+
+_STRIP = 1 << 20
+"""Pixels decoded at a time."""
+
+
+class BadPicture(ValueError):
+    """A file that is no picture, or a damaged one; exit status 2, like any other mistake in what was given."""
+
+    exit_status = 2
 
 
 def decode(pixels: NDArray[Any]) -> Floats:
@@ -22,18 +42,79 @@ def decode(pixels: NDArray[Any]) -> Floats:
 
 
 def read_picture(path: str | os.PathLike[str]) -> Floats:
-    """Linear light (h, w, 3) of a picture file; transparent pixels are laid over black.
+    """Linear light (h, w, 3) of a picture file, upright; transparent pixels are laid over black.
+
+    Of a picture of more than 2²⁴ pixels blocks of 2 × 2, 3 × 3 … are averaged, so that what is kept has fewer.
 
     Raises
     ------
+    BadPicture
+        No picture of a format that is opened, cut short or damaged.
+    OverBudget
+        More bytes or pixels than are read.
     OSError
-        No such file, no picture, or one of more than 2²⁸ pixels.
+        No such file.
     """
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
 
-    with Image.open(path) as picture:
-        if picture.width * picture.height > LARGEST_PICTURE:
-            raise OSError(f"{path}: {picture.width} x {picture.height} pixels are too many")
+    with opened_picture(path) as picture:
         upright = ImageOps.exif_transpose(picture) or picture
-        rgba = np.asarray(upright.convert("RGBA"))
+        upright.load()
+        side = int(np.ceil(np.sqrt(upright.width * upright.height / KEPT)))
+        rows = side * max(1, _STRIP // (side * upright.width))
+        strips = [
+            _means(_light(upright, top, min(top + rows, upright.height)), side)
+            for top in range(0, upright.height, rows)
+        ]
+    return np.concatenate(strips)
+
+
+def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height of a picture file, pixels, as it stands upright. Errors: see `read_picture`."""
+    with opened_picture(path) as picture:
+        lies = picture.getexif().get(_ORIENTATION, 1) in (5, 6, 7, 8)
+        return (picture.height, picture.width) if lies else (picture.width, picture.height)
+
+
+_ORIENTATION = 0x0112
+
+
+@contextmanager
+def opened_picture(path: str | os.PathLike[str]) -> Iterator[Image]:
+    """Open a picture whose size is allowed; whatever the library makes of its bytes within the block is a refusal."""
+    from PIL import Image, UnidentifiedImageError
+
+    spent = Spending("picture", path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the library's own limit; ours is held below
+            with Image.open(path, formats=FORMATS) as picture:
+                spent.count(picture.width * picture.height)
+                yield picture
+    except OverBudget:
+        raise
+    except (Image.DecompressionBombError, MemoryError) as error:
+        raise OverBudget(f"{spent.name}: its pixels are too many ({error})") from error
+    except Exception as error:  # the library's decoders raise nearly everything
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        words = (
+            "no picture of a format that is read" if isinstance(error, UnidentifiedImageError) else str(error)
+        )
+        raise BadPicture(f"{os.fspath(path)}: {words[:200]} ({', '.join(FORMATS)} are read)") from error
+
+
+def _light(picture: Image, top: int, bottom: int) -> Floats:
+    """Linear light (k, w, 3) of some rows of a picture."""
+    rgba = np.asarray(picture.crop((0, top, picture.width, bottom)).convert("RGBA"))
     return decode(rgba[..., :3]) * (rgba[..., 3:] / 255.0)
+
+
+def _means(light: Floats, side: int) -> Floats:
+    """Means of blocks of side × side pixels, of what there is of them at the right and lower edge."""
+    if side == 1:
+        return light
+    down, across = (np.arange(0, n, side) for n in light.shape[:2])
+    sums = np.add.reduceat(np.add.reduceat(light, down, axis=0), across, axis=1)
+    many = np.diff(down, append=light.shape[0])[:, None] * np.diff(across, append=light.shape[1])
+    return np.asarray(sums / many[..., None])

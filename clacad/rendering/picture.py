@@ -32,7 +32,7 @@ TILES = (64, 256)
 BLOCK = 1 << 16
 """Rays traced at a time: about 20 MB of columns."""
 
-SMALL_PICTURE = 2_000_000
+SMALL_PICTURE = 250_000
 """Camera rays below which numpy alone is faster than loading compiled code."""
 
 
@@ -145,7 +145,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
 
     With `passage` the plan is the caller's; with ``sheet=False`` the view is that without the sheet.
     """
-    from clacad.tracing.compiled.surfaces import thread_count
+    from clacad.tracing.compiled.threads import thread_count
 
     still = scene.at(0) if scene.animation is not None else scene
     window = prescribe(still.design())
@@ -257,6 +257,12 @@ def _sample(viewing: Viewing, view: View, pixels: Ints, active: Ints, which: Sam
             total[some] += light.sum(axis=1)
             if len(square):
                 square[some] += (light * light).sum(axis=1)
+
+
+def tried(viewing: Viewing, view: View, pixels: Ints, samples: int) -> None:
+    """Render some pixels (n,) of a picture and drop them: to see what they take."""
+    sums = Sums(np.zeros((len(pixels), 3)), np.zeros((0, 3)))
+    _sample(viewing, view, pixels, np.arange(len(pixels)), SampleRange(0, samples, samples), sums)
 
 
 def _standard_error(total: Floats, square: Floats, count: Ints) -> Floats:

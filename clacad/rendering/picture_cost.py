@@ -1,23 +1,93 @@
-"""What a picture costs in processor seconds, by a model of one reference machine; see `clacad.base.machine_rates`."""
+"""What a picture costs in processor seconds: a few of its own pixels are rendered, for scenes differ a hundredfold.
+
+An atlas is forecast by a model of one reference machine; see `clacad.base.machine_rates`.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from clacad.rendering.picture import SMALL_PICTURE
+import numpy as np
+
+from clacad.base.types import Ints
+from clacad.prescription.prescribe import prescribe
+from clacad.rendering.camera import View, aim
+from clacad.rendering.picture import SMALL_PICTURE, tried
+from clacad.rendering.view import Viewing, set_up
 from clacad.scene import Scene
 
 if TYPE_CHECKING:
     from clacad.rendering.atlas.make_atlas import AtlasJob
+    from clacad.rendering.sheet_passage import Passage
 
-FIXED = 0.4
-PER_RAY = {"numpy": 8e-6, "compiled": 1.2e-6}
+FIXED = 0.2
+"""Seconds of a picture apart from its rays."""
+
+ENOUGH = 0.1
+"""Seconds of the pixels that are tried, from which on they tell what the others take."""
+
+MUCH = 3.0
+"""Times what the first of them take that they must take."""
+
+FIRST = 3
+"""Pixels along each side of the patches that are tried first; twice as many until they are enough."""
+
+PATCHES = ((0.31, 0.22), (0.44, 0.61), (0.57, 0.35), (0.7, 0.83))
+"""Where in the picture they are, down and across."""
 
 
-def picture_seconds(scene: Scene, frames: int = 1) -> float:
-    """Processor seconds of a still, or of so many frames."""
-    return frames * (FIXED + PER_RAY[_path(scene)] * _rays(scene))
+def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
+    """Processor seconds of a still, or of so many frames like it; pixels that a noise target renders again are not counted.
+
+    Parameters
+    ----------
+    scene : Scene
+        A still.
+    passage : Passage
+        As `sheet_passage.plan_passage` plans it.
+    frames : int
+    """
+    view = aim(scene.camera)
+    viewing = set_up(scene, prescribe(scene.design()), _rays(scene) > SMALL_PICTURE, passage)
+    each = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
+    return frames * (FIXED + each * view.width * view.height)
+
+
+def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> float:
+    """Processor seconds of a pixel, of some spread over the picture: what so many more of them take longer."""
+    side = FIRST
+    _spent(viewing, view, side, samples)  # loads what is compiled
+    first, fewest = _spent(viewing, view, side, samples)
+    while True:
+        side *= 2
+        took, many = _spent(viewing, view, side, samples)
+        # a block of rays takes something however few they are: it must not be taken for theirs
+        if (took >= ENOUGH and took >= MUCH * first) or 2 * many >= view.width * view.height:
+            return max(took - first, 0.25 * took) / max(1, many - fewest)
+
+
+def _spent(viewing: Viewing, view: View, side: int, samples: int) -> tuple[float, int]:
+    """Processor seconds of some square patches of a picture, of so many pixels a side, and how many pixels they are.
+
+    Neighbours look through the same lenslets, and rays through one lenslet take less together: pixels far from one
+    another would tell of another picture.
+    """
+    pixels = np.unique(np.concatenate([_patch(view, side, at) for at in PATCHES]))
+    began = time.thread_time()
+    tried(viewing, view, pixels, samples)
+    return time.thread_time() - began, len(pixels)
+
+
+def _patch(view: View, side: int, at: tuple[float, float]) -> Ints:
+    """Pixels of a square patch about a place of the picture, (0 … 1, 0 … 1), as far as it lies in it."""
+    y, x = (
+        np.arange(side) + int(part * size) - side // 2
+        for part, size in zip(at, (view.height, view.width), strict=True)
+    )
+    y, x = y[(y >= 0) & (y < view.height)], x[(x >= 0) & (x < view.width)]
+    return (y[:, None] * view.width + x).ravel().astype(np.int64)
 
 
 def task(scene: Scene) -> str:

@@ -78,7 +78,7 @@ def _compared(situation: Situation, rung: Rung, mesh: str | None) -> tuple[float
 
     if not len(situation.rays):
         return 0.0, 0.0
-    found = trace(situation.window, situation.rays, rung, mesh=mesh)
+    found = trace(situation.window, situation.rays, rung, mesh=mesh, path="size")
     truth = situation.probe
     both = (truth.fate == Fate.ALIVE) & (found.fate == Fate.ALIVE)
     return rms_angle(truth.direction[both], found.direction[both]), float(np.mean(truth.fate != found.fate))

@@ -38,7 +38,6 @@ def pane_of(
     from clacad.rendering.compiled.hole_beside_lens import suits
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.layout import lay_out
-    from clacad.tracing.triangles.tiles import NO_TILES
 
     numbers = np.zeros(kernel.PANE_NUMBERS)
     if not present:
@@ -58,7 +57,7 @@ def pane_of(
     wave = lines[0].wavelength
     indices = np.array([body.index if wave is None else body.index_at(wave) for body in window.bodies])
     sheet = pack(lay_out(window))._replace(indices=indices)
-    return kernel.Pane(kind, numbers, opaque, before, sheet, NO_TILES, shining, suits(sheet))
+    return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
 
 
 def _first_box(window: Window) -> Floats:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import entry
 from clacad.base.types import Floats
 
 
-@exact
+@entry
 def fill(corners: Floats, bright: Floats, depth: Floats, shade: Floats) -> None:
     """Fill `shade` (h, w) with the brightness of the nearest of the triangles that face the eye.
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.drawn_figure import drawn, no_formula
 from clacad.optics.rays import Fate, Rays
+from clacad.report.panels import Margins, panels, room_for
 from clacad.sheet.lattice import relocate
 from clacad.sheet.window import Window, column, face_height
 from clacad.tracing.trace import trace
@@ -34,24 +36,14 @@ METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 
 def svg(width: float, height: float, label: str, draw: Callable[[Figure], None]) -> str:
     """Draw a figure of the given size (inches) and return it as one <svg> element that says what it shows."""
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasSVG(figure)
-        draw(figure)
-        stream = io.StringIO()
-        # no date, no creator: the same numbers give the same bytes
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    text = stream.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = drawn("svg", (width, height), draw, STYLE, creator=None, placed=True).decode()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     # names inside one drawing must not meet those of another drawing on the same page
     mark = re.sub(r"[^a-z]+", "-", label.lower())
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{mark}-", text)
     text = _numbered(text)
-    return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1)
 
 
 def _numbered(text: str) -> str:
@@ -70,7 +62,8 @@ def transfer(report: Report) -> str:
     """Exit slope against incident slope along both lens axes, and what is left over."""
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(2, 2, sharex="col", height_ratios=(3, 2))
+        room = Margins(top=0.3, down=0.14)
+        axes = panels(figure, 2, 2, room, sharex="col", height_ratios=(3, 2))
         for k, (name, curve) in enumerate(zip("xy", report.curves, strict=True)):
             top, bottom = axes[0][k], axes[1][k]
             top.plot(curve.slope, curve.law, color=INK, lw=1.2, label="law asked for")
@@ -116,7 +109,7 @@ def transmission(report: Report) -> str:
     """Share of light through the partner lenslet, and into ghosts, against angle, beside the closed form."""
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(1, 2, sharey=True)
+        axes = panels(figure, 1, 2, Margins(bottom=0.72, across=0.3), sharey=True)
         for k, (name, curve) in enumerate(zip("xy", report.curves, strict=True)):
             panel = axes[k]
             panel.plot(curve.slope, curve.closed_form, color=INK, lw=1.2, label="closed form, thin lenses")
@@ -127,7 +120,7 @@ def transmission(report: Report) -> str:
             _shade_field(report, (panel,), curve)
         axes[0].set_ylabel("share of the light")
         axes[0].set_ylim(-0.03, 1.05)
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3)
 
     return svg(7.6, 3.0, "share of light transmitted against angle", draw)
 
@@ -136,7 +129,7 @@ def residual_map(report: Report) -> str:
     """Error of single rays over aperture and field, along both lens axes."""
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(1, 2)
+        axes = panels(figure, 1, 2, Margins(left=0.78, right=0.6, across=1.36))
         pitch = min(report.window.lattice.pitch)
         for panel, name, curve in zip(axes, "xy", report.curves, strict=True):
             error = 1e3 * curve.residual
@@ -150,7 +143,7 @@ def residual_map(report: Report) -> str:
             panel.set_ylabel(f"incident slope, lens {name}")
             panel.locator_params(nbins=6)
             panel.grid(False)
-            figure.colorbar(image, ax=panel, label="error (mrad)", shrink=0.9)
+            figure.colorbar(image, ax=panel, label="error (mrad)", shrink=0.9, fraction=0.06, pad=0.03)
 
     return svg(7.6, 3.0, "error over aperture and field", draw)
 
@@ -159,7 +152,7 @@ def spots(report: Report) -> str:
     """Exit directions about the law's, for nine incident directions."""
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(3, 3, sharex=True, sharey=True)
+        axes = panels(figure, 3, 3, Margins(across=0.26, down=0.16), sharex=True, sharey=True)
         # the middle of the field in the middle, its rim round it as seen: +x to the right, +y up
         place = ((1, 1), (1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (2, 0), (2, 1), (2, 2))
         points = report.optics.points
@@ -195,7 +188,7 @@ def convergence(report: Report) -> str:
         return ""
 
     def draw(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2)
+        left, right = panels(figure, 1, 2, Margins(left=0.36, across=0.5, top=0.3))
         for panel, value, order, label in (
             (left, 1e3 * found.direction, found.order_direction, "direction error, rms (mrad)"),
             (right, 100 * found.fitted, found.order_fitted, "error of measured η (%)"),
@@ -254,10 +247,10 @@ def budget(report: Report) -> str:
     rows = budget_rows(report)[::-1]
 
     def draw(figure: Figure) -> None:
-        panel = figure.subplots()
+        panel = panels(figure, margins=Margins(left=room_for([name for name, _, _ in rows])))
         value = np.array([1e3 * max(v, 1e-9) for _, v, _ in rows])
         colour = [SECOND if name == "diffraction" else ACCENT for name, _, _ in rows]
-        panel.barh([name for name, _, _ in rows], value, color=colour, height=0.6, left=0.0)
+        panel.barh([no_formula(name) for name, _, _ in rows], value, color=colour, height=0.6, left=0.0)
         panel.set_xscale("log")
         panel.set_xlim(max(value.min() * 0.3, 1e-6), value.max() * 4)
         panel.axvline(1e3 * report.design.check.law_rms, color=BAD, lw=1.0, ls="--")
@@ -276,7 +269,7 @@ def section(report: Report) -> str:
     scale = window.unit / size
 
     def draw(figure: Figure) -> None:
-        panel = figure.subplots()
+        panel = panels(figure)
         for body in window.bodies:
             x, front, back = _profile(window, body, window.lattice.pitch[0])
             panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
@@ -319,7 +312,7 @@ def ray_fan(window: Window) -> list[Any]:
     away = 0.15 * (high - low) + 0.5 * window.lattice.pitch[0]
     at = np.column_stack([x, np.zeros((5, 2))])
     start = at + direction * ((low - away) / direction[:, 2:])
-    result = trace(one, Rays(start, direction), record=True)
+    result = trace(one, Rays(start, direction), record=True, path="size")
     found = []
     for k in range(5):
         if result.fate[k] != Fate.ALIVE or result.hits is None:

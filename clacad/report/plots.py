@@ -8,6 +8,7 @@ import numpy as np
 
 from clacad.base.units import millimetres
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, svg
+from clacad.report.panels import Margins, panels, room_for
 from clacad.verification.light.error_attribution import NAMES
 
 if TYPE_CHECKING:
@@ -31,12 +32,13 @@ def foci(report: Report, evidence: Evidence) -> str:
     mm = millimetres(report.window.unit)
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(2, 2, width_ratios=(3, 2))
+        room = Margins(left=0.72, bottom=0.72, top=0.3, across=0.62, down=0.76)
+        axes = panels(figure, 2, 2, room, width_ratios=(3, 2))
         for row, (name, focus) in enumerate(zip("xy", found, strict=True)):
             _overview(axes[row][0], focus, mm, name)
             _close_up(axes[row][1], focus, mm)
         handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        figure.legend(handles, labels, loc="lower center", ncols=2)
 
     return svg(7.6, 4.8, "foci and caustics of both lenses in both meridians", draw)
 
@@ -109,7 +111,7 @@ def ghosts(evidence: Evidence) -> str:
     found = evidence.ghosts
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(1, 3, sharey=True)
+        axes = panels(figure, 1, 3, Margins(top=0.3, across=0.36, right=0.66), sharey=True)
         (sx, sy) = found.slope
         box = (sx[0], sx[-1], sy[0], sy[-1])
         image: Any = None
@@ -120,12 +122,12 @@ def ghosts(evidence: Evidence) -> str:
             image = panel.imshow(
                 values, origin="lower", extent=box, aspect="auto", vmin=0.0, vmax=1.0, interpolation="nearest"
             )
-            panel.set_title(title)
+            panel.set_title(title, fontsize=8.5)
             panel.set_xlabel("incident slope, lens x")
             panel.grid(False)
             panel.locator_params(nbins=5)
         axes[0].set_ylabel("incident slope, lens y")
-        figure.colorbar(image, ax=axes, label="share of the light", shrink=0.9)
+        figure.colorbar(image, ax=axes, label="share of the light", shrink=0.9, fraction=0.025, pad=0.02)
 
     return svg(7.6, 2.9, "share of the light over two incident slopes, partner, closed form and ghosts", draw)
 
@@ -134,7 +136,8 @@ def parts_of_error(found: Attribution, limit: float) -> str:
     """Five bars of the error, each alone, and one bar of what they add up to."""
 
     def draw(figure: Figure) -> None:
-        top, bottom = figure.subplots(2, 1, height_ratios=(3.2, 1))
+        margins = Margins(left=room_for(list(NAMES)), down=0.56)
+        top, bottom = panels(figure, 2, 1, margins, height_ratios=(3.2, 1))
         alone = np.array([max(1e3 * p.rms, 1e-15) for p in found.parts])[::-1]
         top.barh(NAMES[::-1], alone, color=SHADES[::-1], height=0.62)
         top.set_xscale("log")
@@ -170,7 +173,7 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
     style = {"law": (FAINT, "D"), "thin": ("#b07aa1", "s"), "surfaces": (GREEN, "*"), "mesh": (SECOND, "o")}
 
     def draw(figure: Figure) -> None:
-        panel = figure.subplots()
+        panel = panels(figure)
         for row, us in zip(ladder.rows, ladder.forecast, strict=True):
             if not (np.isfinite(row.model_rms) and row.model_rms > 0.0):
                 continue

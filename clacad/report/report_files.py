@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.regular_file import read_regular
 from clacad.storage.atomic import write_content
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ MARK = "<!-- clacad report -->"
 
 RUN_MARK = "run facts of a clacad report"
 PDF_MARK = b"%PDF"
+
+LARGEST = 64 << 20
+"""Bytes beyond which no file is a report of ours."""
 
 
 def write_report(
@@ -108,12 +112,12 @@ def is_report(path: Path) -> bool:
     """Tell whether a file is one that was written here."""
     if path.suffix == ".pdf":
         try:
-            data = path.read_bytes()
+            data = read_regular(path, LARGEST)
         except OSError:
             return False
         return data.startswith(PDF_MARK) and b"clacad report" in data
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path, LARGEST).decode()
     except (OSError, UnicodeDecodeError):
         return False
     if path.name == "run.json":

@@ -142,7 +142,7 @@ def load_scene(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> S
     Parameters
     ----------
     path : path
-        TOML, or JSON if the name ends in .json; at most 16 MB, nested at most 64 deep.
+        TOML, or JSON if the name ends in .json; at most 1 MB, nested at most 64 deep.
     overrides : sequence of str
         "key.path=value" each, as with --set; an object is named by its id ("object.knight.size=0.3").
 

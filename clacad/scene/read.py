@@ -10,7 +10,7 @@ from clacad.base import units
 from clacad.base.text import DEEPEST, plain
 from clacad.base.units import Unit
 from clacad.config import overrides as override
-from clacad.config.design_error import DesignError
+from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.key_positions import located, split_key
 from clacad.config.mistakes import Mistake, in_order
 from clacad.config.toml_text import parse, read_text, too_deep
@@ -38,6 +38,8 @@ def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[st
     try:
         text = read_text(name, "scene")
         data = parse(text, name, "scene")
+    except DesignTooLarge:
+        raise
     except DesignError as error:
         raise SceneError(error.mistakes) from None
     return _read(data, tuple(overrides), text, name)

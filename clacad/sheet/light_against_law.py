@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.optics.law import Law, angle_between
+from clacad.optics.law.fitting import law_in_axes
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.telescopelet import interfaces, lens_distance
@@ -63,7 +64,7 @@ def fitted_laws(
         return None
     into = rays.direction[good]
     try:
-        first, second = (Law.fit(into, found.direction[good], axes=axes).law for found in (one, other))
+        first, second = (law_in_axes(into, found.direction[good], axes) for found in (one, other))
     except ValueError:  # light that leaves without depending on how it came
         return None
     return first, second

@@ -13,7 +13,7 @@ from math import inf, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
@@ -264,10 +264,18 @@ def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats)
         Infinite where the face has neither.
     """
     if face.array is None:
+        return distance_in_cell(window, face, points, np.zeros((len(points), 2), dtype=np.int64))
+    shift = window.shifts[face.array]
+    index, _, _ = window.lattice.locate(inside[:, 0] - shift[0], inside[:, 1] - shift[1])
+    return distance_in_cell(window, face, points, index)
+
+
+def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) -> Floats:
+    """The same (n, k) for points (n, k, 3) whose cells (n, 2) in the face's own array are known."""
+    if face.array is None:
         return np.asarray(np.abs(points[..., 2] - face.vertex[2]))
     lattice: Lattice = window.lattice
     shift = np.asarray(window.shifts[face.array])
-    index, _, _ = lattice.locate(inside[:, 0] - shift[0], inside[:, 1] - shift[1])
     kept = lattice.contains(index)
     centre = lattice.centres(index) + shift
     local = points[..., :2] - centre[:, None]

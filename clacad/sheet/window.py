@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -213,6 +214,15 @@ class Window:
     recipe: Mapping[str, Any] = field(default_factory=dict)
     residual: Mapping[str, float] = field(default_factory=dict)
     name: str = "sheet"
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What others worked out from this window, kept as long as it lives; neither copied nor pickled with it."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what is kept."""
+        return {name: value for name, value in self.__dict__.items() if name != "kept"}
 
     @property
     def faces(self) -> tuple[Face, ...]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from clacad.base.units import millimetres
 from clacad.sheet.gap import NoFixture, plane_of
 from clacad.sheet.lattice import Circle
+from clacad.solid.lettering import lettering
 from clacad.topology.build_complex import one_tiling
 
 if TYPE_CHECKING:
@@ -175,9 +176,9 @@ def line_sketch(text: str, width: float, height: float) -> Any:
     NoFixture
         The line is too long for letters of the least height.
     """
-    from build123d import FontStyle, Polygon, Pos, Text, scale
+    from build123d import Polygon, Pos, scale
 
-    letters: Any = Text(text, 0.7 * height, font_style=FontStyle.BOLD)
+    letters = lettering(text, 0.7 * height)
     box = letters.bounding_box()
     arrow_width = 0.7 * height
     shrink = min(1.0, width / (box.size.X + 2.0 * arrow_width), height / max(box.size.Y, height))

@@ -4,44 +4,84 @@ from __future__ import annotations
 
 import xml.parsers.expat
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO
 
+from clacad.storage.element_runs import ElementRun, RunReader
 from clacad.storage.errors import UnreadableFile
+from clacad.storage.spending import Spending
 
 MOST_ENTRIES = 1000
-MOST_BYTES = 1 << 30
+LONGEST_DIRECTORY = 1 << 20
+"""Bytes of the list of entries: the standard library makes an object of each before anything can be judged."""
 MOST_RATIO = 100
 FREE_BYTES = 1 << 20
 """Entries inflating to less than this may be compressed as well as they like: 1 MB harms nobody."""
 DEEPEST = 32
+LONGEST_TOKEN = 1 << 18
+"""Bytes of one tag, comment or instruction: the parser begins such a thing anew with every block until it has all of it."""
+BLOCK = 1 << 16
 
 Attributes = dict[str, str]
 
 
-def open_archive(path: Path) -> zipfile.ZipFile:
+def open_archive(path: Path, spent: Spending, *, streamed: bool = False) -> zipfile.ZipFile:
     """Open a zip file after judging its directory.
+
+    Parameters
+    ----------
+    path : Path
+    spent : Spending
+        Of its reader; is told what the entries inflate to.
+    streamed : bool
+        Whether entries are never held in memory, so that they may be compressed as well as they like.
 
     Raises
     ------
     UnreadableFile
-        Not a zip; too many entries; too many bytes; a ratio only a bomb has; encrypted; an entry whose name
+        Not a zip; too many entries; a ratio only a bomb has; encrypted; an entry whose name
         leaves the folder, comes twice, or uses a method other than stored or deflated.
+    OverBudget
+        It would inflate to more bytes than its reader takes.
     """
     try:
+        if _directory_bytes(path) > LONGEST_DIRECTORY:
+            raise UnreadableFile(
+                f"{path.name}: its list of entries has more than {LONGEST_DIRECTORY:,} bytes"
+            )
         archive = zipfile.ZipFile(path)
     except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
-        raise UnreadableFile(f"{path.name}: not a readable zip file ({error})") from error
+        if isinstance(error, UnreadableFile):
+            raise
+        why = (error.strerror or str(error)).lower() if isinstance(error, OSError) else error
+        raise UnreadableFile(f"{path.name}: not a readable zip file ({why})") from error
     try:
-        _judge(path, archive.infolist())
+        _judge(path, archive.infolist(), streamed)
+        spent.unpacked(sum(entry.file_size for entry in archive.infolist()), " unpacked")
     except UnreadableFile:
         archive.close()
         raise
     return archive
 
 
-def _judge(path: Path, entries: list[zipfile.ZipInfo]) -> None:
+def _directory_bytes(path: Path) -> int:
+    """Bytes of a zip file's list of entries, as the record at its end says; 0 where there is none."""
+    with path.open("rb") as stream:
+        size = stream.seek(0, 2)
+        stream.seek(max(0, size - 22 - 65535 - 76))
+        tail = stream.read()
+    last = len(tail) - 22 if tail[-22:].startswith(b"PK\5\6") else tail.rfind(b"PK\5\6")
+    if last < 0:
+        return 0
+    stated = int.from_bytes(tail[last + 12 : last + 16], "little")
+    if tail[max(0, last - 20) : last].startswith(b"PK\6\7"):  # a 64-bit record stands before it
+        long = tail.rfind(b"PK\6\6", 0, last)
+        stated = max(stated % 0xFFFFFFFF, int.from_bytes(tail[long + 40 : long + 48], "little"))
+    return stated
+
+
+def _judge(path: Path, entries: list[zipfile.ZipInfo], streamed: bool) -> None:
     """Refuse an archive by what its directory says."""
 
     def refuse(why: str) -> None:
@@ -49,9 +89,6 @@ def _judge(path: Path, entries: list[zipfile.ZipInfo]) -> None:
 
     if len(entries) > MOST_ENTRIES:
         refuse(f"{len(entries)} entries are more than the {MOST_ENTRIES} allowed")
-    total = sum(entry.file_size for entry in entries)
-    if total > MOST_BYTES:
-        refuse(f"it would inflate to {total} bytes, more than the {MOST_BYTES} allowed")
     seen: set[str] = set()
     for entry in entries:
         name = entry.filename
@@ -63,59 +100,80 @@ def _judge(path: Path, entries: list[zipfile.ZipInfo]) -> None:
             or ".." in parts
             or "\0" in entry.orig_filename
         ):
-            refuse(f"the entry name {name!r} leads out of the archive")
+            refuse(f"the entry name {name[:200]!r} leads out of the archive")
         if name.lower() in seen:
-            refuse(f"the entry {name!r} comes twice")
+            refuse(f"the entry {name[:200]!r} comes twice")
         seen.add(name.lower())
         if entry.flag_bits & 0x1:
-            refuse(f"the entry {name!r} is encrypted")
+            refuse(f"the entry {name[:200]!r} is encrypted")
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            refuse(f"the entry {name!r} uses compression method {entry.compress_type}")
-        if entry.file_size > FREE_BYTES and entry.file_size > MOST_RATIO * max(1, entry.compress_size):
-            refuse(f"the entry {name!r} inflates more than {MOST_RATIO} to 1")
+            refuse(f"the entry {name[:200]!r} uses compression method {entry.compress_type}")
+        if (
+            not streamed
+            and entry.file_size > FREE_BYTES
+            and entry.file_size > MOST_RATIO * max(1, entry.compress_size)
+        ):
+            refuse(f"the entry {name[:200]!r} inflates more than {MOST_RATIO} to 1")
 
 
-def parse_xml(stream: IO[bytes], name: str, start: Callable[[str, Attributes], None],
-              end: Callable[[str], None], text: Callable[[str], None] | None = None) -> None:  # fmt: skip
-    """Parse XML as a stream of events; no document type, no entities, bounded depth and bytes.
+def parse_xml(stream: IO[bytes], spent: Spending, start: Callable[[str, Attributes], None],
+              end: Callable[[str], None], text: Callable[[str], None] | None = None,
+              runs: Mapping[str, ElementRun] | None = None) -> None:  # fmt: skip
+    """Parse XML as a stream of events; no document type, no entities, bounded depth, bytes, seconds and tokens.
 
     Parameters
     ----------
     stream : binary stream
-    name : str
-        For messages.
+    spent : Spending
+        Of its reader, with the name for messages.
     start, end, text : callables
         Element names come without their namespace prefix resolved ("model", "p:item").
+    runs : mapping or None
+        Name of a parent → elements in it that are taken many at a time, not told by `start` and `end`.
 
     Raises
     ------
     UnreadableFile
+        Damaged, or a tag, comment or instruction of more than 256 kB.
+    OverBudget
     """
-    parser = _guarded_parser(name, start, end)
+    parser, reader = _guarded_parser(spent.name, start, end, runs or {})
     if text is not None:
         parser.buffer_text = True
         parser.CharacterDataHandler = text
     total = 0
     try:
-        while block := stream.read(1 << 16):
+        while block := stream.read(BLOCK):
             total += len(block)
-            if total > MOST_BYTES:
-                raise UnreadableFile(f"{name}: more than {MOST_BYTES} bytes of XML")
-            parser.Parse(block, False)
+            spent.unpacked(total, " of XML")
+            reader.feed(block)
+            waiting = reader.given - parser.CurrentByteIndex
+            place = total - reader.held - waiting
+            if waiting > LONGEST_TOKEN:
+                raise UnreadableFile(
+                    f"{spent.name}: a tag, comment or instruction of more than {LONGEST_TOKEN:,} bytes begins at byte "
+                    f"{place:,} of its XML, in line {parser.CurrentLineNumber:,}"
+                )
+            spent.look(f"at byte {place:,} of its XML")
+        reader.end()
         parser.Parse(b"", True)
     except (xml.parsers.expat.ExpatError, zipfile.BadZipFile, EOFError, OSError, zlib_error()) as error:
-        raise UnreadableFile(f"{name}: damaged ({error})") from error
+        raise UnreadableFile(f"{spent.name}: damaged ({error})") from error
     except UnreadableFile:
         raise
     except (LookupError, ValueError) as error:  # an encoding that Python does not know, or not for XML
-        raise UnreadableFile(f"{name}: its XML is in no encoding that can be read ({error})") from error
+        raise UnreadableFile(f"{spent.name}: its XML is in no encoding that can be read ({error})") from error
 
 
 def _guarded_parser(
-    name: str, start: Callable[[str, Attributes], None], end: Callable[[str], None]
-) -> xml.parsers.expat.XMLParserType:
-    """Parser that refuses document types, entities and elements nested too deep."""
+    name: str,
+    start: Callable[[str, Attributes], None],
+    end: Callable[[str], None],
+    runs: Mapping[str, ElementRun],
+) -> tuple[xml.parsers.expat.XMLParserType, RunReader]:
+    """Parser that refuses document types, entities and elements nested too deep, and what it is fed through."""
     parser = xml.parsers.expat.ParserCreate()
+    reader = RunReader(parser, runs)
     depth = 0
 
     def forbidden(*_: object) -> int:
@@ -126,6 +184,8 @@ def _guarded_parser(
         depth += 1
         if depth > DEEPEST:
             raise UnreadableFile(f"{name}: XML nested deeper than {DEEPEST}")
+        if tag in runs:
+            reader.opened(tag, parser.CurrentByteIndex)
         start(tag, attributes)
 
     def closed(tag: str) -> None:
@@ -133,12 +193,16 @@ def _guarded_parser(
         depth -= 1
         end(tag)
 
+    def declared(_version: str, encoding: str | None, _standalone: int) -> None:
+        reader.encoding = encoding
+
+    parser.XmlDeclHandler = declared
     parser.StartDoctypeDeclHandler = forbidden
     parser.EntityDeclHandler = forbidden
     parser.ExternalEntityRefHandler = forbidden
     parser.StartElementHandler = opened
     parser.EndElementHandler = closed
-    return parser
+    return parser, reader
 
 
 def zlib_error() -> type[Exception]:

@@ -15,13 +15,15 @@ import secrets
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from clacad.storage.errors import CannotWrite, ExportRefused
+from clacad.base.regular_file import read_regular
+from clacad.storage.errors import CannotWrite, ExportRefused, OverBudget, refused_by_system
+from clacad.storage.spending import Spending
 from clacad.storage.staging import BUSY, OLD, Unfinished, exchange, flush, undisturbed
 
 MANIFEST = "manifest.json"
@@ -53,15 +55,23 @@ def file_hash(path: Path) -> str:
 
 
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any] | None:
-    """Read `folder`'s manifest, or None when there is none that an export wrote."""
+    """Read `folder`'s manifest, or None when there is none that an export wrote.
+
+    Raises
+    ------
+    OverBudget
+        It is longer, or lists more files, than is read.
+    """
     try:
-        with (folder / name).open("rb") as stream:
-            text = stream.read(64 << 20)
-        found = json.loads(text)
+        spent = Spending("manifest", folder / name)
+        found = json.loads(read_regular(folder / name, spent.budget.bytes))
+    except OverBudget:
+        raise
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(found, dict) or found.get("format") != 1 or not isinstance(found.get("files"), list):
         return None
+    spent.count(len(found["files"]))
     return found
 
 
@@ -102,6 +112,7 @@ class Stage:
         self._private: Path | None = None
         self._lock: int | None = None
         self._torn = False
+        self._found: dict[str, tuple[int, ...] | None] = {}
 
     def __enter__(self) -> Stage:
         with translated(self.folder):
@@ -110,6 +121,7 @@ class Stage:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.folder = self.folder.resolve()
             sweep(self.folder)
+            self._found = {MANIFEST: _identity(self.folder / MANIFEST)}
             name = f".clacad-{os.getpid()}-{_start_time(os.getpid())}-{secrets.token_hex(6)}"
             self._private = self.folder / name
             _OPEN.add(self._private)
@@ -142,6 +154,7 @@ class Stage:
         assert self._private is not None, "a Stage is used inside its with block"
         if not _NAME.match(name):
             raise CannotWrite(f"{name!r} is not a file name this program writes")
+        self._found.setdefault(name, _identity(self.folder / name))
         self._may_replace(name)
         return self._private / name
 
@@ -187,6 +200,7 @@ class Stage:
                 flush(self._private / name)
             if manifest is None:
                 with undisturbed(), _publishing(self.folder):
+                    self._refuse_rivals(names)
                     exchange(self._private, self.folder, names, [])
                     flush(self.folder)
                 return
@@ -194,7 +208,8 @@ class Stage:
             self._write_json(draft, manifest)
             flush(draft)
             flush(self._private)
-            with undisturbed():
+            with undisturbed(), _publishing(self.folder):
+                self._refuse_rivals([MANIFEST, *names])
                 os.replace(
                     draft, self._private / _SEALED
                 )  # from here on a killed publication is finished later
@@ -208,6 +223,20 @@ class Stage:
                 except OSError:
                     self._torn = False
                     raise
+
+    def _refuse_rivals(self, names: Iterable[str]) -> None:
+        """Refuse, under the folder's lock, to publish over what came there since this began.
+
+        Files of others may be asked to be replaced; the manifest of an export that was faster may not: it would lose
+        files that it was said to have written.
+        """
+        for name in names:
+            target = self.folder / name
+            if (name == MANIFEST or not self.overwrite) and self._found.get(name) != _identity(target):
+                raise ExportRefused(
+                    f"{target} was written by another program meanwhile: what it wrote stands, and nothing of this was "
+                    "published; do it again, or choose another folder"
+                )
 
     @staticmethod
     def _write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -258,7 +287,9 @@ def write_content(path: str | os.PathLike[str], content: str | bytes, *, overwri
     """
 
     def write(private: Path) -> None:
-        private.write_bytes(content.encode() if isinstance(content, str) else content)
+        # what of a file's name is no text is spelt out
+        data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
+        private.write_bytes(data)
 
     write_file(path, write, overwrite=overwrite)
 
@@ -293,7 +324,8 @@ def sweep(folder: Path) -> None:
             continue
         try:
             if (private / _SEALED).is_file():
-                _finish(private, folder)
+                with _publishing(folder):
+                    _finish(private, folder)
             shutil.rmtree(private, ignore_errors=True)
         finally:
             os.close(lock)
@@ -302,14 +334,23 @@ def sweep(folder: Path) -> None:
 def _finish(private: Path, folder: Path) -> None:
     """Carry out a sealed publication; may be repeated from any point it was broken off at.
 
-    The old manifest goes first: while files of two exports stand side by side, none vouches for them.
+    Under the folder's lock. The old manifest goes first: while files of two exports stand side by side, none vouches
+    for them.
     """
-    with _publishing(folder):
-        gone = [MANIFEST] if os.path.lexists(folder / MANIFEST) else []
-        gone += _dropped(private, folder)
-        names = sorted(p.name for p in private.iterdir() if p.name != _SEALED and not p.name.startswith(OLD))
-        exchange(private, folder, names, gone, (_SEALED, MANIFEST))
-        flush(folder)
+    gone = [MANIFEST] if os.path.lexists(folder / MANIFEST) else []
+    gone += _dropped(private, folder)
+    names = sorted(p.name for p in private.iterdir() if p.name != _SEALED and not p.name.startswith(OLD))
+    exchange(private, folder, names, gone, (_SEALED, MANIFEST))
+    flush(folder)
+
+
+def _identity(path: Path) -> tuple[int, ...] | None:
+    """What tells a file from one put in its place, None where there is none."""
+    try:
+        found = os.lstat(path)
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 @contextmanager
@@ -343,7 +384,9 @@ def translated(path: Path) -> Iterator[None]:
     except OSError as error:
         place = error.filename if isinstance(error.filename, str) else str(path)
         place = re.sub(r"/\.clacad-[0-9a-f-]+", "", place)
-        raise CannotWrite(f"cannot write {place}: {(error.strerror or str(error)).lower()}") from error
+        what = f"cannot write {place}"
+        why = (error.strerror or str(error)).lower()
+        raise refused_by_system(error, what) or CannotWrite(f"{what}: {why}") from error
 
 
 # -- whose private folder is it --------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from errno import EAGAIN, EMFILE, ENFILE
 from typing import Any
 
 
@@ -63,6 +64,20 @@ class LimitRefused(ExportError):
     exit_status = 3
 
 
+LIMITS_OF_THE_SYSTEM = {
+    EMFILE: "this process may open no more files; ulimit -n raises that",
+    ENFILE: "the system can open no more files",
+    EAGAIN: "the system starts no more processes; ulimit -u raises that",
+}
+"""Numbers of the system's errors that say that a limit of its own was met, and how that is said."""
+
+
+def refused_by_system(error: OSError, what: str) -> LimitRefused | None:
+    """Give the refusal that an error of the system stands for, None if it met no limit; `what` could not be done."""
+    why = LIMITS_OF_THE_SYSTEM.get(error.errno or 0)
+    return None if why is None else LimitRefused(f"{what}: {why}")
+
+
 class WorkerDied(ExportError):
     """The process that did the native work ended without an answer.
 
@@ -72,17 +87,26 @@ class WorkerDied(ExportError):
         What happened, in one sentence.
     details : str
         Last lines the process wrote to its error stream; for a log, not for the user.
+    over_budget : bool
+        Whether it ended because it took more memory or processor time than it was given.
     """
 
-    def __init__(self, sentence: str, details: str = "") -> None:
+    def __init__(self, sentence: str, details: str = "", *, over_budget: bool = False) -> None:
         super().__init__(sentence)
         self.details = details
+        self.over_budget = over_budget
 
 
 class UnreadableFile(ExportError, ValueError):
     """A file is not what its name says, is cut short, or is built to harm its reader."""
 
     exit_status = 1
+
+
+class OverBudget(UnreadableFile):
+    """A file takes more bytes, items or processor seconds than its reader has; nothing says that it is wrong."""
+
+    exit_status = 3
 
 
 class FileDisagrees(ExportError):

@@ -22,6 +22,7 @@ from contextlib import contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any
 
 from clacad.storage import errors
+from clacad.storage.child_path import module_path
 from clacad.storage.errors import WorkerDied
 
 if TYPE_CHECKING:  # the parent loads no numpy
@@ -91,9 +92,9 @@ class Worker:
             return
         read_end, write_end = os.pipe()
         self._errors = _scratch()
-        path = [entry or os.getcwd() for entry in sys.path]
         setup = json.dumps([*self._limits, self._preload])
-        command = [sys.executable, "-c", _BOOT, json.dumps(path), str(write_end), str(os.getpid()), setup]
+        place = [str(write_end), str(os.getpid())]
+        command = [sys.executable, "-P", "-c", _BOOT, json.dumps(module_path()), *place, setup]
         try:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=self._errors, stderr=self._errors,
@@ -102,7 +103,8 @@ class Worker:
         except OSError as error:
             os.close(read_end)
             self._errors.close()
-            raise WorkerDied(f"the worker process could not be started: {error.strerror}") from error
+            what = "the worker process could not be started"
+            raise errors.refused_by_system(error, what) or WorkerDied(f"{what}: {error.strerror}") from error
         finally:
             os.close(write_end)
         _LIVE.add(self._process.pid)
@@ -120,7 +122,7 @@ class Worker:
         ------
         WorkerDied
             The child crashed, ran out of memory or time, or answered nonsense.
-        CannotWrite, LimitRefused, UnreadableFile, FileDisagrees, ExportRefused, NotPossible
+        CannotWrite, LimitRefused, UnreadableFile, OverBudget, FileDisagrees, ExportRefused, NotPossible
             Raised by the function itself; the last for any other error that has an exit status of its own.
         """
         self.start()
@@ -176,7 +178,7 @@ class Worker:
                 continue
             left = None if deadline is None else deadline - time.monotonic()
             if left is not None and left <= 0.0:
-                raise self._died(f"did not finish within {timeout:g} s and was ended")
+                raise self._died(f"did not finish within {timeout:g} s and was ended", over_budget=True)
             ready, _, _ = select.select([self._answers], [], [], left)
             if not ready:
                 continue
@@ -196,8 +198,9 @@ class Worker:
             raise self._died("answered nonsense")
         return message
 
-    def _died(self, what: str) -> WorkerDied:
-        return WorkerDied(f"the worker process {what} (stage: {self._stage})", self._last_words())
+    def _died(self, what: str, *, over_budget: bool = False) -> WorkerDied:
+        sentence = f"the worker process {what} (stage: {self._stage})"
+        return WorkerDied(sentence, self._last_words(), over_budget=over_budget)
 
     def _buried(self) -> WorkerDied:
         """Say why the child closed its pipe: wait for it and read its status and peak memory."""
@@ -211,7 +214,8 @@ class Worker:
         except ChildProcessError:
             process.wait()
         words = self._last_words()
-        return WorkerDied(_cause(process.returncode or 0, peak, self._limits, self._stage, words), words)
+        sentence, limited = _cause(process.returncode or 0, peak, self._limits, self._stage, words)
+        return WorkerDied(sentence, words, over_budget=limited)
 
     def _last_words(self) -> str:
         if self._errors is None:
@@ -221,23 +225,28 @@ class Worker:
         return self._errors.read().decode("utf-8", "replace")
 
 
-def _cause(status: int, peak: int, limits: tuple[int | None, int | None], stage: str, words: str) -> str:
-    """Why a process ended, as a sentence; `peak` bytes, `limits` (bytes, seconds of processor time)."""
+def _cause(
+    status: int, peak: int, limits: tuple[int | None, int | None], stage: str, words: str
+) -> tuple[str, bool]:
+    """Why a process ended, as a sentence, and whether a limit was why.
+
+    peak : bytes; limits : (bytes, seconds of processor time)
+    """
     memory, cpu = limits
     at = f" at about {peak / 1e9:.1f} GB" if peak else ""
     limit = "" if memory is None else f" (limit {memory / 1e9:.1f} GB)"
     starved = memory is not None and (peak > 0.5 * memory or _wanted_memory(words))
     if status == -signal.SIGXCPU or (status == -signal.SIGKILL and cpu is not None and not starved):
-        return f"the worker process used up its {cpu} s of processor time (stage: {stage})"
+        return f"the worker process used up its {cpu} s of processor time (stage: {stage})", True
     if starved and status != 0:
-        return f"the worker process ran out of memory{at}{limit} (stage: {stage})"
+        return f"the worker process ran out of memory{at}{limit} (stage: {stage})", True
     if status == -signal.SIGKILL:
-        return f"the worker process was killed{at}, most likely for lack of memory (stage: {stage})"
+        return f"the worker process was killed{at}, most likely for lack of memory (stage: {stage})", False
     if status < 0:
         plain = {int(signal.SIGSEGV): "a segmentation fault", int(signal.SIGABRT): "an abort"}
         name = plain.get(-status) or signal.Signals(-status).name
-        return f"the worker process crashed with {name}{at}{limit} (stage: {stage})"
-    return f"the worker process ended with status {status} without a result (stage: {stage})"
+        return f"the worker process crashed with {name}{at}{limit} (stage: {stage})", False
+    return f"the worker process ended with status {status} without a result (stage: {stage})", False
 
 
 def _wanted_memory(words: str) -> bool:
@@ -266,6 +275,7 @@ _OWN_ERRORS = (
     "UnreadableFile",
     "FileDisagrees",
     "NotPossible",
+    "OverBudget",
 )
 
 
@@ -276,30 +286,62 @@ def _unwrapped(message: dict[str, Any]) -> Any:
     if name in _OWN_ERRORS:
         raise getattr(errors, name)(text)
     if name == "MemoryError" or _wanted_memory(text):
-        raise WorkerDied(f"the worker process ran out of memory {text}".rstrip(), str(message.get("trace")))
+        sentence = f"the worker process ran out of memory {text}".rstrip()
+        raise WorkerDied(sentence, str(message.get("trace")), over_budget=True)
     raise WorkerDied(f"the worker process failed: {name}: {text}", str(message.get("trace")))
+
+
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+AGAIN = 0.02
+"""Seconds after which an interruption that nobody could be told of is raised again."""
 
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Within the block SIGTERM and SIGHUP raise KeyboardInterrupt, so that clean-up runs as for Ctrl-C.
 
-    Only where that is possible and nobody else has taken the signal: the main thread, default handler.
+    Only where that is possible and nobody else has taken the signal: the main thread, default handler. Python drops
+    an exception that is raised in a destructor or in the callback of a weak reference, as the end of every import
+    has one; an interruption dropped there is raised again a moment later.
     """
     taken: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            if signal.getsignal(number) is signal.SIG_DFL:
+        for number in ENDING:
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 taken[number] = signal.signal(number, _interrupt)
+    hook = sys.unraisablehook
+    if taken:
+        one = next(iter(taken))
+        sys.unraisablehook = lambda lost: _again(one) if lost.exc_type is KeyboardInterrupt else hook(lost)
     try:
         yield
     finally:
+        if taken:
+            sys.unraisablehook = hook
         for number, handler in taken.items():
             signal.signal(number, handler)
 
 
 def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
+
+
+def _again(number: int) -> None:
+    """Interrupt the main thread from another one, once it has left the place where the exception was dropped."""
+    timer = threading.Timer(AGAIN, _signal_main_thread, (number,))
+    timer.daemon = True
+    timer.start()
+
+
+def _signal_main_thread(number: int) -> None:
+    main = threading.main_thread().ident
+    if signal.getsignal(number) is not _interrupt or main is None:
+        return
+    if hasattr(signal, "pthread_kill"):  # wakes the thread if it waits
+        signal.pthread_kill(main, number)
+    else:
+        signal.raise_signal(number)
 
 
 # -- the child's side ------------------------------------------------------------------------

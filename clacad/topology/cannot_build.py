@@ -13,6 +13,7 @@ CODES: dict[str, str] = {
     "CL135": "a bevel that the sheet cannot hold",
     "CL136": "a cell beyond the outline",
     "CL137": "a body thinner than float32 heights can tell",
+    "CL138": "a lenslet that no point of the facets' grid meets",
 }
 """Meaning of each stable code of a body that cannot be made."""
 

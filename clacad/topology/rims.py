@@ -9,6 +9,7 @@ import numpy as np
 
 from clacad.base.roots import bisect
 from clacad.base.types import Bools, Floats, Ints
+from clacad.base.unique_rows import unique_rows
 
 FAN = 24
 """Rings of the grid a rim is sought on, unless asked otherwise."""
@@ -57,7 +58,7 @@ def trace_zero(function: Gap, polygon: Floats, fan: int = FAN) -> tuple[TracedCu
     edges = np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1
     )
-    edges, inverse = np.unique(edges, axis=0, return_inverse=True)
+    edges, inverse = unique_rows(edges)
     roots = _edge_roots(function, points, edges, positive)
     follows = _following_edges(triangles, inverse.reshape(3, -1).T, positive)
     return tuple(TracedCurve(roots[np.asarray(chain)], closed) for chain, closed in _chains(follows))

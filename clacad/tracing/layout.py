@@ -7,8 +7,9 @@ with the size of the sheet or its distance from the origin.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from math import isfinite, nan
+from typing import Any
 
 import numpy as np
 
@@ -135,10 +136,21 @@ class Layout:
         """Length below which a stretch of a ray decides nothing: 1e-12 of a cell, far above rounding."""
         return 1e-12 * float(self.halves.max())
 
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What others worked out from this layout, kept as long as it lives."""
+        return {}
 
-@lru_cache(maxsize=8)
+
 def lay_out(window: Window) -> Layout:
-    """Prepare a window for tracing (a few thousand heights are sampled); kept, since pictures ask block by block."""
+    """Prepare a window for tracing (a few thousand heights are sampled); kept with the window."""
+    kept: Layout | None = window.kept.get("layout")
+    if kept is None:
+        kept = window.kept["layout"] = _laid_out(window)
+    return kept
+
+
+def _laid_out(window: Window) -> Layout:
     lattice = window.lattice
     borders = lattice.steps[: len(lattice.steps) // 2]
     offsets = np.array([lattice.offset(*step) for step in borders])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from clacad.tracing.trace import worth_compiled
+from clacad.tracing.tracer import IDEAL_FACES, worth_compiled
 
 FIXED = 0.03
 """Archives opened, the result put together."""
@@ -12,11 +12,11 @@ FIXED = 0.03
 COMPILED = 0.7
 """Loading what compiles and the kernels that it kept."""
 
-PER_RAY = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 4.2e-7, "mesh": 5e-7}
+PER_RAY = {"law": 3.5e-7, "thin": 4.2e-7, "surfaces": 4.2e-7, "mesh": 5e-7}
 """Reading, tracing and writing a ray."""
 
-PLAIN = 2.6e-6
-"""The same for exact surfaces where there are too few rays for compiled kernels."""
+PLAIN = {"law": 1.7e-6, "thin": 2.0e-6, "surfaces": 2.6e-6}
+"""The same where there are too few rays for compiled kernels."""
 
 PER_EFFECT = 2e-6
 PER_BYTE = 4e-7
@@ -38,9 +38,9 @@ def trace_seconds(
     mesh_bytes : int
         Size of the file of triangles, if there is one.
     """
-    plain = rung == "surfaces" and not worth_compiled(rays, faces)
-    fixed = FIXED + (COMPILED if rung in ("surfaces", "mesh") and not plain else 0.0)
-    each = PLAIN if plain else PER_RAY.get(rung, PER_RAY["surfaces"])
+    plain = _in_numpy(rung, effects, rays, faces)
+    fixed = FIXED + (0.0 if plain else COMPILED)
+    each = (PLAIN if plain else PER_RAY).get(rung, PER_RAY["surfaces"])
     return fixed + rays * (each + PER_EFFECT * len(effects)) + PER_BYTE * mesh_bytes
 
 
@@ -48,6 +48,13 @@ def task(
     rung: str, effects: Sequence[str] = (), rays: int = 0, faces: int = 4, from_file: bool = False
 ) -> str:
     """Name under which such a trace is noted: what decides how long a ray takes."""
-    plain = rung == "surfaces" and not worth_compiled(rays, faces)
+    plain = _in_numpy(rung, effects, rays, faces)
     parts = ["trace", rung, "numpy" if plain else "", "file" if from_file else "", *sorted(effects)]
     return " ".join(part for part in parts if part)
+
+
+def _in_numpy(rung: str, effects: Sequence[str], rays: int, faces: int) -> bool:
+    """Whether the rays are too few for compiled kernels; ideal rungs have none under effects."""
+    if rung in ("law", "thin"):
+        return bool(effects) or not worth_compiled(rays, IDEAL_FACES)
+    return rung == "surfaces" and not worth_compiled(rays, faces)

@@ -11,6 +11,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.text import plain
+from clacad.storage.errors import ExportError, OverBudget, WorkerDied
 from clacad.verification.limit_sources import OWN_KEY, LimitSource, other
 
 if TYPE_CHECKING:
@@ -132,6 +133,16 @@ def judge(
 def not_run(id: str, why: str, **rest: Any) -> Check:
     """Give a check whose input is missing."""
     return Check(id, "not run", why, **rest)
+
+
+def unreadable(error: Exception, **rest: Any) -> Check:
+    """Give the failed check of a file that could not be read; its detail says where a budget was why."""
+    known = isinstance(error, (ExportError, OSError))
+    why = str(error) if known else f"damaged ({type(error).__name__}: {str(error)[:200]})"
+    beyond = isinstance(error, (OverBudget, MemoryError))
+    beyond |= isinstance(error, WorkerDied) and error.over_budget
+    detail = {"over_budget": True} if beyond else {}
+    return Check("readable", "fail", f"it cannot be read: {why}", detail=detail, **rest)
 
 
 def accepted(checks: Iterable[Check], design: Design) -> tuple[Check, ...]:

@@ -9,7 +9,7 @@ from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
-from clacad.verification.checks import Check, not_run
+from clacad.verification.checks import Check, not_run, unreadable
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
 from clacad.verification.files.find_files import Delivery, Subject, integrity, same_design
 from clacad.verification.files.inspection import Inspection
@@ -106,6 +106,7 @@ def _judge_triangles(asked: Inspection, subject: Subject, window: Window | None)
     from clacad.formats.mesh.readers import read_mesh
 
     note = ""
+    asked.progress(f"reading {subject.name}", 0.0)
     try:
         mesh = read_mesh(subject.path)
         metres = unit_of(subject, mesh) if subject.entry else None
@@ -135,6 +136,6 @@ def _unreadable(asked: Inspection, error: UnreadableFile) -> list[Check]:
     """Checks of a mesh file that cannot be read."""
     later = ("closed", "volume", "shape", "faithful_rms", "faithful_eta", "faithful_delta")
     return [
-        Check("readable", "fail", f"it cannot be read: {error}", **asked.common),
+        unreadable(error, **asked.common),
         *(not_run(name, "the file cannot be read", **asked.common) for name in later),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ from clacad.tracing.trace import trace
 from clacad.verification import checks as judging
 from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
-from clacad.verification.files.find_files import Delivery, declared_roles, find_files
+from clacad.verification.files.find_files import Delivery, declared_roles, list_files, written_meanwhile
 from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
@@ -67,12 +67,35 @@ def verify(
     FileNotFoundError, CannotRegister, UnknownRole
         `files` names nothing that can be judged; unit or cells cannot be told; a role is none, or of no file.
     """
-    told = progress or silent
-    found = _judge_design(design, rays, told)
-    if files is not None:
-        found = _with_files(found, find_files(Path(files), declared_roles(role)), cells, rays, told)
-    told("done", 1.0)
-    return replace(found, checks=judging.accepted(found.checks, design))
+    delivery = None if files is None else list_files(Path(files), declared_roles(role))
+    *_, found = verified(design, delivery, cells, rays, progress or silent)
+    return found
+
+
+def verified(
+    design: Design, delivery: Delivery | None, cells: tuple[int, int] | None, rays: int, progress: Progress
+) -> Iterator[Report]:
+    """The report of the design alone, as soon as it is there; then, where there are files, that of them too.
+
+    Parameters
+    ----------
+    design, cells, rays, progress
+        As `verify` has them.
+    delivery : Delivery or None
+        As `list_files` gives it.
+
+    Raises
+    ------
+    DesignError, CannotRegister
+    """
+    found = _judge_design(design, rays, progress)
+    yield replace(found, checks=judging.accepted(found.checks, design))
+    if delivery is not None:
+        progress("hashing the files", 0.0)
+        found = _with_files(found, delivery.hashed(), cells, rays, progress)
+        found = replace(found, checks=(*found.checks, *written_meanwhile(delivery)))
+        yield replace(found, checks=judging.accepted(found.checks, design))
+    progress("done", 1.0)
 
 
 def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
@@ -83,7 +106,7 @@ def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
     progress("tracing the exact surfaces", 0.0)
     checks, optics = judge_window(design, window, facts, rays)
     progress("tracing the field of view", 0.0)
-    curves = meridians(window, lambda lit: trace(window, lit.rays))
+    curves = meridians(window, lambda lit: trace(window, lit.rays, path="size"))
     return Report(design, window, facts, tuple(checks), optics, curves, versions=versions())
 
 
@@ -106,7 +129,7 @@ def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) 
 
     The window need not come from that design; what it does is measured, not believed.
     """
-    optics = measure(design, window, lambda lit: trace(window, lit.rays), rays)
+    optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays)
     found = law_checks(design, optics)
     found += [throughput_check(design, window, optics), confocality_check(design, window)]
     return [*found, *design_checks(design, window, facts)], optics

@@ -17,7 +17,19 @@ BYTES_A_FACET = {
 }
 
 
-def seconds(rays: int, files: Sequence[Subject]) -> float:
+DESIGN, CONVERGENCE, MESH, SOLID, REPORT = 0.5, 2.0, 0.8, 3.0, 4.0
+"""Seconds of a design apart from its rays, of how facets converge, of a mesh and of a solid apart from their size, and of
+a report.
+"""
+
+PER_RAY, PER_FACET, PER_LIT, PER_BYTE = 4.8e-6, 1.1e-6, 8e-6, 1e-6
+"""Seconds of a ray of the main bundle, a facet in a file, a facet of the cells that are lit, a byte of a solid's text."""
+
+MOST_LIT = 500_000
+"""Facets of one cell up to which finer ones take longer to light."""
+
+
+def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
     """Processor seconds of verifying a design with so many rays, and some files.
 
     Parameters
@@ -25,26 +37,37 @@ def seconds(rays: int, files: Sequence[Subject]) -> float:
     rays : int
     files : sequence of Subject
         Meshes cost their triangles, and once the study of how facets converge; solids their text.
+    report : bool
+        Whether a report is written of it.
     """
     meshes = [subject for subject in files if subject.is_mesh]
     solids = [subject for subject in files if subject.is_solid]
-    once = 3.3 if meshes else 0.0
-    triangles = sum(0.6 + 5.3e-6 * _facets(subject) for subject in meshes)
-    return 0.5 + 4.8e-6 * rays + once + triangles + sum(0.85 + 1.0e-6 * subject.bytes for subject in solids)
+    triangles = sum(MESH + PER_FACET * _facets(subject) + PER_LIT * _lit(subject) for subject in meshes)
+    text = sum(SOLID + PER_BYTE * subject.bytes for subject in solids)
+    once = DESIGN + PER_RAY * rays + (CONVERGENCE if meshes else 0.0) + (REPORT if report else 0.0)
+    return once + triangles + text
 
 
-def task(files: Sequence[Subject]) -> str:
+def task(files: Sequence[Subject], report: bool = False) -> str:
     """Name under which such a verification is noted."""
     kinds = [
         name
         for name, is_one in (("mesh", "is_mesh"), ("step", "is_solid"))
         if any(getattr(s, is_one) for s in files)
     ]
-    return " ".join(["verify", *kinds])
+    return " ".join(["verify", *kinds, *(["report"] if report else [])])
+
+
+def _lit(subject: Subject) -> float:
+    """Facets of one cell, about, where its manifest says how many quads a side it has."""
+    quads = subject.entry.get("quads")
+    return min(8.0 * quads * quads, MOST_LIT) if isinstance(quads, int) else 0.0
 
 
 def _facets(subject: Subject) -> float:
-    stated = subject.entry.get("triangles")
-    if isinstance(stated, (int, float)) and stated > 0:
-        return float(stated)
+    """Facets that are looked at: those in the file, however often they stand."""
+    for key in ("triangles_stored", "triangles"):
+        stated = subject.entry.get(key)
+        if isinstance(stated, (int, float)) and stated > 0:
+            return float(stated)
     return subject.bytes / BYTES_A_FACET.get(subject.format, 50.0)

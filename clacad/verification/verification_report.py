@@ -125,8 +125,11 @@ class Report:
 
     @property
     def exit_status(self) -> int:
-        """0 if passed, else 1."""
-        return 0 if self.passed else 1
+        """0 if passed; 3 if nothing else is wrong than that a file takes more than its reader does; else 1."""
+        if self.passed:
+            return 0
+        refused = {c.subject for c in self.checks if c.detail.get("over_budget")}
+        return 3 if refused and not wrong(c for c in self.checks if c.subject not in refused) else 1
 
     def counts(self) -> dict[str, int]:
         """Number of checks in each state."""

@@ -16,7 +16,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from oracle.windows import beam, biconvex, collection
-from trace_peers import write
 
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.window import Window
@@ -80,6 +79,8 @@ def main() -> int:
     text += "| fate | rays |\n|---|---:|\n" + "".join(f"| {f.name} | {counts[f]} |\n" for f in Fate)
     sys.stdout.write(text + f"{time.process_time() - start:.0f} s of one core\n")
     if "--write" in sys.argv:
+        from trace_peers import write  # needs the peers' own helpers, which lie beside it
+
         write(text, "fates")
     return int(differing > 0)
 

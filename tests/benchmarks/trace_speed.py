@@ -30,7 +30,7 @@ from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.trace import trace
-from clacad.tracing.triangles.tiles import NO_TILES, lay_out_mesh
+from clacad.tracing.triangles.tiles import lay_out_mesh
 
 ROUNDS = 7
 SURFACES = 4
@@ -72,7 +72,7 @@ def beam(window, count: int, spread: float, inset: float) -> Rays:
 
 def kernel(window, rays: Rays, mesh=None, normals="facet") -> Callable[[], object]:
     """The compiled kernel alone, into arrays that exist already."""
-    layout, tiles = (lay_out(window), NO_TILES) if mesh is None else lay_out_mesh(window, mesh, normals)
+    layout, tiles = (lay_out(window), None) if mesh is None else lay_out_mesh(window, mesh, normals)
     sheet, rows = pack(layout), np.arange(len(rays))
     ledger = Ledger.blank(len(rays), 0)
     out = Outcome(

@@ -349,7 +349,7 @@ def test_a_material_is_known_and_its_index_reaches_the_wavelength():
 
 @pytest.mark.parametrize(
     ("name", "says"),
-    [("absent.toml", "no such file"), (".", "is a directory"), ("nul\0l.toml", "zero byte")],
+    [("absent.toml", "no such file"), (".", "it is a folder"), ("nul\0l.toml", "zero byte")],
 )
 def test_a_file_that_cannot_be_read_is_a_sentence(tmp_path, name, says):
     with pytest.raises(DesignError, match=says) as caught:
@@ -424,7 +424,7 @@ def test_the_keys_that_a_template_offers_in_comments_exist(kind):
         if line.startswith("["):
             section = line.strip("[]").split("]")[0]
         offered = line.removeprefix("# ").partition(" = ")
-        if line.startswith("# ") and offered[1] and offered[0].isidentifier():
+        if section and line.startswith("# ") and offered[1] and offered[0].isidentifier():
             assert offered[0] in schema["$defs"][section.capitalize()]["properties"], line
 
 

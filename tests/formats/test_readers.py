@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import struct
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import meshtoys
@@ -23,7 +24,7 @@ from clacad.formats.mesh.closed_stream import crowded_edges, measure
 from clacad.formats.mesh.glb import write_glb
 from clacad.formats.mesh.ply import read_ply, write_ply
 from clacad.formats.mesh.readers import read_mesh
-from clacad.formats.mesh.stl import check_stl_facets, facet_normals, stl_bytes, write_stl
+from clacad.formats.mesh.stl import check_stl_facets, stl_bytes, write_stl
 from clacad.formats.mesh.threemf import write_threemf
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 
@@ -184,7 +185,54 @@ def test_normals_are_those_of_the_corners_as_written(tmp_path: Path) -> None:
     )
     cosine = (edges * facets["n"]).sum(1) / np.linalg.norm(edges, axis=1)
     np.testing.assert_allclose(cosine, 1.0, atol=1e-6)
-    assert (facet_normals(np.zeros((1, 3, 3), np.float32)) == 0).all()
+
+
+def test_a_facet_without_area_has_no_normal_and_no_minus_zero(tmp_path: Path) -> None:
+    corners = np.array([[[-0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [4.0, -0.0, 1.0]]])
+
+    class Flat:
+        name, facet_count = "flat", 1
+
+        def rows(self) -> Iterator[np.ndarray]:
+            yield corners
+
+    write_stl([Flat()], tmp_path / "flat.stl", SCALE, "flat")
+    written = np.frombuffer((tmp_path / "flat.stl").read_bytes()[84:-2], dtype="<f4").reshape(4, 3)
+    np.testing.assert_array_equal(written, [[0, 0, 0], *(corners[0] * SCALE)])
+    assert not np.signbit(written).any()
+    check_stl_facets(tmp_path / "flat.stl")
+
+
+def test_sums_over_facets_are_the_exact_ones(tmp_path: Path) -> None:
+    corners = np.random.default_rng(1).normal(size=(5000, 3, 3)) * 1e3
+    found = measure([corners[:1234], corners[1234:]], np.array([1.0, 2.0, 3.0]))
+    a, b, c = (corners[:, k] - [1.0, 2.0, 3.0] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    assert found.volume == pytest.approx(math.fsum((a * normal).sum(axis=1)) / 6.0, rel=1e-15, abs=1e-4)
+    assert found.area == pytest.approx(math.fsum(np.linalg.norm(normal, axis=1)) / 2.0, rel=1e-15)
+    np.testing.assert_array_equal(
+        [found.low, found.high], [corners.min(axis=(0, 1)), corners.max(axis=(0, 1))]
+    )
+    assert found.facets == 5000
+    assert not found.closed
+
+
+def test_edges_cancel_whatever_the_order_and_chunks_of_the_facets() -> None:
+    generator = np.random.default_rng(2)
+    corner = generator.normal(size=(4, 3))
+    corner[0] = [0.0, -0.0, 1.0]
+    tetrahedra = [corner[[[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]] + 5.0 * k for k in range(50)]
+    facets = np.concatenate([np.roll(one, k % 3, axis=1) for k, one in enumerate(tetrahedra)])
+    facets[0] = facets[0] + 0.0  # −0 in one facet, 0 in another
+    shuffled = facets[generator.permutation(len(facets))]
+    assert measure(np.array_split(shuffled, 7)).closed
+    assert not measure([shuffled[1:]]).closed
+    turned = shuffled.copy()
+    turned[3] = turned[3, ::-1]
+    assert not measure([turned]).closed
+    moved = shuffled.copy()
+    moved[5, 1, 2] = np.nextafter(moved[5, 1, 2], np.inf)
+    assert not measure([moved]).closed
 
 
 def sound(path: Path) -> bool:

@@ -42,11 +42,11 @@ def corpus(kind):
     return sorted((CORPUS / kind).iterdir())
 
 
-def mutated(data, recipe, other=b""):
-    """Apply mutation steps to bytes."""
+def mutated(data, recipe, other=b"", largest=LARGEST):
+    """Apply mutation steps to bytes, of which there are never more than `largest`."""
     for name, where, what in recipe:
         at = int(where * (len(data) + 1))
-        data = STEPS[name](data, at, what, other)[:LARGEST]
+        data = STEPS[name](data, at, what, other)[:largest]
     return data
 
 

@@ -35,7 +35,19 @@ from clacad.optics.sequence import (
 from clacad.optics.surface import Biconic, Quadric, meet
 from clacad.tracing.compiled import packing as slot
 
-kernel = pytest.importorskip("clacad.tracing.compiled.face")
+numba = pytest.importorskip("numba")
+from clacad.tracing.compiled import face as kernel  # noqa: E402  (needs numba)
+
+
+@cache
+def called(part):
+    """A part of kernels made callable: Python itself calls none."""
+
+    @numba.njit(error_model="numpy")
+    def entry(*given):
+        return part(*given)
+
+    return entry
 
 
 def packed(surface):
@@ -49,11 +61,16 @@ def packed(surface):
     return row
 
 
+def test_python_is_told_that_it_cannot_call_a_part():
+    with pytest.raises(TypeError):
+        kernel.snell((0.0, 0.0, 1.0), (-0.5, 0.0, 1.0), 1.0, 1.0, 1.5)
+
+
 def kernel_meet(surface, point, ray):
     """The compiled `meet` of one surface, packed as one row; some kernels take the table and the row's number."""
     row = packed(surface)
     by_number = "row" in inspect.signature(kernel.meet.py_func).parameters
-    return kernel.meet(*((row[None], 0) if by_number else (row,)), *point, *ray)
+    return called(kernel.meet)(*((row[None], 0) if by_number else (row,)), *point, *ray)
 
 
 def by_kernel(case):
@@ -69,7 +86,7 @@ def by_kernel(case):
         t, x, y, z, gx, gy, gz, root = kernel_meet(face.surface, start[0], local[0])
         if not np.isfinite(t):
             return Fate.MISSED, ray[0], path
-        out = kernel.snell(tuple(local[0]), (gx, gy, gz), root, face.index_before, face.index_after)
+        out = called(kernel.snell)(tuple(local[0]), (gx, gy, gz), root, face.index_before, face.index_after)
         if np.isnan(out[0]):
             return Fate.TIR, ray[0], path
         if t + travelled[0] < -8 * ULP * (largest(start)[0] + abs(t)):
@@ -167,7 +184,7 @@ def test_the_kernel_tells_a_nearly_tangent_ray_from_a_miss_to_the_last_bit(seed)
 @pytest.mark.parametrize("step", [1e-6, 1e-10, -1e-13])
 def test_the_kernel_tells_how_little_a_small_index_step_bends(step):
     """An axial ray on a slope of 1/2: its x component behind is the bending alone, and keeps its digits."""
-    out = kernel.snell((0.0, 0.0, 1.0), (-0.5, 0.0, 1.0), 1.0, 1.0, 1 + step)
+    out = called(kernel.snell)((0.0, 0.0, 1.0), (-0.5, 0.0, 1.0), 1.0, 1.0, 1 + step)
     with mp.workdps(60):
         length2, mu = mpf(5) / 4, 1 / mpf(1 + step)
         bend = mp.sqrt(1 - mu**2 * (1 - 1 / length2)) / mp.sqrt(length2) - mu / length2

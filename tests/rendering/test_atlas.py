@@ -374,6 +374,25 @@ def test_bad_input_ends_with_status_2_and_one_sentence(arguments, words):
     assert not Path(ROOT / "x.png").exists()
 
 
+def test_the_atlas_is_made_in_any_folder(tmp_path):
+    done = run(
+        "atlas",
+        "-o",
+        "x",
+        "--rows",
+        "F4",
+        "--size",
+        32,
+        "--samples",
+        1,
+        "--no-movies",
+        "--no-measure",
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "x").glob("fig4-*.png"))) == 4
+
+
 def test_an_eye_sees_a_photograph_before_and_after(tmp_path):
     photo = tmp_path / "photo.png"
     Image.fromarray(np.tile(np.arange(0, 250, 10, dtype=np.uint8)[None, :, None], (25, 1, 3))).save(photo)

@@ -176,9 +176,10 @@ def test_two_exports_into_one_folder_at_once_do_not_mix(tmp_path: Path) -> None:
     with Stage(tmp_path) as one, Stage(tmp_path) as two:
         one_manifest, two_manifest = listing(one, first), listing(two, second)
         two.publish(two_manifest)
-        one.publish(one_manifest)
-    assert {n: (tmp_path / n).read_bytes() for n in first} == first
-    assert json.loads((tmp_path / MANIFEST).read_text())["files"] == one_manifest["files"]
+        with pytest.raises(ExportRefused, match="written by another program meanwhile"):
+            one.publish(one_manifest)
+    assert {n: (tmp_path / n).read_bytes() for n in second} == second
+    assert json.loads((tmp_path / MANIFEST).read_text())["files"] == two_manifest["files"]
 
 
 VICTIM = textwrap.dedent(

@@ -162,6 +162,47 @@ def test_a_signal_ends_the_child_and_what_it_started(number: int) -> None:
     caller.stdout.close()
 
 
+DROPPED = textwrap.dedent(
+    """
+    import os, signal, sys, time, weakref
+    from clacad.storage.worker import ended_by_signals
+
+    class Thing:
+        pass
+
+    def told(_):
+        print("dropped", flush=True)
+        os.kill(os.getpid(), int(sys.argv[1]))
+        time.sleep(0.001)
+
+    try:
+        with ended_by_signals():
+            thing = Thing()
+            watched = weakref.ref(thing, told)
+            del thing
+            time.sleep(20)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    """
+)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_comes_where_python_drops_exceptions_still_ends_the_block(number: int) -> None:
+    started = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED, str(int(number))],
+        capture_output=True,
+        env=os.environ | {"PYTHONPATH": _path()},
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout == "dropped\n"
+    assert (done.returncode, done.stderr) == (130, "")
+    assert time.monotonic() - started < 15
+
+
 def _path() -> str:
     return os.pathsep.join(entry for entry in sys.path if entry)
 

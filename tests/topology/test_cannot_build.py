@@ -141,7 +141,7 @@ def test_lenslets_that_disconnect_the_body_are_written_as_the_pieces_they_are(tm
 
 
 def test_a_sag_below_the_kernels_tolerance_is_an_exact_solid_and_no_mesh_where_float32_ends(tmp_path: Path):
-    far = design(pair__separation=1e7)  # sag 3e-9 mm; lens 2 stands 10 km off, where doubles are 2 nm apart
+    far = design(pair__separation=1e6)  # sag 3e-8 mm; lens 2 stands 1 km off, where doubles are 0.1 nm apart
     manifest = export(far, tmp_path / "x", ("step",))
     entry = manifest.files[0]
     assert entry["solids"] == 2

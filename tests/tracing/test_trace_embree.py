@@ -79,7 +79,7 @@ def test_what_is_decided_by_embree_is_what_asking_every_triangle_gives():
     soup = soup_of(window)
     rays = wild_rays(window, 400, seed=8)
     unit = rays.direction / np.linalg.norm(rays.direction, axis=1, keepdims=True)
-    index = embree._Body.of(soup.corners)
+    index = embree.BodyTree.of(soup.corners)
     distance, normal, good = embree._hit(index, rays.position, unit, entering=True)
     nearest, which = brute_force(soup.corners, rays.position, unit)
     assert good.mean() > 0.5
@@ -99,7 +99,7 @@ def test_a_ray_on_an_edge_is_left_to_the_tree():
     middles = 0.5 * (flat[:, 0] + flat[:, 1])
     start = middles - [0.0, 0.0, 1.0]
     up = np.tile([0.0, 0.0, 1.0], (len(start), 1))
-    _, _, good = embree._hit(embree._Body.of(soup.corners), start, up, entering=True)
+    _, _, good = embree._hit(embree.BodyTree.of(soup.corners), start, up, entering=True)
     assert not good.any()
 
 

@@ -222,7 +222,7 @@ def test_unknown_rungs_are_refused():
 
 def test_words_that_the_tracer_does_not_know_are_refused_and_the_known_ones_named():
     one = Rays([[0, 0, -1]], [[0, 0, 1]])
-    with pytest.raises(ValueError, match='path is \'Numba\', not "numpy", "numba" or None'):
+    with pytest.raises(ValueError, match='path is \'Numba\', not "numpy", "numba", "size" or None'):
         trace(biconvex(), one, path="Numba")
     with pytest.raises(ValueError, match="path is 'gpu'"):
         trace(biconvex(), one, rung="law", effects=("fresnel",), path="gpu")

@@ -107,8 +107,8 @@ def clacad(*arguments: object, before: str = "pass", cwd: Path | None = None, **
 
 
 def talk(ended: Ended) -> list[str]:
-    """Lines of the error stream."""
-    return [line for line in ended.err.splitlines() if line.strip()]
+    """Lines of the error stream, but the stages that a busy machine takes more than a second for."""
+    return [line for line in ended.err.splitlines() if line.strip() and not line.endswith("...")]
 
 
 @contextmanager

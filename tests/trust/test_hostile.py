@@ -73,8 +73,8 @@ READ = ["folder", "broken.toml", "empty.toml", "noise.toml", "utf16.toml", "bidi
 LINES = [
     *((f"{command} {name}", 2) for name in READ for command in ("check", "effects", "export -o out")),
     *((f"trace t.toml {name}.npz -o out.npz", 2) for name in (
-        "missing", "noise", "objects", "negative", "endless", "cut", "flat", "flipped", "secret")),
-    ("trace t.toml folder -o out.npz", 2), ("trace t.toml rays.npz -o folder", 4), ("trace t.toml rays.npz -o t.toml", 4),
+        "missing", "noise", "objects", "negative", "cut", "flat", "flipped", "secret")),
+    ("trace t.toml endless.npz -o out.npz", 3), ("trace t.toml folder -o out.npz", 2), ("trace t.toml rays.npz -o folder", 4), ("trace t.toml rays.npz -o t.toml", 4),
     ("trace t.toml rays.npz -o /dev/null/x.npz", 4), ("trace t.toml rays.npz -o a\nb.npz", 4),
     ("trace t.toml rays.npz -o q.npz --effects magic", 2), ("trace t.toml rays.npz -o q.npz --rung glass", 2),
     ("trace t.toml rays.npz -o q.npz --rung mesh --mesh missing.stl", 2), ("trace t.toml rays.npz -o q.npz --rung mesh --mesh noise.stl", 1),

@@ -89,7 +89,7 @@ class Situation:
         """The probe rays through the exact surfaces, hits kept."""
         from clacad.tracing.trace import trace
 
-        return trace(self.window, self.rays, "surfaces", record=True)
+        return trace(self.window, self.rays, "surfaces", record=True, path="size")
 
     @cached_property
     def met(self) -> NDArray[np.intp]:

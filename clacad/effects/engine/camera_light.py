@@ -62,7 +62,7 @@ def light_reaching_camera(
     rows = np.flatnonzero(shining(result, names))
     light = LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows])
     if "reflections" in names and rung in ("surfaces", "mesh"):
-        compiled = options.get("path") == "numba" or (options.get("path") is None and len(rays) > MANY)
+        compiled = options.get("path") == "numba" or (options.get("path") != "numpy" and len(rays) > MANY)
         light = join_light(
             light, reflected_paths(window, rays, result, replace(setting, active=names), compiled)
         )

@@ -80,7 +80,7 @@ def compared(situation: Situation, rung: Rung) -> tuple[float, float]:
     from clacad.tracing.trace import trace
 
     truth = situation.probe
-    result = trace(situation.window, situation.rays, rung)
+    result = trace(situation.window, situation.rays, rung, path="size")
     both = (truth.fate == Fate.ALIVE) & (result.fate == Fate.ALIVE)
     disagree = float(np.mean(truth.fate != result.fate))
     return rms_angle(truth.direction[both], result.direction[both]), disagree

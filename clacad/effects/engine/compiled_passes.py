@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import exp, sqrt
 from typing import NamedTuple
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import entry, exact
 from clacad.base.types import Bytes, Cells, Floats
 from clacad.optics.rays import Fate
 from clacad.tracing.compiled.records import Vector
@@ -95,7 +95,7 @@ def fresnel_share(traced: Traced, row: int) -> float:
     return share
 
 
-@exact
+@entry
 def fresnel_pass(traced: Traced, flux: Floats) -> None:
     """Multiply each ray's flux (n,) by what bare faces let through of unpolarised light."""
     for row in range(len(flux)):
@@ -115,14 +115,14 @@ def absorbed(hits: Floats, rates: Floats, row: int) -> float:
     return exp(-depth)
 
 
-@exact
+@entry
 def absorption_pass(hits: Floats, rates: Floats, flux: Floats) -> None:
     """Multiply each ray's flux by exp(−Σ rate · length) over the bodies (b,) that its hits (2 b, n, 3) bound."""
     for row in range(len(flux)):
         flux[row] *= absorbed(hits, rates, row)
 
 
-@exact
+@entry
 def losses_pass(traced: Traced, rates: Floats, reflects: bool, flux: Floats) -> None:
     """Give a flux to the rays that have none (NaN), from their hits: those that the straight trace did not hold for."""
     for row in range(len(flux)):
@@ -159,7 +159,7 @@ def carried(field: Vector, before: Vector, after: Vector, n1: float, n2: float) 
     return own * a - back * x, own * b - back * y, own * c - back * z
 
 
-@exact
+@entry
 def polarisation_pass(traced: Traced, analyser: Floats, polariser: Floats, flux: Floats) -> None:
     """Multiply each ray's flux by what polariser, faces and analyser pass; see `clacad.effects.polarisation`.
 

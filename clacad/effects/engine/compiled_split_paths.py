@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import entry, exact
 from clacad.base.types import Floats, Rows
 from clacad.effects.engine.compiled_passes import deviation, reflected
 from clacad.tracing.compiled import packing as slot
@@ -226,7 +226,7 @@ def _put(paths: SplitPaths, i: int, path: int, ray: Ray) -> None:
     direction[i, path, 0], direction[i, path, 1], direction[i, path, 2] = ray.L, ray.M, ray.N
 
 
-@exact
+@entry
 def bounce_pass(
     sheet: Packed, passing: Passing, order: int, rows: Rows, start: Floats, hits: Floats, turns: Floats, paths: SplitPaths
 ) -> None:  # fmt: skip

@@ -43,9 +43,19 @@ def measure(situation: Situation, name: str) -> tuple[float, float]:
 
 
 def _radiance(situation: Situation, name: str) -> float:
-    base, _ = light_reaching_camera(situation.window, situation.rays, "surfaces", (), situation.setting)
-    more, _ = light_reaching_camera(situation.window, situation.rays, "surfaces", (name,), situation.setting)
-    return _flux_change(situation, base, more)
+    return _flux_change(situation, _light(situation), _light(situation, name))
+
+
+def _traced(situation: Situation, *names: str) -> TraceResult:
+    """The probe rays with these effects, by exact surfaces; the same bits whatever ran before."""
+    window, rays = situation.window, situation.rays
+    return trace_with(window, rays, "surfaces", names, setting=situation.setting, path="size")
+
+
+def _light(situation: Situation, *names: str) -> LightRays:
+    """The light that reaches the camera so."""
+    window, rays = situation.window, situation.rays
+    return light_reaching_camera(window, rays, "surfaces", names, situation.setting, path="size")[0]
 
 
 def _flux_change(situation: Situation, base: LightRays, more: LightRays) -> float:
@@ -55,12 +65,7 @@ def _flux_change(situation: Situation, base: LightRays, more: LightRays) -> floa
 
 
 def _reflections(situation: Situation) -> tuple[float, float]:
-    extra, _ = light_reaching_camera(
-        situation.window, situation.rays, "surfaces", ("reflections",), situation.setting
-    )
-    own, _ = light_reaching_camera(
-        situation.window, situation.rays, "surfaces", ("fresnel",), situation.setting
-    )
+    extra, own = _light(situation, "reflections"), _light(situation, "fresnel")
     n = max(len(situation.met), 1)
     back = extra.direction[:, 2] < 0.0
     front = float(extra.flux[back].sum()) / n
@@ -69,11 +74,12 @@ def _reflections(situation: Situation) -> tuple[float, float]:
 
 
 def _dispersion(situation: Situation) -> tuple[float, float]:
-    base = trace(situation.window, situation.rays)
-    worst = 0.0
+    base, worst = _traced(situation), 0.0
     for wave in situation.wavelengths:
         waves = np.full(len(situation.rays), wave)
-        other = trace(situation.window, Rays(situation.rays.position, situation.rays.direction, waves))
+        other = trace(
+            situation.window, Rays(situation.rays.position, situation.rays.direction, waves), path="size"
+        )
         turned = angles(base, other, Fate.GHOST)
         worst = max(worst, float(np.quantile(turned, MOST)) if len(turned) else 0.0)
     return worst, 0.0
@@ -89,10 +95,7 @@ def _scatter(situation: Situation) -> tuple[float, float]:
 
 
 def _polarisation(situation: Situation) -> tuple[float, float]:
-    plain = trace_with(situation.window, situation.rays, "surfaces", ("fresnel",), setting=situation.setting)
-    own = trace_with(
-        situation.window, situation.rays, "surfaces", ("polarisation",), setting=situation.setting
-    )
+    plain, own = _traced(situation, "fresnel"), _traced(situation, "polarisation")
     passing = plain.fate <= Fate.LAND
     if not passing.any():
         return 0.0, 0.0
@@ -100,9 +103,7 @@ def _polarisation(situation: Situation) -> tuple[float, float]:
 
 
 def _facets(situation: Situation) -> tuple[float, float]:
-    base = trace(situation.window, situation.rays)
-    mesh = trace_with(situation.window, situation.rays, "surfaces", ("facets",), setting=situation.setting)
-    turned = angles(base, mesh, Fate.ALIVE)
+    turned = angles(_traced(situation), _traced(situation, "facets"), Fate.ALIVE)
     return float(np.sqrt(np.mean(turned**2))) if len(turned) else 0.0, 0.0
 
 
@@ -128,9 +129,7 @@ def _depth(situation: Situation) -> tuple[float, float]:
 
 
 def _turned(situation: Situation, name: str) -> Floats:
-    base = trace(situation.window, situation.rays)
-    other = trace_with(situation.window, situation.rays, "surfaces", (name,), setting=situation.setting)
-    turned = angles(base, other, Fate.GHOST)
+    turned = angles(_traced(situation), _traced(situation, name), Fate.GHOST)
     return turned if len(turned) else np.zeros(1)
 
 

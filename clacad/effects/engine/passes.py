@@ -271,18 +271,16 @@ class _BlockRun:
 
 def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) -> tuple[int, str]:
     """Threads for the blocks and the tracer's path, as `trace` would choose them for all rays together."""
-    from clacad.tracing.trace import worth_compiled
+    from clacad.tracing.tracer import compiled_suits
 
     threads, path = options.pop("threads", None), options.pop("path", None)
     if rung in ("law", "thin"):
         return 1, "numpy"
-    if path is None:
-        path = "numba" if worth_compiled(len(rays), 2 * len(window.bodies)) else "numpy"
-    if path == "numpy":
-        return 1, path
-    from clacad.tracing.compiled.surfaces import thread_count
+    if not compiled_suits(rung, path, len(rays), 2 * len(window.bodies)):
+        return 1, "numpy"
+    from clacad.tracing.compiled.threads import thread_count
 
-    return thread_count(threads), path
+    return thread_count(threads), "numba"
 
 
 def run(passes: Sequence[Effect], block: RayBlock) -> None:

@@ -22,6 +22,7 @@ from clacad.base.types import Floats, Ints
 from clacad.formats.maps.sag import HeightMap, height_map, outward_height
 from clacad.sheet.window import Body, Face, Window
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
+from clacad.storage.spending import Spending
 
 PER_CELL = 64
 """Pixels across a cell."""
@@ -249,12 +250,16 @@ def layer_counts(path: Path) -> Counter[int]:
     ------
     UnreadableFile
         The file is cut short or is no GDSII stream.
+    OverBudget
+        More bytes or records than are read.
     """
+    spent = Spending("gds", path)
     data = path.read_bytes()
     counts: Counter[int] = Counter()
     at, boundary = 0, False
     while at + 4 <= len(data):
         size, kind = struct.unpack_from(">HH", data, at)
+        spent.count(1)
         if size < 4 or at + size > len(data):
             break
         if kind == _ENDLIB:

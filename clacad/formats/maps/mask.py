@@ -19,6 +19,7 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Face, Window, column, lens_height, optical_tile
 from clacad.storage.archive import Attributes, parse_xml
 from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.spending import Spending
 
 DIRECTIONS = 720
 
@@ -225,20 +226,22 @@ Read = tuple[list[tuple[float, float]], list[tuple[float, float]]]
 
 def _read_svg(path: Path) -> Read:
     """Outline and centres of an SVG mask, in the units of the file."""
+    spent = Spending("mask", path)
     outline: list[tuple[float, float]] = []
     centres: list[tuple[float, float]] = []
 
     def start(tag: str, attributes: Attributes) -> None:
         if tag == "polygon":
-            outline.extend(
-                (float(p.split(",")[0]), float(p.split(",")[1])) for p in attributes["points"].split()
-            )
+            points = attributes["points"].split()
+            spent.count(len(points))
+            outline.extend((float(p.split(",")[0]), float(p.split(",")[1])) for p in points)
         elif tag == "use":
+            spent.count(1)
             centres.append((float(attributes["x"]), float(attributes["y"])))
 
     with path.open("rb") as stream:
         try:
-            parse_xml(stream, path.name, start, lambda _: None)
+            parse_xml(stream, spent, start, lambda _: None)
         except (KeyError, IndexError, ValueError) as error:
             if isinstance(error, UnreadableFile):
                 raise
@@ -248,23 +251,26 @@ def _read_svg(path: Path) -> Read:
 
 def _read_dxf(path: Path) -> Read:
     """Outline and centres of a DXF mask, in the units of the file."""
-    words = path.read_text(encoding="ascii", errors="replace").split("\n")
-    pairs = list(zip(words[0::2], words[1::2]))
+    spent = Spending("mask", path)
     outline: list[tuple[float, float]] = []
     centres: list[tuple[float, float]] = []
-    kind, x, in_block = "", 0.0, False
-    for code, value in pairs:
-        if not re.fullmatch(r"\d+", code):
-            raise UnreadableFile(f"{path.name}: {code[:20]!r} is not a DXF group code")
-        if code == "0":
-            in_block = value == "BLOCK" or (in_block and value != "ENDBLK")
-            kind = value
-        elif code == "10":
-            x = float(value)
-        elif code == "20" and kind == "VERTEX" and in_block:
-            outline.append((x, float(value)))
-        elif code == "20" and kind == "INSERT":
-            centres.append((x, float(value)))
-    if not pairs or pairs[-1] != ("0", "EOF"):
+    kind, x, in_block, code, value = "", 0.0, False, "", ""
+    with path.open("rb") as stream:
+        words = (line.rstrip(b"\r\n").decode("ascii", "replace") for line in spent.lines(stream))
+        for code, value in zip(words, words):
+            if not re.fullmatch(r"\d+", code):
+                raise UnreadableFile(f"{path.name}: {code[:20]!r} is not a DXF group code")
+            if code == "0":
+                in_block = value == "BLOCK" or (in_block and value != "ENDBLK")
+                kind = value
+            elif code == "10":
+                x = float(value)
+            elif code == "20" and kind in ("VERTEX", "INSERT"):
+                spent.count(1)
+                if kind == "INSERT":
+                    centres.append((x, float(value)))
+                elif in_block:
+                    outline.append((x, float(value)))
+    if (code, value) != ("0", "EOF"):
         raise UnreadableFile(f"{path.name}: cut short")
     return outline, centres

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.spending import Spending
 
 Pixels = NDArray[np.uint16] | NDArray[np.float32]
 LARGEST_TIFF = (1 << 32) - (1 << 12)
@@ -90,7 +91,10 @@ def read_tiff(path: Path) -> Pixels:
     Raises
     ------
     UnreadableFile
+    OverBudget
+        More bytes or pixels than are read.
     """
+    spent = Spending("tiff", path)
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(4096)
@@ -115,6 +119,7 @@ def read_tiff(path: Path) -> Pixels:
         raise UnreadableFile(f"{path.name}: {bits}-bit pixels of layout {layout} are not read")
     if min(shape) < 1 or data + shape[0] * shape[1] * bits // 8 != size:
         raise UnreadableFile(f"{path.name}: {size} bytes do not hold {shape[1]} × {shape[0]} pixels")
+    spent.count(shape[0] * shape[1])
     dtype = np.dtype("<u2" if bits == 16 else "<f4")
     return np.memmap(path, dtype=dtype, mode="r", offset=data, shape=shape)
 
@@ -153,19 +158,23 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def read_png(path: Path, largest: int = 1 << 31) -> NDArray[np.uint16]:
+def read_png(path: Path) -> NDArray[np.uint16]:
     """Read a PNG of the kind `write_png` writes: (height, width) uint16.
 
     Raises
     ------
     UnreadableFile
-        Damaged, of another kind, or more than `largest` bytes of pixels.
+        Damaged or of another kind.
+    OverBudget
+        More bytes, pixels or seconds than are read.
     """
+    spent = Spending("png", path)
     data = path.read_bytes()
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         raise UnreadableFile(f"{path.name}: not a PNG file")
     at, head, packed = 8, b"", []
     while at + 12 <= len(data):
+        spent.look(f"at byte {at:,}")
         size = struct.unpack_from(">I", data, at)[0]
         kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
         if data[at + 8 + size : at + 12 + size] != struct.pack(">I", zlib.crc32(kind + body)):
@@ -181,8 +190,9 @@ def read_png(path: Path, largest: int = 1 << 31) -> NDArray[np.uint16]:
         raise UnreadableFile(f"{path.name}: cut short")
     width, height, *rest = struct.unpack(">IIBBBBB", head) if len(head) == 13 else (0, 0, 0)
     need = height * (1 + 2 * width)
-    if rest != [16, 0, 0, 0, 0] or not 0 < need <= largest:
-        raise UnreadableFile(f"{path.name}: not a 16-bit grey picture of allowed size")
+    if rest != [16, 0, 0, 0, 0] or not need > 0:
+        raise UnreadableFile(f"{path.name}: not a 16-bit grey picture")
+    spent.count(width * height)
     unpacker = zlib.decompressobj()
     try:
         lines = unpacker.decompress(b"".join(packed), need)

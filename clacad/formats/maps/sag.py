@@ -7,7 +7,8 @@ back face towards +z, zero at the face's reference plane, the plane through its 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from array import array
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from math import ceil, sqrt
@@ -20,6 +21,7 @@ from clacad.base.types import Floats
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff, write_png, write_tiff
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height_and_normal
 from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.spending import Spending
 
 MOST_SAMPLES = 4_000_000
 BLOCK = 1 << 18
@@ -339,14 +341,18 @@ def read_points(path: Path) -> Iterator[Floats]:
     Raises
     ------
     UnreadableFile
+    OverBudget
+        More bytes, points or seconds than are read.
     """
-    with path.open(encoding="ascii", errors="replace") as stream:
-        lines = (line for line in stream if not line.startswith("#"))
+    spent = Spending("points", path)
+    with path.open("rb") as stream:
+        lines = (line for line in spent.lines(stream) if not line.startswith(b"#"))
         while block := list(islice(lines, 1 << 16)):
+            spent.count(len(block))
             yield _six_numbers(path, block)
 
 
-def _six_numbers(path: Path, lines: list[str]) -> Floats:
+def _six_numbers(path: Path, lines: Sequence[str | bytes]) -> Floats:
     """Lines of a point file as a table (k, 6)."""
     try:
         table = np.array([[float(w) for w in line.split()] for line in lines])
@@ -415,17 +421,32 @@ def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]
     Raises
     ------
     UnreadableFile
+    OverBudget
+        More bytes, nodes or seconds than are read.
     """
-    lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    try:
-        head = lines[0].split()
-        nx, ny, dx, dy = int(head[0]), int(head[1]), float(head[2]), float(head[3])
-        table = np.array([[float(w) for w in line.split()] for line in lines[1:]])
-    except (ValueError, IndexError) as error:
-        raise UnreadableFile(f"{path.name}: not a grid sag file") from error
+    nx, ny, dx, dy, table = _grid_numbers(path)
     if table.shape != (nx * ny, 5):
-        raise UnreadableFile(f"{path.name}: {len(lines) - 1} lines for {nx} × {ny} nodes")
+        raise UnreadableFile(f"{path.name}: {len(table)} lines for {nx} × {ny} nodes")
     x = np.tile((np.arange(nx) - 0.5 * (nx - 1)) * dx, ny) / scale
     y = -np.repeat((np.arange(ny) - 0.5 * (ny - 1)) * dy, nx) / scale
     z = np.where(table[:, 4] == 0, table[:, 0] / scale + face.vertex[2], np.nan)
     return np.column_stack([x, y, z]), np.array([dx, dy]) / scale
+
+
+def _grid_numbers(path: Path) -> tuple[int, int, float, float, Floats]:
+    """Nodes and steps along x and y as the head of a grid sag file says, and its lines (k, 5)."""
+    spent = Spending("grid-sag", path)
+    numbers: array[float] = array("d")
+    with path.open("rb") as stream:
+        lines = spent.lines(stream)
+        try:
+            nx, ny, dx, dy, *_ = (float(w) for w in next(lines, b"").split())
+            for line in lines:
+                spent.count(1)
+                sag, sx, sy, sxy, gone = (float(w) for w in line.split())
+                numbers.extend((sag, sx, sy, sxy, gone))
+            return int(nx), int(ny), dx, dy, np.array(numbers).reshape(-1, 5)
+        except UnreadableFile:
+            raise
+        except (ValueError, OverflowError) as error:
+            raise UnreadableFile(f"{path.name}: not a grid sag file") from error

@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Words
 
-_SEEDS = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F))
-_MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
-
 
 @dataclass(frozen=True, slots=True)
 class Measure:
@@ -62,64 +59,26 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
     Notes
     -----
     Corners are one vertex when all bits of their float64 coordinates agree (−0 is 0). The volume is the
-    divergence sum of det(a, b, c)/6 with chunk sums added by `math.fsum`.
+    divergence sum of det(a, b, c)/6; what rounding takes from that sum and from the area's is kept beside them.
     """
-    from math import fsum
+    from clacad.formats.mesh.compiled_measure import AREA, VOLUME, add_facets
 
     facets = 0
-    sums = [np.uint64(0), np.uint64(0)]
-    volumes: list[float] = []
-    areas: list[float] = []
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    sums, totals = np.zeros(2, dtype=np.uint64), np.zeros(4)
+    box = np.array([[np.inf] * 3, [-np.inf] * 3])
     for corners in chunks:
         if not len(corners):
             continue
         if origin is None:
             origin = corners[0, 0].copy()
         facets += len(corners)
-        for k, value in enumerate(_edge_sums(corners)):
-            with np.errstate(over="ignore"):
-                sums[k] = sums[k] + value
-        a, b, c = (corners[:, k] - origin for k in range(3))
-        normal = np.cross(b - a, c - a)
-        volumes.append(float(np.einsum("ij,ij->", a, normal)) / 6.0)
-        areas.append(0.5 * float(np.linalg.norm(normal, axis=1).sum()))
-        low = np.minimum(low, corners.min(axis=(0, 1)))
-        high = np.maximum(high, corners.max(axis=(0, 1)))
-    bottom, top = ((float(corner[0]), float(corner[1]), float(corner[2])) for corner in (low, high))
-    return Measure(facets, (int(sums[0]), int(sums[1])), fsum(volumes), fsum(areas), bottom, top)
-
-
-def _edge_sums(corners: Floats) -> tuple[np.uint64, np.uint64]:
-    """Signed hash sums of the directed edges of (k, 3, 3) corners, modulo 2^64."""
-    words = np.ascontiguousarray(corners + 0.0).view(np.uint64)
-    result = []
-    for seed in _SEEDS:
-        point = _hashed(words, seed)
-        total = np.uint64(0)
-        for k in range(3):
-            start, end = point[:, k], point[:, (k + 1) % 3]
-            low, high = np.minimum(start, end), np.maximum(start, end)
-            edge = _mixed(low * _MIX[1] + _mixed(high + seed))
-            forwards = start < end
-            with np.errstate(over="ignore"):
-                total = total + np.add.reduce(edge[forwards]) - np.add.reduce(edge[start > end])
-        result.append(total)
-    return result[0], result[1]
-
-
-def _hashed(words: Words, seed: np.uint64) -> Words:
-    """One hash for each corner, (k, 3), from the bits of its three coordinates."""
-    value = _mixed(words[:, :, 0] ^ seed)
-    value = _mixed(value + words[:, :, 1] * _MIX[0])
-    return _mixed(value + words[:, :, 2] * _MIX[1])
-
-
-def _mixed(value: Words) -> Words:
-    """Stafford's variant 13 of the 64-bit finaliser: every input bit reaches every output bit."""
-    value = (value ^ (value >> np.uint64(30))) * _MIX[0]
-    value = (value ^ (value >> np.uint64(27))) * _MIX[1]
-    return np.asarray(value ^ (value >> np.uint64(31)))
+        whole = np.ascontiguousarray(corners)
+        add_facets(whole, whole.view(np.uint64), np.asarray(origin, dtype=np.float64), sums, totals, box)
+    if np.isnan(totals[VOLUME]):  # a corner that is no number has no place
+        box[:] = np.nan
+    volume, area = (float(totals[k] + totals[k + 1]) for k in (VOLUME, AREA))
+    bottom, top = ((float(corner[0]), float(corner[1]), float(corner[2])) for corner in box)
+    return Measure(facets, (int(sums[0]), int(sums[1])), volume / 6.0, 0.5 * area, bottom, top)
 
 
 def crowded_edges(corners: Floats) -> int:
@@ -136,7 +95,11 @@ def crowded_edges(corners: Floats) -> int:
 
 def vertex_hashes(corners: Floats) -> Words:
     """One 64-bit number for each corner, (k, 3), from the bits of its coordinates; −0 is 0."""
-    return _hashed(np.ascontiguousarray(corners + 0.0).view(np.uint64), _SEEDS[0])
+    from clacad.formats.mesh.compiled_measure import hash_corners
+
+    found = np.empty(corners.shape[:2], dtype=np.uint64)
+    hash_corners(np.ascontiguousarray(corners, dtype=np.float64).view(np.uint64), found)
+    return found
 
 
 def welded(corners: Floats) -> tuple[Floats, NDArray[np.int64]]:

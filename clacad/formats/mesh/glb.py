@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +19,17 @@ from clacad.base.types import Floats, Ints
 from clacad.base.units import MILLIMETRE
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
-from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
+from clacad.storage.spending import Spending
 
 _MAGIC = b"glTF"
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-_LONGEST_JSON = 1 << 28
+_LONGEST_JSON = 1 << 27
 _MOST_NODES = 2_000_000
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_PLACED = 5
+"""A place takes about so many times the memory of a vertex."""
 INSTANCING = "EXT_mesh_gpu_instancing"
 
 
@@ -179,13 +183,17 @@ def read_glb(path: Path) -> FileMesh:
     ------
     UnreadableFile
         Cut short, inconsistent, needs another file or an extension that changes the geometry.
+    OverBudget
+        More bytes, vertices, places or seconds than are read.
     """
+    spent = Spending("glb", path)
     data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
     try:
-        document, binary = _chunks(data)
-        return _scene(document, binary)
+        return _scene(_Buffers(*_chunks(data), spent))
+    except OverBudget:
+        raise
     except UnreadableFile as error:
-        raise UnreadableFile(f"{path.name}: {error}") from error
+        raise UnreadableFile(f"{path.name}: {str(error)[:300]}") from error
     except (
         KeyError,
         IndexError,
@@ -195,7 +203,16 @@ def read_glb(path: Path) -> FileMesh:
         OverflowError,
         RecursionError,
     ) as error:
-        raise UnreadableFile(f"{path.name}: damaged ({type(error).__name__}: {error})") from error
+        raise UnreadableFile(f"{path.name}: damaged ({type(error).__name__}: {str(error)[:200]})") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Buffers:
+    """A GLB file: its JSON, its binary chunk, and what reading it has taken."""
+
+    document: dict[str, Any]
+    binary: np.ndarray[Any, Any]
+    spent: Spending
 
 
 def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
@@ -219,8 +236,9 @@ def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any,
     return document, rest[8:]
 
 
-def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
+def _scene(file: _Buffers) -> FileMesh:
     """Meshes of the shown scene, each with every place it stands at."""
+    document = file.document
     if set(document.get("extensionsRequired", ())) - {INSTANCING}:
         raise UnreadableFile(f"needs the extensions {document['extensionsRequired']}, which are not read")
     if any("uri" in buffer for buffer in document["buffers"]) or len(document["buffers"]) != 1:
@@ -228,27 +246,26 @@ def _scene(document: dict[str, Any], binary: np.ndarray[Any, Any]) -> FileMesh:
     if len(document["nodes"]) > _MOST_NODES:
         raise UnreadableFile(f"{len(document['nodes'])} nodes are more than the {_MOST_NODES} allowed")
     scene = document["scenes"][document.get("scene", 0)]
-    places = _places(document, binary, [int(n) for n in scene["nodes"]])
+    places = _places(file, [int(n) for n in scene["nodes"]])
     parts = [
         part
         for mesh in sorted(places)
-        for part in _parts(document, binary, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
+        for part in _parts(file, mesh, np.ascontiguousarray(np.concatenate(places[mesh])[::-1]))
     ]
     if not parts:
         raise UnreadableFile("its scene shows no triangle")
     return FileMesh("glb", tuple(parts), 1.0, str(scene.get("name", "")))
 
 
-def _places(
-    document: dict[str, Any], binary: np.ndarray[Any, Any], roots: list[int]
-) -> dict[int, list[Floats]]:
+def _places(file: _Buffers, roots: list[int]) -> dict[int, list[Floats]]:
     """Number of a mesh → blocks of places (k, 4, 3) at which it stands, the last first; row-vector matrices."""
-    nodes = document["nodes"]
+    nodes = file.document["nodes"]
     places: dict[int, list[Floats]] = {}
     seen: set[int] = set()
     stack = [(n, np.eye(4)) for n in roots]
     while stack:
         number, above = stack.pop()
+        file.spent.look("among its nodes")
         if number in seen or number < 0:
             raise UnreadableFile(f"node {number} stands twice: a scene is a tree")
         seen.add(number)
@@ -257,7 +274,7 @@ def _places(
             raise UnreadableFile(f"node {number} uses an extension or skin, which is not read")
         place = _local(node) @ above
         if "mesh" in node:
-            found = _instances(document, binary, node) if "extensions" in node else np.eye(4)[None]
+            found = _instances(file, node) if "extensions" in node else np.eye(4)[None]
             places.setdefault(int(node["mesh"]), []).append((found @ place)[:, :, :3])
         children = [int(child) for child in node.get("children", ())]
         leaves = [n for n in children if 0 <= n < len(nodes) and n not in seen and set(nodes[n]) <= _LEAF]
@@ -293,14 +310,15 @@ def _translations(moves: Floats) -> Floats:
     return matrices
 
 
-def _instances(document: dict[str, Any], binary: np.ndarray[Any, Any], node: dict[str, Any]) -> Floats:
+def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
     """Row-vector matrices of a node's instances, (k, 4, 4), last first like the nodes of a tree."""
     attributes = node["extensions"][INSTANCING]["attributes"]
     if set(attributes) != {"TRANSLATION"}:
         raise UnreadableFile("instances that are turned or scaled are not read")
-    offsets = _accessed(document, binary, attributes["TRANSLATION"], 3).astype(np.float64)
+    offsets = _accessed(file, attributes["TRANSLATION"], 3).astype(np.float64)
     if len(offsets) > _MOST_NODES or not np.isfinite(offsets).all():
         raise UnreadableFile("its instances are too many, or stand nowhere")
+    file.spent.count(_PLACED * len(offsets))
     return _translations(offsets)[::-1]
 
 
@@ -324,21 +342,19 @@ def _local(node: dict[str, Any]) -> Floats:
     return place
 
 
-def _parts(
-    document: dict[str, Any], binary: np.ndarray[Any, Any], number: int, placements: Floats
-) -> list[Part]:
+def _parts(file: _Buffers, number: int, placements: Floats) -> list[Part]:
     """Parts of one mesh, one a primitive, all at the same placements (k, 4, 3)."""
-    mesh = document["meshes"][number]
+    mesh = file.document["meshes"][number]
     found = []
     for primitive in mesh["primitives"]:
         if primitive.get("mode", 4) != 4 or "extensions" in primitive:
             raise UnreadableFile(f"mesh {number} is not plain triangles")
-        vertices = _accessed(document, binary, primitive["attributes"]["POSITION"], 3).astype(np.float64)
+        vertices = _accessed(file, primitive["attributes"]["POSITION"], 3).astype(np.float64)
         normals: Floats | None = None
         if "NORMAL" in primitive["attributes"]:
-            normals = _accessed(document, binary, primitive["attributes"]["NORMAL"], 3).astype(np.float64)
+            normals = _accessed(file, primitive["attributes"]["NORMAL"], 3).astype(np.float64)
         if "indices" in primitive:
-            corners: Ints = _accessed(document, binary, primitive["indices"], 1).astype(np.int64).reshape(-1)
+            corners: Ints = _accessed(file, primitive["indices"], 1).astype(np.int64).reshape(-1)
         else:
             corners = np.arange(len(vertices), dtype=np.int64)
         if len(corners) == 0 or len(corners) % 3 or corners.min() < 0 or corners.max() >= len(vertices):
@@ -357,10 +373,9 @@ def _parts(
     return found
 
 
-def _accessed(
-    document: dict[str, Any], binary: np.ndarray[Any, Any], number: int, width: int
-) -> np.ndarray[Any, Any]:
-    """The array (count, width) that an accessor describes."""
+def _accessed(file: _Buffers, number: int, width: int) -> np.ndarray[Any, Any]:
+    """The array (count, width) that an accessor describes; each use of one counts, for each makes an array."""
+    document, binary = file.document, file.binary
     accessor = document["accessors"][int(number)]
     view = document["bufferViews"][int(accessor["bufferView"])]
     kind = np.dtype(_COMPONENTS[accessor["componentType"]])
@@ -380,4 +395,6 @@ def _accessed(
         raise UnreadableFile(f"accessor {number} reaches outside its data")
     if not math.isfinite(size):
         raise UnreadableFile(f"accessor {number} has no size")
+    file.spent.count(count)
+    file.spent.look("among its meshes")
     return np.frombuffer(binary[start : start + size].tobytes(), dtype=kind).reshape(count, width)

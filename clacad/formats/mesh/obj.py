@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+from array import array
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import FileMesh, Part
 from clacad.storage.errors import UnreadableFile
+from clacad.storage.spending import Spending
 
-LONGEST = 1 << 30
+_GROUP = 10
+"""A group takes about the memory of so many vertices."""
 _IGNORED = {b"vt", b"vp", b"g", b"s", b"usemtl", b"mtllib", b"l", b"p"}
 Corner = tuple[int, int]
+
+
+@dataclass
+class _Found:
+    """What was read so far: x, y, z of vertices and normals; names of groups and six numbers a triangle."""
+
+    vertices: array[float] = field(default_factory=lambda: array("d"))
+    normals: array[float] = field(default_factory=lambda: array("d"))
+    groups: list[tuple[str, array[int]]] = field(default_factory=lambda: [("", array("q"))])
 
 
 def read_obj(path: Path) -> FileMesh:
@@ -21,32 +34,45 @@ def read_obj(path: Path) -> FileMesh:
     Raises
     ------
     UnreadableFile
+    OverBudget
+        More bytes, vertices, triangles or seconds than are read.
     """
-    if path.stat().st_size > LONGEST:
-        raise UnreadableFile(f"{path.name}: more than {LONGEST} bytes of OBJ")
-    vertices: list[tuple[float, ...]] = []
-    normals: list[tuple[float, ...]] = []
-    groups: list[tuple[str, list[tuple[Corner, Corner, Corner]]]] = [("", [])]
+    spent, found = Spending("obj", path), _Found()
     with path.open("rb") as stream:
-        for number, line in enumerate(iter(lambda: stream.readline(1 << 16), b""), 1):
+        for number, line in enumerate(spent.lines(stream), 1):
             words = line.split(b"#", 1)[0].split()
+            if not words or words[0] in _IGNORED:
+                continue
             try:
-                if not words or words[0] in _IGNORED:
-                    continue
-                if words[0] in (b"v", b"vn"):
-                    (vertices if words[0] == b"v" else normals).append(tuple(float(w) for w in words[1:4]))
-                elif words[0] == b"o":
-                    groups.append((b" ".join(words[1:]).decode("utf-8", "replace"), []))
-                elif words[0] == b"f":
-                    corners = [_corner(w, len(vertices), len(normals)) for w in words[1:]]
-                    groups[-1][1].extend(
-                        (corners[0], corners[k], corners[k + 1]) for k in range(1, len(corners) - 1)
-                    )
-                else:
-                    raise ValueError
-            except (ValueError, IndexError) as error:
+                _take(spent, found, words)
+            except (ValueError, IndexError, OverflowError) as error:
+                if isinstance(error, UnreadableFile):
+                    raise
                 raise UnreadableFile(f"{path.name}: line {number} is not OBJ that is read") from error
-    return _checked(path, vertices, normals, [g for g in groups if g[1]])
+    return _checked(path, found)
+
+
+def _take(spent: Spending, found: _Found, words: list[bytes]) -> None:
+    """Keep what one statement says; ValueError or IndexError where it says nothing that is read."""
+    if words[0] in (b"v", b"vn"):
+        spent.count(1)
+        kept = found.vertices if words[0] == b"v" else found.normals
+        if len(words) < 4:
+            raise UnreadableFile(
+                f"{spent.name}: vertex or normal {len(kept) // 3 + 1} has not three coordinates"
+            )
+        kept.extend((float(words[1]), float(words[2]), float(words[3])))
+    elif words[0] == b"o":
+        spent.count(_GROUP)
+        found.groups.append((b" ".join(words[1:])[:200].decode("utf-8", "replace"), array("q")))
+    elif words[0] == b"f":
+        spent.count(max(1, len(words) - 3))
+        many = len(found.vertices) // 3, len(found.normals) // 3
+        corners = [_corner(w, *many) for w in words[1:]]
+        for k in range(1, len(corners) - 1):
+            found.groups[-1][1].extend((*corners[0], *corners[k], *corners[k + 1]))
+    else:
+        raise ValueError(words[0])
 
 
 def _corner(word: bytes, vertices: int, normals: int) -> Corner:
@@ -61,18 +87,18 @@ def _corner(word: bytes, vertices: int, normals: int) -> Corner:
     return vertex, normal
 
 
-def _checked(path: Path, vertices: list[tuple[float, ...]], normals: list[tuple[float, ...]],
-             groups: list[tuple[str, list[tuple[Corner, Corner, Corner]]]]) -> FileMesh:  # fmt: skip
-    if not groups or any(len(v) != 3 for v in vertices) or any(len(n) != 3 for n in normals):
-        raise UnreadableFile(f"{path.name}: no faces, or a vertex without three coordinates")
-    position, direction = np.array(vertices), np.array(normals).reshape(-1, 3)
+def _checked(path: Path, found: _Found) -> FileMesh:
+    groups = [(name, np.frombuffer(faces, dtype=np.int64)) for name, faces in found.groups if faces]
+    if not groups:
+        raise UnreadableFile(f"{path.name}: no faces")
+    position, direction = (np.array(of).reshape(-1, 3) for of in (found.vertices, found.normals))
     if not np.isfinite(position).all() or not np.isfinite(direction).all():
         raise UnreadableFile(f"{path.name}: a vertex that is not a number")
     return FileMesh("obj", tuple(_part(name, faces, position, direction) for name, faces in groups))
 
 
-def _part(name: str, faces: list[tuple[Corner, Corner, Corner]], position: Floats, direction: Floats) -> Part:
+def _part(name: str, faces: Ints, position: Floats, direction: Floats) -> Part:
     """Give each pair (vertex, normal) a row of its own, so that a sharp edge keeps two normals."""
-    pairs, index = np.unique(np.array(faces).reshape(-1, 2), axis=0, return_inverse=True)
+    pairs, index = np.unique(faces.reshape(-1, 2), axis=0, return_inverse=True)
     kept = direction[pairs[:, 1]] if len(direction) and (pairs[:, 1] >= 0).all() else None
     return Part(name, position[pairs[:, 0]], index.reshape(-1, 3), normals=kept)

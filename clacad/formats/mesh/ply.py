@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -15,6 +15,7 @@ from clacad.base.types import Floats, Ints
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece
 from clacad.storage.errors import UnreadableFile
+from clacad.storage.spending import Spending
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -22,6 +23,8 @@ _TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _LONGEST_HEADER = 1 << 16
+_LONGEST_WORD = 1000
+_BLOCK = 1 << 20
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
@@ -95,6 +98,8 @@ def read_ply(path: Path) -> FileMesh:
     Raises
     ------
     UnreadableFile
+    OverBudget
+        More bytes, numbers or seconds than are read.
     """
     data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
     head = bytes(data[:_LONGEST_HEADER])
@@ -108,12 +113,25 @@ def read_ply(path: Path) -> FileMesh:
         raise UnreadableFile(f"{path.name}: its elements are {sorted(by_name)}; vertex and face are read")
     if elements[0].lists or len(elements[1].lists) != 1:
         raise UnreadableFile(f"{path.name}: faces must have one list and vertices plain numbers")
+    vertex, face = elements
+    columns = _columns(path, vertex)
     body = data[end.end() :]
     if form == "ascii":
-        vertices, triangles = _ascii_body(path, bytes(body), *elements)
+        vertices, triangles = _ascii_body(Spending("ply-ascii", path), body, vertex, face)
+        vertices = vertices[:, [[name for name, _ in vertex.scalars].index(name) for name in columns]]
     else:
-        vertices, triangles = _binary_body(path, body, "<" if "little" in form else ">", *elements)
-    return _checked(path, vertices, triangles, elements[0], comments)
+        Spending("ply", path).count(vertex.count + face.count)
+        rows, triangles = _binary_body(path, body, "<" if "little" in form else ">", vertex, face)
+        vertices = np.stack([rows[name].astype(np.float64) for name in columns], axis=1)
+    return _checked(path, vertices, triangles, comments)
+
+
+def _columns(path: Path, vertex: _Element) -> list[str]:
+    """Names of the numbers of a vertex that are kept: its place, and its normal if it has one."""
+    names = {name for name, _ in vertex.scalars}
+    if not {"x", "y", "z"} <= names:
+        raise UnreadableFile(f"{path.name}: vertices have no x, y, z")
+    return ["x", "y", "z", *(("nx", "ny", "nz") if {"nx", "ny", "nz"} <= names else ())]
 
 
 def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], str]:
@@ -153,8 +171,8 @@ def _parsed_header(path: Path, lines: list[str]) -> tuple[str, list[_Element], s
 
 def _binary_body(
     path: Path, body: NDArray[np.uint8], order: str, vertex: _Element, face: _Element
-) -> tuple[Floats, Ints]:
-    """Vertices (v, 3) and corners of facets (t, 3) of a binary file."""
+) -> tuple[NDArray[np.void], Ints]:
+    """Vertices (v,) as records and corners of facets (t, 3) of a binary file."""
     row = np.dtype([(name, order + kind) for name, kind in vertex.scalars])
     _, count_kind, index_kind = face.lists[0]
     fields: list[Any] = [(f"scalar {k}", order + kind) for k, (_, kind) in enumerate(face.scalars)]
@@ -169,34 +187,52 @@ def _binary_body(
     faces = np.frombuffer(body, dtype=triangle, count=face.count, offset=row.itemsize * vertex.count)
     if (faces["count"] != 3).any():
         raise UnreadableFile(f"{path.name}: a face that is not a triangle")
-    values = np.stack([rows[name].astype(np.float64) for name, _ in vertex.scalars], axis=1)
-    return values, np.asarray(faces["corners"], dtype=np.int64)
+    return rows, np.asarray(faces["corners"], dtype=np.int64)
 
 
-def _ascii_body(path: Path, body: bytes, vertex: _Element, face: _Element) -> tuple[Floats, Ints]:
-    try:
-        numbers = np.array(body.split(), dtype=np.float64)
-    except ValueError as error:
-        raise UnreadableFile(f"{path.name}: a word in the data that is no number") from error
+def _ascii_body(
+    spent: Spending, body: NDArray[np.uint8], vertex: _Element, face: _Element
+) -> tuple[Floats, Ints]:
+    """All numbers of the vertices (v, k) and corners of facets (t, 3) of a file of words."""
     width, row = len(vertex.scalars), 4 + len(face.scalars)
-    if len(numbers) != width * vertex.count + row * face.count:
+    promised = width * vertex.count + row * face.count
+    spent.count(promised)
+    numbers = np.concatenate([np.zeros(0), *_words(spent, body, promised)])
+    if len(numbers) != promised:
         raise UnreadableFile(
-            f"{path.name}: {len(numbers)} numbers are not what its header promises for triangles"
+            f"{spent.name}: {len(numbers)} numbers are not what its header promises for triangles"
         )
     faces = numbers[width * vertex.count :].reshape(-1, row)[:, face.before : face.before + 4]
     if (faces[:, 0] != 3).any() or not (np.abs(faces) < 1 << 31).all():
-        raise UnreadableFile(f"{path.name}: a face that is not a triangle")
+        raise UnreadableFile(f"{spent.name}: a face that is not a triangle")
     return numbers[: width * vertex.count].reshape(-1, width), faces[:, 1:].astype(np.int64)
 
 
-def _checked(path: Path, values: Floats, triangles: Ints, vertex: _Element, comments: str) -> FileMesh:
-    names = [name for name, _ in vertex.scalars]
-    if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
-        raise UnreadableFile(f"{path.name}: vertices have no x, y, z")
-    position = values[:, [names.index(k) for k in ("x", "y", "z")]]
-    normals = None
-    if {"nx", "ny", "nz"} <= set(names):
-        normals = values[:, [names.index(k) for k in ("nx", "ny", "nz")]]
+def _words(spent: Spending, body: NDArray[np.uint8], most: int) -> Iterator[Floats]:
+    """Numbers of a text, a block at a time, until there are more than `most`; a word may be cut by a block's end."""
+    found, rest = 0, b""
+    for start in range(0, len(body), _BLOCK):
+        spent.look(f"at byte {start:,} of its data")
+        text = rest + bytes(body[start : start + _BLOCK])
+        ended = start + _BLOCK >= len(body) or text[-1:].isspace()
+        words = text.split()
+        rest = b"" if ended or not words else words.pop()
+        if len(rest) > _LONGEST_WORD:
+            raise UnreadableFile(f"{spent.name}: a word in the data that is no number")
+        try:
+            numbers = np.array(words, dtype=np.float64)
+        except ValueError as error:
+            raise UnreadableFile(f"{spent.name}: a word in the data that is no number") from error
+        yield numbers
+        found += len(numbers)
+        if found > most:
+            return
+
+
+def _checked(path: Path, values: Floats, triangles: Ints, comments: str) -> FileMesh:
+    """The mesh of vertices (v, 3), or (v, 6) with their normals."""
+    position = np.ascontiguousarray(values[:, :3])
+    normals = np.ascontiguousarray(values[:, 3:]) if values.shape[1] == 6 else None
     if not np.isfinite(position).all() or (normals is not None and not np.isfinite(normals).all()):
         raise UnreadableFile(f"{path.name}: a vertex that is not a number")
     if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(position):

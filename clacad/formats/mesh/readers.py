@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from clacad.formats.mesh.file_mesh import FileMesh
-from clacad.storage.errors import UnreadableFile
+from clacad.storage.errors import OverBudget, UnreadableFile
 
 
 def read_mesh(path: str | os.PathLike[str]) -> FileMesh:
@@ -26,6 +26,8 @@ def read_mesh(path: str | os.PathLike[str]) -> FileMesh:
     ------
     UnreadableFile
         Not one of these, damaged, or built to harm its reader. Nothing else is raised for any content.
+    OverBudget
+        An UnreadableFile, too: more bytes, items or seconds than its reader takes, or more memory than is free.
     FileNotFoundError
     """
     path = Path(path)
@@ -34,7 +36,7 @@ def read_mesh(path: str | os.PathLike[str]) -> FileMesh:
     try:
         return _reader(head, path.suffix.lower())(path)
     except (MemoryError, OverflowError) as error:
-        raise UnreadableFile(f"{path.name}: too large to be read here") from error
+        raise OverBudget(f"{path.name}: too large to be read here") from error
 
 
 def _reader(head: bytes, suffix: str) -> Callable[[Path], FileMesh]:

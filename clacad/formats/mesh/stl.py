@@ -7,6 +7,7 @@ The format knows no unit; the header says "unit=mm" and every coordinate is in m
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +19,10 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.spending import Spending
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER = 80
-LONGEST_ASCII = 1 << 30
 
 
 class FacetStream(Protocol):
@@ -82,29 +83,28 @@ def header(name: str) -> bytes:
 
 def _write_rows(stream: IO[bytes], rows: Floats, scale: float) -> int:
     for start in range(0, len(rows), CHUNK):
-        corners = rows[start : start + CHUNK]
-        block = np.zeros(len(corners), dtype=FACET)
-        block["corners"] = corners * scale
-        block["corners"] += np.float32(0.0)  # −0 and 0 are one place and must be one bit pattern
-        if not np.isfinite(block["corners"]).all():
-            raise FileDisagrees("the mesh holds a corner that is not a finite float32 number")
-        block["normal"] = facet_normals(block["corners"])
-        stream.write(block.tobytes())
+        stream.write(_records(rows[start : start + CHUNK], scale).data)
     return len(rows)
 
 
-def facet_normals(corners: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Unit normals (k, 3) of the float32 triangles (k, 3, 3) as written; zero where one has no area."""
-    corners = corners.astype(np.float64)
-    a = corners[:, 1] - corners[:, 0]
-    b = corners[:, 2] - corners[:, 0]
-    normal = np.empty_like(a)
-    normal[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    normal[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    normal[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    length = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
-    normal /= np.where(length > 0.0, length, 1.0)[:, None]
-    return normal.astype(np.float32) + np.float32(0.0)
+def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
+    """Bytes (k, 50) of facets (k, 3, 3) as they are written; −0 and 0 are one place and one bit pattern.
+
+    Raises
+    ------
+    FileDisagrees
+        A corner is not a finite float32 number.
+    """
+    from clacad.formats.mesh.compiled_facets import facet_numbers
+
+    numbers = np.empty((len(corners), 4, 3), dtype="<f4")
+    with np.errstate(invalid="ignore"):  # a NaN that a flipped bit made is about to be told
+        whole = np.ascontiguousarray(corners, dtype=np.float64)
+    if not facet_numbers(whole, scale, numbers):
+        raise FileDisagrees("the mesh holds a corner that is not a finite float32 number")
+    found = np.zeros((len(corners), FACET.itemsize), dtype=np.uint8)
+    found[:, :-2] = numbers.reshape(len(corners), -1).view(np.uint8)
+    return found
 
 
 def read_stl(path: Path) -> FileMesh:
@@ -114,6 +114,8 @@ def read_stl(path: Path) -> FileMesh:
     ------
     UnreadableFile
         Cut short, too long, holds a corner that is no number, or is not STL.
+    OverBudget
+        More bytes, facets or seconds than are read.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -122,7 +124,7 @@ def read_stl(path: Path) -> FileMesh:
     if count >= 0 and size == stl_bytes(count):
         return _read_binary(path, head, count)
     if head.lstrip().lower().startswith(b"solid"):
-        return _read_ascii(path, size)
+        return _read_ascii(path)
     if count < 0:
         raise UnreadableFile(f"{path.name}: {size} bytes are too few for an STL file")
     raise UnreadableFile(
@@ -135,7 +137,10 @@ def _read_binary(path: Path, head: bytes, count: int) -> FileMesh:
     unit = 1e-3 if "unit=mm" in name else None
     if count == 0:
         return FileMesh("stl-binary", (Part("", soup=np.zeros((0, 3, 3), np.float32)),), unit, name)
+    spent = Spending("stl", path)
+    spent.count(count)
     for start in range(0, count, CHUNK):
+        spent.look(f"at facet {start:,}")
         if not np.isfinite(read_facets(path, start, start + CHUNK)["corners"]).all():
             raise UnreadableFile(f"{path.name}: a corner near facet {start} is not a number")
     return FileMesh("stl-binary", (Part("", soup=BinaryStl(path, count)),), unit, name)
@@ -172,32 +177,30 @@ _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _VERTEX = re.compile(rb"\s*vertex\s+(%s)\s+(%s)\s+(%s)\s*\Z" % ((_NUMBER,) * 3), re.IGNORECASE)
 
 
-def _read_ascii(path: Path, size: int) -> FileMesh:
+def _read_ascii(path: Path) -> FileMesh:
     """Read an ASCII STL file into memory; its corners are double precision."""
-    if size > LONGEST_ASCII:
-        raise UnreadableFile(
-            f"{path.name}: {size} bytes of ASCII STL are more than the {LONGEST_ASCII} allowed"
-        )
-    corners: list[tuple[float, float, float]] = []
+    spent = Spending("stl-ascii", path)
+    corners: array[float] = array("d")
     facets = 0
     with path.open("rb") as stream:
-        for line in iter(lambda: stream.readline(1024), b""):
+        for line in spent.lines(stream):
             word = line.split(None, 1)[0].lower() if line.strip() else b""
             if word == b"vertex":
                 match = _VERTEX.match(line)
                 if match is None:
-                    raise UnreadableFile(f"{path.name}: vertex {len(corners) + 1} is not three numbers")
-                corners.append((float(match[1]), float(match[2]), float(match[3])))
+                    raise UnreadableFile(f"{path.name}: vertex {len(corners) // 3 + 1} is not three numbers")
+                corners.extend((float(match[1]), float(match[2]), float(match[3])))
             elif word == b"endfacet":
                 facets += 1
-                if len(corners) != 3 * facets:
+                spent.count(1)
+                if len(corners) != 9 * facets:
                     raise UnreadableFile(f"{path.name}: facet {facets} has not three corners")
             elif word not in (b"solid", b"facet", b"outer", b"endloop", b"endsolid", b""):
                 raise UnreadableFile(f"{path.name}: an ASCII STL file with a line that is none")
-    if len(corners) != 3 * facets or not facets:
+    if len(corners) != 9 * facets or not facets:
         raise UnreadableFile(f"{path.name}: the ASCII STL ends within a facet or holds none")
     with np.errstate(over="ignore"):
-        soup = np.array(corners, dtype=np.float32).reshape(-1, 3, 3)
+        soup = np.frombuffer(corners, dtype=np.float64).astype(np.float32).reshape(-1, 3, 3)
     if not np.isfinite(soup).all():
         raise UnreadableFile(f"{path.name}: a corner of the ASCII STL does not fit a float32 number")
     return FileMesh("stl-ascii", (Part("", soup=soup),), None, "")
@@ -215,9 +218,9 @@ def check_stl_facets(path: Path) -> None:
         return
     for start in range(0, count, CHUNK):
         block = read_facets(path, start, start + CHUNK)
-        told = np.zeros(len(block), dtype=FACET)
-        with np.errstate(invalid="ignore"):  # a NaN that a flipped bit made is about to be told
-            told["corners"] = block["corners"] + np.float32(0.0)
-            told["normal"] = facet_normals(told["corners"])
+        try:
+            told = _records(block["corners"], 1.0)
+        except FileDisagrees:  # a flipped bit made a NaN
+            told = np.zeros((0, FACET.itemsize), dtype=np.uint8)
         if block.tobytes() != told.tobytes():
             raise FileDisagrees(f"{path.name}: a facet near number {start} disagrees with its own normal")

@@ -9,27 +9,36 @@ from __future__ import annotations
 
 import math
 import zipfile
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.storage.archive import Attributes, open_archive, parse_xml
-from clacad.storage.errors import FileDisagrees, UnreadableFile
+from clacad.storage.element_runs import NUMBER, WHOLE, ElementRun
+from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
+from clacad.storage.spending import Spending
 
 FLAT_LIMIT = 50_000
 """Up to this many places components are written in one level, which every reader tried understands."""
 
-MOST_FACETS = 100_000_000
-"""Facets that may be written in a file; at how many places they stand is MOST_PLACES' business."""
-
 MOST_PLACES = 4_000_000
+"""Places at which the parts of one file may stand."""
+
+_PLACED = 14
+"""A component, item or object takes about so many times the memory of a vertex."""
+
+TOGETHER = 4096
+"""Lines that are made and packed at a time."""
+
 NAMESPACE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 MODEL = "3D/3dmodel.model"
 _TYPES = (
@@ -90,7 +99,7 @@ def _blocks(lines: Iterator[str]) -> Iterator[bytes]:
     kept: list[str] = []
     for line in lines:
         kept.append(line)
-        if len(kept) == 4096:
+        if len(kept) == TOGETHER:
             yield "".join(kept).encode()
             kept.clear()
     yield "".join(kept).encode()
@@ -125,18 +134,24 @@ def _model(pieces: Sequence[Piece], scale: float, name: str) -> Iterator[str]:
 
 
 def mesh_lines(piece: Piece, number: int, scale: float) -> Iterator[str]:
-    """Lines of one mesh object."""
+    """Lines of one mesh object, many in one text."""
     vertices = np.asarray(piece.vertices, dtype=np.float64) * scale + 0.0
     if not np.isfinite(vertices).all():
         raise FileDisagrees(f"{piece.name}: a vertex is not a finite number")
     label = piece.name if piece.places is None else piece.name + " cell"
     yield f'<object id="{number}" type="model" name="{escape(label)}">\n<mesh>\n<vertices>\n'
-    for x, y, z in vertices.tolist():
-        yield f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>\n'
+    for rows in _together(vertices):
+        yield "".join([f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>\n' for x, y, z in rows])
     yield "</vertices>\n<triangles>\n"
-    for a, b, c in np.asarray(piece.triangles).tolist():
-        yield f'<triangle v1="{a}" v2="{b}" v3="{c}"/>\n'
+    for rows in _together(np.asarray(piece.triangles)):
+        yield "".join([f'<triangle v1="{a}" v2="{b}" v3="{c}"/>\n' for a, b, c in rows])
     yield "</triangles>\n</mesh>\n</object>\n"
+
+
+def _together(rows: NDArray[Any]) -> Iterator[Iterator[tuple[Any, ...]]]:
+    """Rows of plain numbers, TOGETHER at a time; by columns, since a list a row is what takes time."""
+    for first in range(0, len(rows), TOGETHER):
+        yield zip(*rows[first : first + TOGETHER].T.tolist(), strict=True)
 
 
 def _flat(name: str, places: Places, mesh: int, number: int, scale: float) -> Iterator[str]:
@@ -172,8 +187,8 @@ def component_text(number: int, x: float, y: float) -> str:
 @dataclass
 class _Object:
     name: str
-    vertices: list[float] = field(default_factory=list)
-    triangles: list[int] = field(default_factory=list)
+    vertices: array[float] = field(default_factory=lambda: array("d"))
+    triangles: array[int] = field(default_factory=lambda: array("q"))
     components: list[tuple[str, Floats]] = field(default_factory=list)
 
 
@@ -181,7 +196,7 @@ class _Object:
 class _Model:
     """What the parser has gathered so far."""
 
-    path: str
+    spent: Spending
     unit: float = 1e-3
     objects: dict[str, _Object] = field(default_factory=dict)
     items: list[tuple[str, Floats]] = field(default_factory=list)
@@ -190,7 +205,7 @@ class _Model:
     in_title: bool = False
 
     def fail(self, why: str) -> UnreadableFile:
-        return UnreadableFile(f"{self.path}: {why}")
+        return UnreadableFile(f"{self.spent.name}: {why[:300]}")
 
 
 def read_threemf(path: Path) -> FileMesh:
@@ -200,11 +215,14 @@ def read_threemf(path: Path) -> FileMesh:
     ------
     UnreadableFile
         Not 3MF, damaged, hostile, or needs an extension that is not read.
+    OverBudget
+        More bytes, parts or seconds than are read.
     """
-    with open_archive(path) as archive:
+    spent = Spending("3mf", path)
+    with open_archive(path, spent) as archive:
         try:
-            with archive.open(_model_name(path, archive)) as stream:
-                model = _parsed(path.name, stream)
+            with archive.open(_model_name(spent, archive)) as stream:
+                model = _parsed(spent, stream)
         except (KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError) as error:
             raise UnreadableFile(f"{path.name}: damaged ({error})") from error
     places: dict[str, list[Floats]] = {}
@@ -218,7 +236,7 @@ def read_threemf(path: Path) -> FileMesh:
     return FileMesh("3mf", parts, model.unit, model.title.strip())
 
 
-def _model_name(path: Path, archive: zipfile.ZipFile) -> str:
+def _model_name(spent: Spending, archive: zipfile.ZipFile) -> str:
     found: list[str] = []
 
     def start(tag: str, attributes: Attributes) -> None:
@@ -226,24 +244,25 @@ def _model_name(path: Path, archive: zipfile.ZipFile) -> str:
             found.append(attributes.get("Target", "").lstrip("/"))
 
     if "_rels/.rels" not in archive.namelist():
-        raise UnreadableFile(f"{path.name}: a zip file, but not 3MF (no _rels/.rels)")
+        raise UnreadableFile(f"{spent.name}: a zip file, but not 3MF (no _rels/.rels)")
     with archive.open("_rels/.rels") as stream:
-        parse_xml(stream, path.name, start, lambda _: None)
+        parse_xml(stream, spent, start, lambda _: None)
     if len(found) != 1 or found[0] not in archive.namelist():
-        raise UnreadableFile(f"{path.name}: it names {len(found)} models; one that exists is needed")
+        raise UnreadableFile(f"{spent.name}: it names {len(found)} models; one that exists is needed")
     return found[0]
 
 
-def _parsed(name: str, stream: IO[bytes]) -> _Model:
+def _parsed(spent: Spending, stream: IO[bytes]) -> _Model:
     """Objects and places of one model part, as they stand in its XML."""
-    model = _Model(name)
+    model = _Model(spent)
 
     def start(tag: str, attributes: Attributes) -> None:
         handler = _HANDLERS.get(tag)
         if handler is not None:
+            spent.count(1 if tag in ("vertex", "triangle") else 1 + _PLACED)
             try:
                 handler(model, attributes)
-            except (KeyError, ValueError) as error:
+            except (KeyError, ValueError, OverflowError) as error:
                 if isinstance(error, UnreadableFile):
                     raise
                 raise model.fail(f"a damaged <{tag}> element") from error
@@ -257,17 +276,55 @@ def _parsed(name: str, stream: IO[bytes]) -> _Model:
         if model.in_title and len(model.title) < 1000:
             model.title += data
 
-    parse_xml(stream, name, start, end, text)
+    parse_xml(stream, spent, start, end, text, _runs(model))
     return model
+
+
+_VERTEX = rb'<vertex x="%s" y="%s" z="%s" ?/>' % ((NUMBER,) * 3)
+_TRIANGLE = rb'<triangle v1="%s" v2="%s" v3="%s" ?/>' % ((WHOLE,) * 3)
+_COMPONENT = rb'<component objectid="[0-9]{1,9}" transform="%s(?: %s){11}" ?/>' % (NUMBER, NUMBER)
+_BETWEEN = bytes.maketrans(b'<>/="xyz\r\n\t', b" " * 11)
+_BETWEEN_WHOLE = bytes.maketrans(b'<>/="triangleve\r\n\t', b" " * 18)
+
+
+def _runs(model: _Model) -> dict[str, ElementRun]:
+    """Elements that come by the million, as most programs write them: `_on_vertex` and its like, many at once."""
+
+    def vertices(text: bytes) -> None:
+        numbers = text.replace(b"vertex", b"").translate(_BETWEEN)
+        found = np.fromstring(numbers, sep=" ")
+        model.spent.count(len(found) // 3)
+        _current(model).vertices.frombytes(found.tobytes())
+
+    def triangles(text: bytes) -> None:
+        numbers = np.fromstring(text.translate(_BETWEEN_WHOLE), dtype=np.int64, sep=" ")
+        model.spent.count(len(numbers) // 6)
+        _current(model).triangles.frombytes(
+            numbers.reshape(-1, 6)[:, 1::2].tobytes()
+        )  # v1 and its number, v2 …
+
+    def components(text: bytes) -> None:
+        words = text.split(b'"')
+        places = np.fromstring(b" ".join(words[3::4]), sep=" ").reshape(-1, 4, 3)
+        if not np.isfinite(places).all():
+            raise model.fail("a transform that is not twelve numbers")
+        model.spent.count(len(places) * (1 + _PLACED))
+        numbers = [word.decode() for word in words[1::4]]
+        _current(model).components.extend(zip(numbers, places, strict=True))
+
+    return {
+        "vertices": ElementRun(_VERTEX, vertices), "triangles": ElementRun(_TRIANGLE, triangles),
+        "components": ElementRun(_COMPONENT, components),
+    }  # fmt: skip
 
 
 def _on_model(model: _Model, attributes: Attributes) -> None:
     unit = attributes.get("unit", "millimeter")
     if unit not in UNITS:
-        raise model.fail(f"unknown unit {unit!r}")
+        raise model.fail(f"unknown unit {unit[:40]!r}")
     model.unit = UNITS[unit]
     if attributes.get("requiredextensions", "").strip():
-        raise model.fail(f"needs the extension {attributes['requiredextensions']!r}, which is not read")
+        raise model.fail(f"needs the extension {attributes['requiredextensions'][:200]!r}, which is not read")
 
 
 def _on_metadata(model: _Model, attributes: Attributes) -> None:
@@ -336,7 +393,7 @@ def _expand(model: _Model, number: str, place: Floats, places: dict[str, list[Fl
     leaves: dict[str, list[Floats]] = {}
     budget[0] -= max(500, len(found.components))  # a level of its own is dearer than a leaf
     if budget[0] < 0:
-        raise model.fail(f"more than {MOST_PLACES} places of its parts")
+        raise OverBudget(f"{model.spent.name}: more than {MOST_PLACES:,} places of its parts")
     for child, inner in found.components:
         inside = model.objects.get(child)
         if inside is not None and not inside.components:
@@ -357,12 +414,10 @@ def _composed(inner: Floats, outer: Floats) -> Floats:
 
 def _part(model: _Model, number: str, placements: Floats) -> Part:
     found = model.objects[number]
-    vertices = np.array(found.vertices).reshape(-1, 3)
-    triangles = np.array(found.triangles, dtype=np.int64).reshape(-1, 3)
+    vertices = np.frombuffer(found.vertices, dtype=np.float64).reshape(-1, 3)
+    triangles = np.frombuffer(found.triangles, dtype=np.int64).reshape(-1, 3)
     if not np.isfinite(vertices).all():
         raise model.fail(f"object {number} has a vertex that is not a number")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise model.fail(f"object {number} has a triangle that uses a vertex it does not have")
-    if len(triangles) > MOST_FACETS:
-        raise model.fail(f"more than {MOST_FACETS} triangles")
     return Part(found.name, vertices, triangles, placements=placements)

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import re
 from array import array
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +83,7 @@ class Lookup:
     """Rows by number: ids (n,) sorted, values (n, …)."""
 
     ids: NDArray[np.int64]
-    values: NDArray[np.float64]
+    values: NDArray[Any]
 
     def rows(self, wanted: NDArray[np.int64]) -> NDArray[np.int64]:
         """Row of every number.
@@ -97,8 +99,17 @@ class Lookup:
         return at
 
     def one(self, number: int) -> Floats:
-        """The value under one number."""
-        return np.asarray(self.values[self.rows(np.array([number], dtype=np.int64))[0]])
+        """The value under one number.
+
+        Raises
+        ------
+        LookupError
+            It is not there.
+        """
+        at = bisect_left(self.ids, number)
+        if at == len(self.ids) or self.ids[at] != number:
+            raise LookupError("a number that no entity has")
+        return np.asarray(self.values[at])
 
 
 class Units:
@@ -331,8 +342,8 @@ class _Frames:
     ) -> None:  # fmt: skip
         rows = np.array(axes, dtype=np.int64).reshape(-1, 4)
         order = np.argsort(rows[:, 0], kind="stable")
-        self._axes = Lookup(rows[order, 0], rows[order, 1:].astype(np.float64))
-        self._rows = rows[order, 1:]
+        self._axes = Lookup(rows[order, 0], rows[order, 1:])
+        self._turns: dict[tuple[int, int], Floats] = {}
         self._points, self._directions, self._operators = points, directions, operators
 
     def of(self, number: int, unit: float) -> Floats:
@@ -342,13 +353,19 @@ class _Frames:
             frame = self._frame(at, third, first, unit)
             frame[:, :3] *= scale
             return frame
-        at, axis, reference = self._rows[self._axes.rows(np.array([number], dtype=np.int64))[0]].tolist()
+        at, axis, reference = self._axes.one(number).tolist()
         return self._frame(at, axis, reference, unit)
 
     def _frame(self, at: int, axis: int, reference: int, unit: float) -> Floats:
-        z = self._directions.one(axis) if axis else np.array([0.0, 0.0, 1.0])
-        z = z / np.linalg.norm(z)
-        x = self._directions.one(reference) if reference else np.eye(3)[int(abs(z[0]) > 0.999999)]
-        x = x - (x @ z) * z
-        x = x / np.linalg.norm(x)
-        return np.column_stack([x, np.cross(z, x), z, self._points.one(at) * unit])
+        return np.column_stack([self._turn(axis, reference), self._points.one(at) * unit])
+
+    def _turn(self, axis: int, reference: int) -> Floats:
+        """Axes x, y, z in columns (3, 3), of directions that many placements share."""
+        if (axis, reference) not in self._turns:
+            z = self._directions.one(axis) if axis else np.array([0.0, 0.0, 1.0])
+            z = z / np.linalg.norm(z)
+            x = self._directions.one(reference) if reference else np.eye(3)[int(abs(z[0]) > 0.999999)]
+            x = x - (x @ z) * z
+            x = x / np.linalg.norm(x)
+            self._turns[axis, reference] = np.column_stack([x, np.cross(z, x), z])
+        return self._turns[axis, reference]

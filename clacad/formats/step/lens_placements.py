@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.formats.step.placements import applied, inverse, product
+from clacad.formats.step.placements import applied, by_turn, inverse, product
 from clacad.sheet.window import WALL, Window, lens_height_and_normal
 
 SAMPLE = 20_000
@@ -189,7 +189,7 @@ def _sampled(placements: Floats, patches: int) -> Ints:
     many = max(1, SAMPLE // patches)
     if len(placements) <= many:
         return np.arange(len(placements))
-    turns = np.unique(placements[:, :, :3].reshape(-1, 9).round(12), axis=0, return_index=True)[1]
+    turns = np.array([rows[0] for rows in by_turn(placements)])
     even = np.linspace(0, len(placements) - 1, many).astype(np.int64)
     return np.unique(np.concatenate([even, turns[:many]]))
 
@@ -226,21 +226,27 @@ class _Board:
             return
         self._instances += len(placements)
         moves = product(placements, inverse(placements[chosen[best]]))
+        stand: dict[tuple[int, int, int], tuple[Ints, Floats]] = {}
         for (face, *cell), error in lenses.items():
-            self._instanced(face, np.array(cell), error, moves)
+            array = self._window.faces[face].array
+            assert array is not None
+            key = (array, cell[0], cell[1])
+            if key not in stand:  # both faces of a lens stand alike
+                stand[key] = self._moved_cell(array, np.array(cell), moves)
+            self._instanced(face, error, *stand[key])
 
-    def _instanced(self, face: int, cell: Ints, error: float, moves: Floats) -> None:
-        """One lens of a part, moved (k, 3, 4) from where it fits best to all its places."""
-        window = self._window
-        array = window.faces[face].array
-        assert array is not None
-        shift = np.asarray(window.shifts[array])
+    def _moved_cell(self, array: int, cell: Ints, moves: Floats) -> tuple[Ints, Floats]:
+        """Cells (k, 2) of an array where moves (k, 3, 4) take one, and how far from their centres it then is (k,) mm."""
+        window, shift = self._window, np.asarray(self._window.shifts[array])
         at = np.append(window.lattice.centres(cell[None])[0] + shift, 0.0) * self._scale
         place = applied(moves, at[None])[:, 0] / self._scale
         index, x, y = window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
-        away = np.sqrt(x * x + y * y + place[:, 2] ** 2) * self._scale
+        return index, np.sqrt(x * x + y * y + place[:, 2] ** 2) * self._scale
+
+    def _instanced(self, face: int, error: float, index: Ints, away: Floats) -> None:
+        """One lens of a part, moved from where it fits best to all its places, cells (k, 2), `away` (k,) mm from them."""
         self._count(face, index, np.maximum(away, error), repeated=True)
-        self._moved += int((away > 1e-7 * min(window.lattice.pitch) * self._scale).sum())
+        self._moved += int((away > 1e-7 * min(self._window.lattice.pitch) * self._scale).sum())
         worst = int(np.argmax(away))
         if away[worst] > self._worst[0]:
             self._worst = (float(away[worst]), face, (int(index[worst, 0]), int(index[worst, 1])))

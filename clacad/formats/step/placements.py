@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.storage.errors import UnreadableFile
 
 Node = TypeVar("Node", bound=Hashable)
@@ -23,9 +23,30 @@ UNPLACED = np.eye(3, 4)
 
 def product(outer: Floats, inner: Floats) -> Floats:
     """Apply placements (…, 3, 4) `inner` first, then `outer`; their leading shapes are broadcast."""
+    if unturned(outer) and unturned(inner):  # moves alone: the same numbers, of a million cells in no time
+        shape = np.broadcast_shapes(outer.shape, inner.shape)
+        found = np.empty(shape)
+        found[..., :3] = UNPLACED[:, :3]
+        np.add(inner[..., 3], outer[..., 3], out=found[..., 3])
+        return found
     linear = outer[..., :, :3] @ inner[..., :, :3]
     move = (outer[..., :, :3] @ inner[..., :, 3:]) + outer[..., :, 3:]
     return np.concatenate([linear, move], axis=-1)
+
+
+def unturned(placements: Floats) -> bool:
+    """Whether placements (…, 3, 4) only move, exactly."""
+    return bool((placements[..., :3] == UNPLACED[:, :3]).all())
+
+
+def by_turn(placements: Floats) -> list[Ints]:
+    """Rows of placements (k, 3, 4) grouped by how they turn, to twelve places."""
+    linear = placements[:, :, :3].reshape(-1, 9)
+    if not len(linear) or (linear == linear[0]).all():
+        return [np.arange(len(linear))] if len(linear) else []
+    which = np.unique(linear.round(12), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(which, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
 
 
 def inverse(placement: Floats) -> Floats:
@@ -36,6 +57,8 @@ def inverse(placement: Floats) -> Floats:
 
 def applied(placement: Floats, points: Floats) -> Floats:
     """Points (…, n, 3) after placements (…, 3, 4)."""
+    if unturned(placement):
+        return np.asarray(points + placement[..., None, :, 3])
     turned = points @ np.swapaxes(placement[..., :, :3], -1, -2)
     return np.asarray(turned + placement[..., None, :, 3])
 

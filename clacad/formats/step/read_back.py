@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from clacad.base.reading_budgets import BUDGETS
 from clacad.formats.step.lens_placements import lens_facts
 from clacad.formats.step.occ_faces import engraved_in, holes_in, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
@@ -17,7 +18,7 @@ from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 
-OCC_BYTES = 24_000_000
+OCC_BYTES = BUDGETS["step"].bytes
 """Files larger than this are scanned only: OCC would take minutes and gigabytes."""
 
 FEW_FACES = 2000

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.step.placements import composed
+from clacad.formats.step.placements import by_turn, composed, product, unturned
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
@@ -55,13 +55,10 @@ def pieces(shape: Any) -> list[ShapePart]:
         kind = one.ShapeType()
         if kind.value < TopAbs_SOLID.value or kind.value > TopAbs_FACE.value:
             continue
-        where = placed[key]
-        linear = top[:, :3] @ where[:, :, :3]
-        move = top[:, :3] @ where[:, :, 3:] + top[:, 3:]
         found.append(
             ShapePart(
                 one, kind == TopAbs_SOLID, explored(one, TopAbs_FACE), len(explored(one, TopAbs_SHELL)),
-                np.concatenate([linear, move], axis=2),
+                product(top, placed[key]),
             )
         )  # fmt: skip
     return found
@@ -156,11 +153,9 @@ def whole_box(several: list[ShapePart]) -> list[list[float]]:
 
 def turns(placements: Floats) -> Iterator[tuple[Floats, Floats]]:
     """Every turn among placements (k, 3, 4), as a placement without a move, with the moves (m, 3) of all that have it."""
-    linear = placements[:, :, :3].reshape(-1, 9)
-    _, first, which = np.unique(linear.round(12), axis=0, return_index=True, return_inverse=True)
-    for number, row in enumerate(first):
-        turn = np.concatenate([placements[row, :, :3], np.zeros((3, 1))], axis=1)
-        yield turn, placements[which.ravel() == number, :, 3]
+    for rows in by_turn(placements):
+        turn = np.concatenate([placements[rows[0], :, :3], np.zeros((3, 1))], axis=1)
+        yield turn, placements[rows, :, 3]
 
 
 def boxes_of(faces: list[Any]) -> Floats:
@@ -179,6 +174,10 @@ def reaching(piece: ShapePart, boxes: Floats, low: Floats, high: Floats) -> Iter
 
 def _reach(boxes: Floats, placements: Floats, low: Floats, high: Floats) -> Any:
     """Whether boxes (n, 2, 3), or one of them in n placements, reach into a column."""
+    if unturned(placements):
+        least = boxes[:, 0, :2] + placements[:, :2, 3]
+        most = (boxes[:, 0] + (boxes[:, 1] - boxes[:, 0]))[:, :2] + placements[:, :2, 3]
+        return ((most >= low) & (least <= high)).all(axis=1)
     corners = boxes[:, :1] + CORNERS * (boxes[:, 1:] - boxes[:, :1])
     at = corners @ np.swapaxes(placements[:, :, :3], 1, 2) + placements[:, None, :, 3]
     flat = at[..., :2]

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.formats.step.assembly_text import NUMBER, SHELLS, Assembly, Lookup, PlacedPart, Vectors
 from clacad.formats.step.lens_placements import LensPoints
-from clacad.storage.errors import UnreadableFile
+from clacad.storage.errors import OverBudget, UnreadableFile
+from clacad.storage.spending import Spending
 
 # a doubled quote inside a string reads as the end of one and the beginning of the next; nothing is tried twice
 _STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
@@ -96,10 +97,15 @@ def statements(path: str | os.PathLike[str]) -> Iterator[str]:
     ------
     UnreadableFile
         The file is no Part 21 file, or ends before its last statement.
+    OverBudget
+        More bytes, statements or seconds than are read.
     """
     rest, first = "", True
+    spent = Spending("step-text", path)
     with open(path, encoding="latin-1") as stream:
-        while block := stream.read(_CHUNK):
+        # as much again as is left over: a statement of many blocks is begun anew a few times, not with each of them
+        while block := stream.read(max(_CHUNK, len(rest))):
+            spent.look(f"at statement {spent.items:,}")
             if first and not block.lstrip().startswith("ISO-10303-21;"):
                 raise UnreadableFile(
                     f"{os.fspath(path)}: is no STEP file (it does not start with ISO-10303-21)"
@@ -108,6 +114,7 @@ def statements(path: str | os.PathLike[str]) -> Iterator[str]:
             rest += block
             end = 0
             while match := _STATEMENT.match(rest, end):
+                spent.count(1)
                 yield match.group(1)
                 end = match.end()
             rest = rest[end:]
@@ -139,7 +146,9 @@ def scan_step(path: str | os.PathLike[str]) -> Scan:
         return _scanned(path)
     except UnreadableFile:
         raise
-    except (RecursionError, ArithmeticError, ValueError, LookupError, MemoryError) as error:
+    except MemoryError as error:
+        raise OverBudget(f"{os.fspath(path)}: its text is too large to be scanned here") from error
+    except (RecursionError, ArithmeticError, ValueError, LookupError) as error:
         raise UnreadableFile(
             f"{os.fspath(path)}: its text makes no sense ({type(error).__name__})"
         ) from error

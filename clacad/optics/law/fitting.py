@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clacad.base.facet_vectors import lengths
 from clacad.base.types import Floats
 from clacad.optics.law.angle import angle_between, is_direction, power_of_two_scaled
 from clacad.optics.law.compose import LawParameters, candidate_axes, decompose
@@ -112,6 +113,17 @@ def fit_law(
     )
 
 
+def law_in_axes(d_in: ArrayLike, d_out: ArrayLike, axes: Law) -> Law:
+    """The law that `fit_law` finds with the axes of another held, without what that says of its certainty.
+
+    Raises
+    ------
+    ValueError
+        As `fit_law`.
+    """
+    return type(axes)(*_held_fit(*_usable_rays(d_in, d_out, 2), axes))
+
+
 def _usable_rays(d_in: ArrayLike, d_out: ArrayLike, least: int) -> tuple[Floats, Floats]:
     """Unit rows that are finite on both sides."""
     a, b = np.asarray(d_in, np.float64), np.asarray(d_out, np.float64)
@@ -135,7 +147,7 @@ def _held_fit(a: Floats, b: Floats, axes: Law) -> LawParameters:
     for i in range(2):  # b_z (α m_i − β m_z) = b_i m_z, no slope formed
         columns = np.stack([w[:, 2] * m[:, i], -w[:, 2] * m[:, 2]], axis=1)
         power[i], offset[i] = np.linalg.lstsq(columns, w[:, i] * m[:, 2], rcond=1e-13)[0]
-    power, offset, _ = _gauss_newton(power, offset, r, a, b, turn=False)
+    power, offset, _ = _gauss_newton(power, offset, np.eye(3), m, w, turn=False)
     if not np.all(power != 0.0):
         raise ValueError(_NO_POWER)
     (eta_x, eta_y), (delta_x, delta_y) = (1.0 / power).tolist(), (offset * (1.0 / power)).tolist()
@@ -229,7 +241,12 @@ def _gauss_newton(
 
 
 def _cost(state: State, a: Floats, b: Floats) -> float:
-    return float(np.sum((_unit_exit(state, a @ state[2])[0] - b @ state[2]) ** 2))
+    return float(np.sum((_unit_exit(state, _in_lens(state, a))[0] - _in_lens(state, b)) ** 2))
+
+
+def _in_lens(state: State, d: Floats) -> Floats:
+    """Directions (n, 3) in the lens frame; themselves where that is the frame they are in."""
+    return d if np.array_equal(state[2], np.eye(3)) else d @ state[2]
 
 
 def _moved(state: State, step: Floats) -> State:
@@ -246,7 +263,7 @@ def _moved(state: State, step: Floats) -> State:
 def _unit_exit(state: State, m: Floats) -> tuple[Floats, Floats]:
     """Unit exit directions (n, 3) in the lens frame, and their lengths before normalising (n, 1)."""
     w = np.stack([m[:, i] * state[0][i] - state[1][i] * m[:, 2] for i in range(2)] + [m[:, 2]], axis=1)
-    length = np.linalg.norm(w, axis=1, keepdims=True)
+    length = lengths(w)[:, np.newaxis]
     return w / length, length
 
 
@@ -258,7 +275,7 @@ def _triangle(system: Floats) -> Floats:
 def _jacobian(state: State, a: Floats, turn: bool) -> tuple[Floats, Floats]:
     """∂(exit direction)/∂(1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y, turn) (n, 3, 4 or 7), and the exit (n, 3)."""
     power, offset, r = state
-    m = a @ r
+    m = _in_lens(state, a)
     unit, length = _unit_exit(state, m)
     columns = np.zeros((len(a), 3, 7 if turn else 4))
     for i in range(2):
@@ -277,7 +294,7 @@ def _linearised(state: State, a: Floats, b: Floats, turn: bool) -> tuple[Floats,
     """The least-squares problem of one step, unit columns: residual and values per mode, modes, scale."""
     jacobian, unit = _jacobian(state, a, turn)
     count = jacobian.shape[2]
-    system = np.concatenate([jacobian, (b @ state[2] - unit)[:, :, np.newaxis]], axis=2)
+    system = np.concatenate([jacobian, (_in_lens(state, b) - unit)[:, :, np.newaxis]], axis=2)
     triangle = _triangle(system.reshape(-1, count + 1))
     scale = np.linalg.norm(triangle[:, :count], axis=0)
     scale = np.where(scale > 0, scale, 1.0)

@@ -251,6 +251,11 @@ class Law:
         return fit_law(Law, d_in, d_out, axes, aperture)
 
 
+def law_numbers(law: Law) -> Floats:
+    """(13,) numbers that `Law.refract` works with: η_x, η_y, δ_x, δ_y, then the rotation row by row."""
+    return np.array([law.eta_x, law.eta_y, law.delta_x, law.delta_y, *law.rotation.ravel()])
+
+
 def _refract_rows(law: Law, r: Floats, directions: Floats) -> Floats:
     """`Law.refract` for (n, 3) directions; r is the law's rotation."""
     # Scale rows by powers of two; rows without an answer travel along as the sheet's normal.

@@ -30,7 +30,7 @@ def section_findings(scene: Scene) -> Iterator[AtlasFinding]:
     """What a parallel bundle through one telescopelet of ideal lenses does: eqs. (1) to (6) of the paper."""
     window = prescribe(scene.design()).with_cells((1, 1))
     start, direction = parallel_bundle(window)
-    result = trace(window, Rays(start, direction), rung="thin", record=True)
+    result = trace(window, Rays(start, direction), rung="thin", record=True, path="size")
     assert result.hits is not None
     axis, across = window.thin.rotation[:, 2], window.thin.rotation[:, 0]
     ((f1, _), (f2, _)), s = window.thin.focal_length, window.thin.separation

@@ -112,7 +112,7 @@ def _face_points(window: Window, face: Face, x: Floats) -> Floats:
 
 def _caption(design: Design, window: Window, directions: Floats) -> list[str]:
     start, direction = parallel_bundle(window)
-    thin = trace(window, Rays(start, direction), rung="thin")
+    thin = trace(window, Rays(start, direction), rung="thin", path="size")
     asked = window.law.refract(direction)
     alive = thin.fate == Fate.ALIVE
     off = np.linalg.norm(np.cross(thin.direction, asked), axis=1)[alive].max(initial=0.0)

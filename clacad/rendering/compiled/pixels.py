@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.compiled import exact, owning
+from clacad.base.compiled import exact, making, owning
 from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
 from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
@@ -40,7 +40,6 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
 )
 from clacad.tracing.compiled.walk import walk_ray
-from clacad.tracing.triangles.tiles import Tiles
 
 BESIDE, BLACK, SHINES, BEFORE = range(4)
 """What becomes of a ray: goes past the sheet, brings nothing, goes on behind it, met something before it."""
@@ -83,8 +82,6 @@ class Pane(NamedTuple):
         Whether nothing is seen beside the sheet; whether anything may stand before it.
     sheet : Packed
         SURFACES: what is traced.
-    tiles : Tiles
-        No facets.
     shining : (256,) bytes
         Fates whose rays bring light.
     quick : bool
@@ -96,7 +93,6 @@ class Pane(NamedTuple):
     opaque: bool
     before: bool
     sheet: Packed
-    tiles: Tiles
     shining: NDArray[np.uint8]
     quick: bool
 
@@ -124,7 +120,7 @@ class Walk(NamedTuple):
     scratch: Scratch
 
 
-@owning
+@making
 def new_walk() -> Walk:
     """Room for one thread."""
     out = Outcome(
@@ -282,7 +278,7 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
     launch_block(lattice, bodies[0], s, m)
     for i in range(m):
         walk.carried[i] = s[PATH, i]
-    array = straight(pane.tiles, sheet, s, walk.chosen[:m], none, none, walk.carried)
+    array = straight(None, sheet, s, walk.chosen[:m], none, none, walk.carried)
     face = sheet.faces[last]
     centres(lattice, s, m, array, s[GX], s[GY], face[slot.VX], face[slot.VY])
     top = bodies[len(bodies) - 1, slot.LEVEL] + face[slot.VZ]
@@ -333,7 +329,7 @@ def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
         out.fate[0] = ALIVE if told == DIRECT else (GHOST if told == STRAYED else LAND)
     if reaches and told == UNDECIDED:
         out.fate[0] = MISSED
-        walk_ray(pane.tiles, pane.sheet, launched, 0, out, walk.scratch)
+        walk_ray(None, None, pane.sheet, launched, 0, out, walk.scratch)
     fate = out.fate[0]
     if fate == MISSED:
         return BESIDE

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.compiled import exact, inlined, owning
+from clacad.base.compiled import exact, inlined, making, owning
 from clacad.base.types import Floats, Ints
 from clacad.rendering.compiled.primitives import distances, to_frame
 from clacad.rendering.compiled.scene_light import background, one_sky, painted
@@ -70,7 +70,7 @@ class Pad(NamedTuple):
     part: Floats
 
 
-@owning
+@making
 def new_pad() -> Pad:
     """Scratch for one thread."""
     return Pad(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Bools, Floats, Ints
 from clacad.rendering.scene_arrays import (
     BOX,
@@ -261,7 +262,7 @@ def _normal(stage: SceneArrays, k: int, local: Floats, triangle: Ints) -> Floats
         normal = _prism_normal(local, a, stage.outline[first:end])
     elif kind == MESH:
         corner = stage.forest.corners[triangle]
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal = doubled_normals(corner)
     else:
         normal[:, 2] = 1.0
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))

@@ -12,7 +12,7 @@ from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.launch import launch_block, launch_ray
 from clacad.tracing.compiled.packing import Packed
-from clacad.tracing.compiled.records import Outcome, new_scratch
+from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
 from clacad.tracing.compiled.straight_path import centres, copy_row, straight
 from clacad.tracing.compiled.straight_path_slots import (
     BLOCK,
@@ -36,6 +36,9 @@ from clacad.tracing.compiled.straight_path_slots import (
     Z,
 )
 from clacad.tracing.compiled.walk import walk_ray
+from clacad.tracing.triangles.compiled_grid import straight_through
+from clacad.tracing.triangles.facet_grid import FacetGrid
+from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.tiles import Tiles
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
@@ -48,7 +51,7 @@ ARRIVED = (*LAUNCHED, CI0, CJ0)
 
 
 @exact
-def _load(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
+def load_block(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
     """Copy a block of starts and directions into the scratch rows."""
     x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
     if _together(chosen):
@@ -74,7 +77,7 @@ def _together(chosen: Rows) -> bool:
 
 
 @exact
-def _store(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome) -> None:
+def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome) -> None:
     """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
     faces, bodies = sheet.faces, sheet.bodies
     m = len(chosen)
@@ -133,7 +136,7 @@ def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> N
 
 
 @exact
-def _blank(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
+def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
     """Write a row as launched, MISSED or INVALID; tell whether the ray can be launched."""
     finite, zero = True, True
     for c in range(3):
@@ -152,57 +155,76 @@ def _blank(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
 
 
 @owning
-def trace_chunk(tiles: Tiles, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome) -> int:
+def trace_chunk_of_triangles(
+    trees: Hierarchy, grid: FacetGrid, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
+) -> int:  # fmt: skip
+    """Trace the rays `chosen` through triangles from anywhere; as `trace_chunk`."""
+    scratch, waiting, count = new_scratch(), np.empty(len(chosen), dtype=np.intp), 0
+    plain = len(grid.walled) > 0 and len(trees.corner_normal) == 0 and len(out.hits) == 0
+    for row in chosen:
+        decided = False
+        if plain and blank_row(row, start, ray, out):
+            reaches, launched = launch_ray(sheet, start, ray, row)
+            decided = reaches and straight_through(trees, grid, sheet, launched, row, out)
+        if not decided:
+            waiting[count] = row
+            count += 1
+    _walk(None, trees, sheet, waiting[:count], start, ray, out, scratch)
+    return count
+
+
+@owning
+def trace_chunk(
+    tiles: Tiles | None, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
+) -> int:
     """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows; return how many had to be walked."""
     s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    waiting = np.empty(WAITING + BLOCK, dtype=np.intp)
+    waiting, scratch = np.empty(WAITING + BLOCK, dtype=np.intp), new_scratch()
     count, walked = 0, 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
-        _load(block, start, ray, s)
+        load_block(block, start, ray, s)
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
         copy_row(s[PATH], carried, m)
         array = straight(tiles, sheet, s, block, out.hits, out.turns, carried)
-        _store(sheet, s, block, array, out)
+        store_block(sheet, s, block, array, out)
         _share(sheet, s, block, out.turns)
-        count = _queue(s, block, waiting, count)
+        count = queue_undecided(s, block, waiting, count)
         if count >= WAITING or first + BLOCK >= len(chosen):
-            _walk(tiles, sheet, waiting[:count], start, ray, out)
+            _walk(tiles, None, sheet, waiting[:count], start, ray, out, scratch)
             walked, count = walked + count, 0
     return walked
 
 
 @owning
-def trace_chunk_single(
-    tiles: Tiles, sheet: Packed, rounded: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
-) -> int:
-    """`trace_chunk` with the straight path in single precision, from the plane of the launch on.
+def straight_chunk_single(
+    sheet: Packed, rounded: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
+) -> int:  # fmt: skip
+    """Trace the rays `chosen` straight through in single precision, from the plane of the launch on.
 
     rounded : the sheet's numbers as float32
+    left : (n,)
+        Takes the rows whose straight trace does not hold; returned is how many.
     """
-    wide, waiting = np.zeros((SCRATCH, BLOCK)), np.empty(WAITING + BLOCK, dtype=np.intp)
-    count, walked = 0, 0
+    wide, count = np.zeros((SCRATCH, BLOCK)), 0
     carried: Singles = np.empty(BLOCK, dtype=np.float32)
     s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
     none: Singles = np.empty((0, 0, 3), dtype=np.float32)
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
-        _load(block, start, ray, wide)
+        load_block(block, start, ray, wide)
         launch_block(sheet.lattice, sheet.bodies[0], wide, m)
         for row in LAUNCHED:
             copy_row(wide[row], s[row], m)
         copy_row(s[PATH], carried, m)
-        array = straight(tiles, rounded, s, block, none, none, carried)
+        array = straight(None, rounded, s, block, none, none, carried)
         for row in ARRIVED:
             copy_row(s[row], wide[row], m)
-        _store(sheet, wide, block, array, out)
-        count = _queue(wide, block, waiting, count)
-        if count >= WAITING or first + BLOCK >= len(chosen):
-            _walk(tiles, sheet, waiting[:count], start, ray, out)
-            walked, count = walked + count, 0
-    return walked
+        store_block(sheet, wide, block, array, out)
+        count = queue_undecided(wide, block, left, count)
+    return count
 
 
 @exact
@@ -223,7 +245,7 @@ def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
 
 
 @exact
-def _queue(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
+def queue_undecided(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
     """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
     good = s[GOOD]
     for k in range(len(block)):
@@ -233,19 +255,21 @@ def _queue(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
     return count
 
 
-@owning
-def _walk(tiles: Tiles, sheet: Packed, waiting: Rows, start: Floats, ray: Floats, out: Outcome) -> None:
+@exact
+def _walk(
+    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, waiting: Rows, start: Floats, ray: Floats,
+    out: Outcome, scratch: Scratch,
+) -> None:  # fmt: skip
     """Walk rays one by one: many in a row, so that the walk's own code and tables stay near."""
-    scratch = new_scratch()
     counted, share = len(sheet.indices) > len(sheet.bodies), len(sheet.faces)
     for row in waiting:
-        sound = _blank(row, start, ray, out)
+        sound = blank_row(row, start, ray, out)
         if counted:
             out.turns[share, row // 3, row % 3] = 1.0
         if not sound:
             continue
         reaches, launched = launch_ray(sheet, start, ray, row)
         if reaches:
-            walk_ray(tiles, sheet, launched, row, out, scratch)
+            walk_ray(tiles, trees, sheet, launched, row, out, scratch)
             if counted:  # not known here: its hits are there to work it out from
                 out.turns[share, row // 3, row % 3] = 1.0 if out.fate[row] >= MISSED else nan

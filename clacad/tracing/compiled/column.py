@@ -230,15 +230,28 @@ def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, 
         if at < 0 or (side == 1 and at == int(faces[2 * b, slot.ARRAY])):
             continue
         u, v = enter_cell(lat, at, work)
-        for n in range(int(lat[slot.BORDERS])):
-            ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
-            speed = ux * ray.L + uy * ray.M
-            if speed == 0.0:
-                continue
-            t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
-            if t < border:
-                border, across, across_array, sense = t, n, at, copysign(1.0, speed)
+        t, n, towards = border_ahead(lat, ray, u, v, border)
+        if n >= 0:
+            border, across, across_array, sense = t, n, at, towards
     return border, across, across_array, sense
+
+
+@inlined
+def border_ahead(lat: Floats, ray: Ray, u: float, v: float, before: float) -> tuple[float, int, float]:
+    """First border of a cell that a ray, at (u, v) of it, crosses before a distance: how far, which, in what sense.
+
+    −1 for which where there is none.
+    """
+    across, sense = -1, 1.0
+    for n in range(int(lat[slot.BORDERS])):
+        ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
+        speed = ux * ray.L + uy * ray.M
+        if speed == 0.0:
+            continue
+        t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
+        if t < before:
+            before, across, sense = t, n, copysign(1.0, speed)
+    return before, across, sense
 
 
 @inlined
@@ -276,6 +289,16 @@ def write_event(lat: Floats, kind: int, distance: float, work: Floats, event: Fl
         )
 
 
+@inlined
+def ends_of_body(sheet: Packed, b: int, ray: CellRay, inside: bool) -> tuple[Ray, float, float]:
+    """The ray in the sheet's frame, and how far it goes until it is above body b (not looked for inside), or beside it."""
+    array, i, j, x, y, z, L, M, N = ray
+    sx, sy = sheet_xy(sheet.lattice, array, i, j, x, y)
+    aside = max(box_span(sheet.lattice, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
+    above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
+    return Ray(sx, sy, z, L, M, N), above, aside
+
+
 @exact
 def first_change(
     sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, work: Floats, causes: Ints
@@ -287,11 +310,7 @@ def first_change(
     """
     lat = sheet.lattice
     start_search(sheet, b, ray, work)
-    array, i, j, x, y, z, L, M, N = ray
-    sx, sy = sheet_xy(lat, array, i, j, x, y)
-    along = Ray(sx, sy, z, L, M, N)
-    aside = max(box_span(lat, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
+    along, above, aside = ends_of_body(sheet, b, ray, inside)
     limit = min(aside, above)
     since, cause, kind = 0.0, WALL, ASIDE
     walking = not above <= 0.0
@@ -308,11 +327,8 @@ def first_change(
         if changed:
             kind = cause
             break
-        if above <= end:
-            kind, since = ABOVE, above
-            break
-        if aside <= end:
-            kind, since = ASIDE, aside
+        if limit <= end:
+            kind, since = (ABOVE, above) if above <= end else (ASIDE, aside)
             break
         if inside:
             t = jump(sheet, b, ray, end, work)

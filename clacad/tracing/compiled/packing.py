@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -57,17 +56,20 @@ class Packed(NamedTuple):
     indices: Floats
 
 
-@lru_cache(maxsize=8)
 def pack(layout: Layout) -> Packed:
-    """Pack a layout, with the indices of the design's wavelength; kept, since pictures ask block by block."""
+    """Pack a layout, with the indices of the design's wavelength; kept with the layout."""
+    kept: Packed | None = layout.kept.get("packed")
+    if kept is not None:
+        return kept
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
-    return Packed(
+    layout.kept["packed"] = made = Packed(
         faces=np.array(faces),
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
         lattice=_lattice(layout),
         rows=_rows(layout),
         indices=np.array([body.index for body in layout.window.bodies]),
     )
+    return made
 
 
 def in_single(sheet: Packed) -> Packed:

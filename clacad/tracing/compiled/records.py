@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clacad.base.compiled import owning
+from clacad.base.compiled import making
 from clacad.base.types import Bytes, Cells, Floats, Ints
 
 Vector = tuple[float, float, float]
@@ -18,6 +18,9 @@ KIND, DISTANCE, PLACE, FACET_NORMAL, EVENT_NUMBERS = 0, 1, 2, 10, 13
 # Places in the search's floats; the first are distances that divide the ray. Two numbers for each array follow: the
 # start as given, the start seen from the present cell, the cell as given, the present cell, the steps in between.
 DIVISIONS, BASE, START, HOME, CELL, STEP, WORK_NUMBERS = 24, 24, 28, 32, 36, 40, 44
+
+DEPTH = 64
+"""Boxes of a tree that wait at most."""
 
 FACET = 20
 """Place in the search's integers of the facets that arrays 0 and 1 are in; before it, what each division is."""
@@ -98,8 +101,8 @@ class Scratch(NamedTuple):
         The ray, and as it left the last body.
     event : (EVENT_NUMBERS,)
         What it meets next.
-    work : (WORK_NUMBERS,), causes : (DIVISIONS,) ints
-        The search for that.
+    work : (WORK_NUMBERS,), causes : (DIVISIONS,) ints, stack : (DEPTH,) ints
+        The search for that: on faces, and in a tree of boxes.
     """
 
     walker: Floats
@@ -107,12 +110,13 @@ class Scratch(NamedTuple):
     event: Floats
     work: Floats
     causes: Ints
+    stack: Ints
 
 
-@owning
+@making
 def new_scratch() -> Scratch:
     """Room for the walks of one thread."""
     return Scratch(
         np.empty(WALKER_NUMBERS), np.empty(WALKER_NUMBERS), np.empty(EVENT_NUMBERS), np.empty(WORK_NUMBERS),
-        np.empty(DIVISIONS, dtype=np.int64),
+        np.empty(DIVISIONS, dtype=np.int64), np.empty(DEPTH, dtype=np.int64),
     )  # fmt: skip

@@ -18,7 +18,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, inlined, least, owning
+from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Ints, Rows
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import hexagon_steps
@@ -194,7 +194,7 @@ def _proud(face: Floats, s: Floats, m: int) -> None:
 
 
 @exact
-def _in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
+def hold_in_zone(lat: Floats, s: Floats, m: int, margin: float, ox: float, oy: float) -> None:
     """Points plus (ox, oy) must lie inside their cell, `margin` from its borders."""
     x, y, good, real = s[X], s[Y], s[GOOD], s.dtype.type
     margin, ox, oy, middle = real(margin), real(ox), real(oy), real(0.5)
@@ -281,7 +281,7 @@ def _carry(lat: Floats, s: Floats, m: int, level: float, index: float, change: f
 
 
 @exact
-def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
+def arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
     """On a reference plane rays must lie inside a kept cell and be steeper than its lens."""
     x, y, dz, ci, cj, good = s[X], s[Y], s[DZ], s[CI], s[CJ], s[GOOD]
     climb, middle = s.dtype.type(climb), s.dtype.type(0.5)
@@ -292,7 +292,7 @@ def _arrive(lat: Floats, rows: Ints, s: Floats, m: int, climb: float) -> None:
             local = least(hx - abs(x[i]), hy - abs(y[i]))
             good[i] = least(least(good[i], dz[i] - climb), least(inside, local))
         return
-    _in_zone(lat, s, m, 0.0, 0.0, 0.0)
+    hold_in_zone(lat, s, m, 0.0, 0.0, 0.0)
     last = float(len(rows) - 1)
     for i in range(m):
         j = min(max(cj[i], 0.0), last)
@@ -407,7 +407,7 @@ def _cross(sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float,
     elif not quadric:
         _climbing(s, m, climb)
     if within and not (plain and lat[slot.HEXAGONAL] == 0.0):
-        _in_zone(lat, s, m, margin, face[slot.VX], face[slot.VY])
+        hold_in_zone(lat, s, m, margin, face[slot.VX], face[slot.VY])
     if face[slot.WHOLE] == 0.0 and face[slot.LAND] == face[slot.LAND]:
         _proud(face, s, m)
 
@@ -523,10 +523,10 @@ def _enter_array(
     if f > 0:
         level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
         _carry(sheet.lattice, s, m, level, index, change, origin)
-    _arrive(sheet.lattice, sheet.rows, s, m, face[slot.CLIMB])
+    arrive(sheet.lattice, sheet.rows, s, m, face[slot.CLIMB])
     margin = sheet.lattice[slot.MARGIN]
     if not columnar and margin > 0.0:  # a lenslet with a seam is an island with walls
-        _in_zone(sheet.lattice, s, m, margin, 0.0, 0.0)
+        hold_in_zone(sheet.lattice, s, m, margin, 0.0, 0.0)
 
 
 @inlined
@@ -543,9 +543,9 @@ def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex:
             _thick(sheet.faces, f, s, m)
 
 
-@owning
+@exact
 def straight(
-    tiles: Tiles, sheet: Packed, s: Floats, chosen: Rows, hits: Floats, turns: Floats, carried: Floats
+    tiles: Tiles | None, sheet: Packed, s: Floats, chosen: Rows, hits: Floats, turns: Floats, carried: Floats
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
@@ -555,19 +555,21 @@ def straight(
     """
     faces, bodies, lat, _, indices = sheet
     m = len(chosen)
-    array, met, counted, facets = 0, 0, len(indices) > len(bodies), len(tiles.part) > 0
+    array, met, counted = 0, 0, len(indices) > len(bodies)
     for i in range(m if counted else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, index, columnar = bodies[b], indices[b], bodies[b, slot.COLUMNAR] != 0.0
-        if len(tiles.corner) > 0 or (not columnar and body[slot.COVERED] == 0.0):
-            s[GOOD, :m] = 0.0
+        if not columnar and body[slot.COVERED] == 0.0:
+            for i in range(m):
+                s[GOOD, i] = 0.0
             return array
         if b:
             oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
             if lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                s[LEFT_X, :m], s[LEFT_Y, :m] = s[X, :m] + ox, s[Y, :m] + oy
+                for i in range(m):
+                    s[LEFT_X, i], s[LEFT_Y, i] = s[X, i] + ox, s[Y, i] + oy
         for side in range(2):
             f = 2 * b + side
             face, other = faces[f], faces[2 * b + 1 - side]
@@ -584,10 +586,10 @@ def straight(
             if structured:
                 climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
-            if facets:
+            if tiles is not None:
                 cross_facets(tiles, faces, f, s, m, media, climb, (ox, oy, oz))
                 if structured:
-                    _in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+                    hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
                 _cross(sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
             if counted:
@@ -595,7 +597,7 @@ def straight(
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
-                _stay_inside(sheet, f, s, m, facets, (vx, vy, vz))
+                _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
             if not columnar:
                 _in_inner(body, lat, s, m, array, ox, oy)
             if f == 0:

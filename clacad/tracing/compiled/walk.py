@@ -40,6 +40,7 @@ from clacad.tracing.compiled.records import (
     Launched,
     Outcome,
     Scratch,
+    Vector,
     X,
     Y,
     Z,
@@ -48,6 +49,7 @@ from clacad.tracing.compiled.solid_body_short_cut import ARRIVING, INSIDE, LEAVI
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.tracing.triangles.compiled_hierarchy import first_soup_change
 from clacad.tracing.triangles.compiled_tiles import first_facet_change
+from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.tiles import Tiles
 
 BEHIND = 8 * ULP
@@ -64,8 +66,9 @@ GOES_ON = 255
 
 @inlined
 def walk_ray(
-    tiles: Tiles, sheet: Packed, launched: Launched, row: int, out: Outcome, scratch: Scratch
-) -> None:
+    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, launched: Launched, row: int, out: Outcome,
+    scratch: Scratch,
+) -> None:  # fmt: skip
     """Trace one ray from the launch plane and write its row, in which position and direction are its start."""
     w, left = scratch.walker, scratch.left
     _begin(launched, out.position, row, w)
@@ -79,7 +82,7 @@ def walk_ray(
             if end != GOES_ON:
                 _record_end(w, row, out.hits, out.turns)
                 break
-        end = _through_body(tiles, sheet, b, gap, row, out, scratch)
+        end = _through_body(tiles, trees, sheet, b, gap, row, out, scratch)
         if end != GOES_ON:
             break
     if end == GOES_ON:
@@ -131,14 +134,16 @@ def _order(w: Floats) -> tuple[int, int]:
 
 
 @exact
-def _next_change(tiles: Tiles, sheet: Packed, b: int, stage: int, scratch: Scratch) -> None:
+def _next_change(
+    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, b: int, stage: int, scratch: Scratch
+) -> None:
     """Find what is met first, on smooth faces or on facets."""
     w, event, work, causes = scratch.walker, scratch.event, scratch.work, scratch.causes
     ray = CellRay(int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y], w[Z], w[DX], w[DY], w[DZ])
     inside = stage == INSIDE
-    if len(tiles.corner) > 0:
-        first_soup_change(tiles, sheet, b, ray, inside, event)
-    elif len(tiles.part) > 0:
+    if trees is not None:
+        first_soup_change(trees, sheet, b, ray, inside, event, scratch.stack)
+    elif tiles is not None:
         first_facet_change(tiles, sheet, b, ray, inside, event, work, causes)
     elif not quick_change(sheet, b, ray, stage, event):
         first_change(sheet, b, ray, inside, event, work, causes)
@@ -146,13 +151,14 @@ def _next_change(tiles: Tiles, sheet: Packed, b: int, stage: int, scratch: Scrat
 
 @inlined
 def _through_body(
-    tiles: Tiles, sheet: Packed, b: int, gap: float, row: int, out: Outcome, scratch: Scratch
-) -> int:
+    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, b: int, gap: float, row: int, out: Outcome,
+    scratch: Scratch,
+) -> int:  # fmt: skip
     """Enter, cross and leave one body; the fate of a ray that ends, or GOES_ON."""
     lat, index = sheet.lattice, sheet.indices[b]
     w, left, event, hits, turns = scratch.walker, scratch.left, scratch.event, out.hits, out.turns
     event[DISTANCE] = -1.0  # nothing of this body has been met
-    _next_change(tiles, sheet, b, ARRIVING, scratch)
+    _next_change(tiles, trees, sheet, b, ARRIVING, scratch)
     kind, distance = int(event[KIND]), event[DISTANCE]
     if b == 0 and gap + distance < -BEHIND * (abs(gap) + abs(distance)):
         return MISSED
@@ -172,21 +178,21 @@ def _through_body(
         return GOES_ON
     if kind != FRONT and kind != FRONT_LAND:
         return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
-    end = _refract(tiles, sheet, b, 0, w, event, 1.0, index)
+    end = _refract(tiles, trees, sheet, b, 0, w, event, (1.0, index))
     _record(w, 2 * b, row, hits, turns)
     if end != GOES_ON:
         return end
-    _next_change(tiles, sheet, b, INSIDE, scratch)
+    _next_change(tiles, trees, sheet, b, INSIDE, scratch)
     kind = int(event[KIND])
     if kind != BACK and kind != BACK_LAND:
         return _end_at(sheet, b, w, event, index, row, hits, turns)
-    end = _refract(tiles, sheet, b, 1, w, event, index, 1.0)
+    end = _refract(tiles, trees, sheet, b, 1, w, event, (index, 1.0))
     _record(w, 2 * b + 1, row, hits, turns)
     if end != GOES_ON:
         return end
     if not w[DZ] > 0.0:
         return BACKWARD
-    _next_change(tiles, sheet, b, LEAVING, scratch)
+    _next_change(tiles, trees, sheet, b, LEAVING, scratch)
     kind = int(event[KIND])
     if kind != ABOVE and kind != ASIDE:
         return _end_at(sheet, b, w, event, 1.0, row, hits, turns)
@@ -209,10 +215,11 @@ def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
 
 @exact
 def _refract(
-    tiles: Tiles, sheet: Packed, b: int, side: int, w: Floats, event: Floats, n1: float, n2: float
-) -> int:
+    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, b: int, side: int, w: Floats, event: Floats,
+    media: tuple[float, float],
+) -> int:  # fmt: skip
     """Refract at the front or back that was met; the fate of a ray that ends there, or GOES_ON."""
-    faces, bodies, lat = sheet.faces, sheet.bodies, sheet.lattice
+    faces, bodies, lat, (n1, n2) = sheet.faces, sheet.bodies, sheet.lattice, media
     f = 2 * b + side
     kind, distance = int(event[KIND]), event[DISTANCE]
     on_lens = kind == FRONT or kind == BACK
@@ -222,10 +229,13 @@ def _refract(
     L, M, N = w[DX], w[DY], w[DZ]
     x, y, z = event[place + 2], event[place + 3], w[Z]
     ox, oy, oz = snell((L, M, N), (0.0, 0.0, 1.0), N, n1, n2)
-    met = False
-    if len(tiles.corner) > 0 or (on_lens and len(tiles.part) > 0):
-        gx, gy, gz = event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2]
-        ox, oy, oz = snell((L, M, N), (gx, gy, gz), L * gx + M * gy + N * gz, n1, n2)
+    met, levelled = False, not on_lens
+    if trees is not None:
+        levelled = False
+        ox, oy, oz = _through_facet(event, (L, M, N), n1, n2)
+    elif tiles is not None:
+        if on_lens:
+            ox, oy, oz = _through_facet(event, (L, M, N), n1, n2)
     elif on_lens:
         sx, sy, sz = to_lens(faces, f, x - faces[f, slot.VX], y - faces[f, slot.VY], z - faces[f, slot.VZ])
         u, v, k = to_lens(faces, f, L, M, N)
@@ -246,8 +256,7 @@ def _refract(
         x, y, z = px + faces[f, slot.VX], py + faces[f, slot.VY], pz + faces[f, slot.VZ]
     if not met:
         x, y = x + distance * L, y + distance * M
-        smooth = len(tiles.corner) == 0
-        z = z + distance * N if on_lens or not smooth else faces[f, slot.LAND]
+        z = faces[f, slot.LAND] if levelled else z + distance * N
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = event[place], event[place + 1], x, y, z, array
     w[PATH] += n1 * distance
     w[PX], w[PY] = sheet_xy(lat, array, w[CI], w[CJ], x, y)
@@ -260,6 +269,13 @@ def _refract(
     if not (opaque or total):
         w[DX], w[DY], w[DZ] = ox, oy, oz
     return VIGNETTED if opaque else (TIR if total else GOES_ON)
+
+
+@exact
+def _through_facet(event: Floats, ray: Vector, n1: float, n2: float) -> Vector:
+    """Refract at the facet that was met."""
+    gx, gy, gz = event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2]
+    return snell(ray, (gx, gy, gz), ray[0] * gx + ray[1] * gy + ray[2] * gz, n1, n2)
 
 
 @exact

@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
+from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.lattice import Circle, Rectangle, less_steps, relocate
 from clacad.tracing.layout import Layout, sheet_position
 from clacad.tracing.ledger import Ledger
@@ -60,14 +61,18 @@ class ThinPatch:
 
     def bend(self, local: Floats, z: Floats, direction: Floats) -> Floats:
         """Unit directions (m, 3) behind the lens of rays that meet it at the given points."""
-        offset = np.column_stack([local - self.vertex[:2], z - self.vertex[2]])
-        u, v, n = self.rotation.T
-        p, q = offset @ u, offset @ v
-        along = direction @ n
-        x = direction @ u - p * self.power[0] * along
-        y = direction @ v - q * self.power[1] * along
-        out = x[:, None] * u + y[:, None] * v + along[:, None] * n
+        vx, vy, vz = self.vertex
+        p, q, _ = to_surface(self.rotation, np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])).T
+        x, y, along = to_surface(self.rotation, direction).T
+        lens = np.stack([x - p * self.power[0] * along, y - q * self.power[1] * along, along], axis=-1)
+        out = to_sheet(self.rotation, lens)
         return np.asarray(out / np.linalg.norm(out, axis=1)[:, None])
+
+    def climb(self, direction: Floats) -> Floats:
+        """Component (m,) of directions (m, 3) along the lens axis."""
+        x, y, z = direction.T
+        a, b, c = self.rotation[:, 2]
+        return np.asarray(x * a + y * b + z * c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ class Met:
 def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
     """Trace rays through the window's thin pair and write their rows (k,)."""
     layout = thin_layout(layout)
-    patches = _patches(layout)
+    patches = thin_patches(layout)
     for first in range(0, len(rows), BLOCK):
         with np.errstate(all="ignore"):
             _trace_block(layout, patches, ledger, rows[first : first + BLOCK])
@@ -110,8 +115,8 @@ def thin_layout(layout: Layout) -> Layout:
     return replace(layout, window=window, whole_steps=steps[0], residual=residual[0])
 
 
-def _patches(layout: Layout) -> tuple[ThinPatch, ThinPatch]:
-    """Both arrays of patches: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
+def thin_patches(layout: Layout) -> tuple[ThinPatch, ThinPatch]:
+    """Both arrays of patches of a `thin_layout`: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
     pair = layout.window.thin
     first, second = (
         _patch(layout, array, vertex, shift)
@@ -200,7 +205,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
     bent = patch.bend(beam.local, beam.z, beam.direction)
     out = np.where(met.lens[:, None], bent, beam.direction)
     opaque = met.land & met.solid & layout.window.land.opaque
-    backward = ~opaque & (~(out[:, 2] > 0.0) | ~(beam.direction @ patch.rotation[:, 2] > 0.0))
+    backward = ~opaque & (~(out[:, 2] > 0.0) | ~(patch.climb(beam.direction) > 0.0))
     stopped = opaque | backward
     ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
     for ended, fate in ((opaque, Fate.VIGNETTED), (backward, Fate.BACKWARD)):
@@ -250,7 +255,7 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
     at, slipped, found = np.maximum(span, 0.0), np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
     leave = box_span(layout, patch, sheet_xy(layout, beam), beam.direction)[1]
     active = np.flatnonzero((leave >= 0.0) & (span >= 0.0))
-    climb = beam.direction @ patch.rotation[:, 2]
+    climb = patch.climb(beam.direction)
     borders = np.array(layout.lattice.steps)
     while len(active):
         local = less_steps(layout.lattice, beam.local[active], steps[active])

@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import inf, isnan
 
 from clacad.base.compiled import exact
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
+from clacad.sheet.window import WALL as WALL_SLOPE
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import sheet_xy, to_array
 from clacad.tracing.compiled.column import box_span
@@ -13,11 +14,8 @@ from clacad.tracing.compiled.face import height
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import DISTANCE, FACET_NORMAL, KIND, PLACE, CellRay, Ray, Vector
 from clacad.tracing.reference.column import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
-from clacad.tracing.triangles.compiled_search import BOTH, hit, nearest, normal_of, ways_through
-from clacad.tracing.triangles.tiles import Tiles
-
-STEEP = 0.05
-"""Triangles whose |n_z| is below this are walls."""
+from clacad.tracing.triangles.compiled_search import BOTH, hit, normal_of, search, ways_through
+from clacad.tracing.triangles.hierarchy import Hierarchy
 
 LEVEL = 1e-5
 """Slope below which a triangle may be land."""
@@ -28,11 +26,19 @@ CLEAR = 1e-9
 
 @exact
 def _is_wall(nx: float, ny: float, nz: float) -> bool:
-    return nz * nz < STEEP * STEEP * (nx * nx + ny * ny + nz * nz)
+    return nz * nz < WALL_SLOPE * WALL_SLOPE * (nx * nx + ny * ny + nz * nz)
 
 
 @exact
-def first_soup_change(tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats) -> None:
+def is_level(nx: float, ny: float, nz: float) -> bool:
+    """Whether a triangle of this normal may be land."""
+    return nx * nx + ny * ny <= LEVEL * LEVEL * nz * nz
+
+
+@exact
+def first_soup_change(
+    trees: Hierarchy, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, stack: Ints
+) -> None:
     """Find where a ray first enters the triangles of body b, or leaves them; see `reference.column.first_change`.
 
     Two cells that touch as separate solids have two walls in one place: light in the glass passes both.
@@ -50,13 +56,13 @@ def first_soup_change(tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside:
     nx, ny, nz = 0.0, 0.0, 1.0
     which = -1
     for _ in range(64):
-        t, which = nearest(tiles, b, origin, own, least, inf)
+        t, which = search(trees, b, origin, own, least, inf, stack)
         if which < 0:
             break
-        nx, ny, nz = normal_of(tiles, which)
+        nx, ny, nz = normal_of(trees, which)
         if not (inside and _is_wall(nx, ny, nz)):
             break
-        if ways_through(tiles, b, origin, own, t - clear, t + clear) != BOTH:
+        if ways_through(trees, b, origin, own, t - clear, t + clear, stack) != BOTH:
             break
         least = t + clear
     if which < 0 or t >= min(above, aside):
@@ -72,31 +78,30 @@ def first_soup_change(tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside:
         place = PLACE + 4 * at
         event[place], event[place + 1], event[place + 2], event[place + 3] = p, q, u - t * L, v - t * M
     if kind == FRONT or kind == BACK:
-        _tell_land(tiles, sheet.faces, b, which, own, event)
-        _note_normal(tiles, which, origin, own, event)
+        _tell_land(trees, sheet.faces, b, which, own, event)
+        _note_normal(trees, which, origin, own, event)
 
 
 @exact
-def _tell_land(tiles: Tiles, faces: Floats, b: int, which: int, ray: Ray, event: Floats) -> None:
+def _tell_land(trees: Hierarchy, faces: Floats, b: int, which: int, ray: Ray, event: Floats) -> None:
     """Tell land from lens: land is level triangles nearer the design's land than its lens."""
     side, t = (0 if event[KIND] == FRONT else 1), event[DISTANCE]
-    nx, ny, nz = normal_of(tiles, which)
+    nx, ny, nz = normal_of(trees, which)
     face, level = faces[2 * b + side], ray.z + t * ray.N
     if face[slot.ARRAY] >= 0.0 and not isnan(face[slot.LAND]):
         place = PLACE + 4 * int(face[slot.ARRAY])
         lens = height(faces, 2 * b + side, event[place + 2] + t * ray.L, event[place + 3] + t * ray.M)
-        flat = nx * nx + ny * ny <= LEVEL * LEVEL * nz * nz
-        if flat and (isnan(lens) or abs(level - face[slot.LAND]) < abs(level - lens)):
+        if is_level(nx, ny, nz) and (isnan(lens) or abs(level - face[slot.LAND]) < abs(level - lens)):
             event[KIND] = FRONT_LAND if side == 0 else BACK_LAND
 
 
 @exact
-def _note_normal(tiles: Tiles, which: int, origin: Vector, ray: Ray, event: Floats) -> None:
+def _note_normal(trees: Hierarchy, which: int, origin: Vector, ray: Ray, event: Floats) -> None:
     """Note the normal towards +z: the triangle's, or that of its corners interpolated."""
-    nx, ny, nz = normal_of(tiles, which)
-    if len(tiles.corner_normal) > 0:
-        _, u, v, w = hit(tiles.corner[which], origin, ray)
-        n = tiles.corner_normal[which]
+    nx, ny, nz = normal_of(trees, which)
+    if len(trees.corner_normal) > 0:
+        _, u, v, w = hit(trees.corner[which], origin, ray)
+        n = trees.corner_normal[which]
         nx, ny, nz = (
             u * n[0, 0] + v * n[1, 0] + w * n[2, 0],
             u * n[0, 1] + v * n[1, 1] + w * n[2, 1],

@@ -11,14 +11,11 @@ import numpy as np
 
 from clacad.base.compiled import exact, owning
 from clacad.base.types import Floats, Ints
-from clacad.tracing.compiled.records import Ray, Vector
-from clacad.tracing.triangles.tiles import LEAF, Tiles
+from clacad.tracing.compiled.records import DEPTH, Ray, Vector
+from clacad.tracing.triangles.hierarchy import LEAF, Hierarchy
 
 INWARDS, OUTWARDS, BOTH = 1, 2, 3
 """What `ways_through` gives: how triangles are passed."""
-
-DEPTH = 64
-"""Boxes that wait at most."""
 
 BEFORE = -1e-300
 """A facet at the very start of a ray counts."""
@@ -67,80 +64,80 @@ def hit(corner: Floats, origin: Vector, ray: Ray) -> tuple[float, float, float, 
 
 
 @exact
-def _tree(tiles: Tiles, b: int) -> tuple[int, int, int, int]:
+def _tree(trees: Hierarchy, b: int) -> tuple[int, int, int, int]:
     """The tree of body b: first box, first triangle, triangles, boxes that are no leaves."""
-    root = tiles.tree[b, 0]
-    nodes = (tiles.tree[b + 1, 0] if b + 1 < len(tiles.tree) else len(tiles.box)) - root
-    return root, tiles.tree[b, 1], tiles.tree[b, 2], (nodes - 1) // 2
+    root = trees.tree[b, 0]
+    nodes = (trees.tree[b + 1, 0] if b + 1 < len(trees.tree) else len(trees.box)) - root
+    return root, trees.tree[b, 1], trees.tree[b, 2], (nodes - 1) // 2
+
+
+@exact
+def _next_leaf(
+    trees: Hierarchy, b: int, place: Vector, inverse: Vector, far: float, stack: Ints, waiting: int
+) -> tuple[int, int, int]:
+    """Triangles, from the first to before the last, of the next leaf a ray enters before `far`; 0, 0 at the end.
+
+    place : a point of the ray in the frame of the boxes; `inverse` is of its direction
+    waiting : boxes on the stack; how many remain is given last
+    """
+    root, first, count, inner = _tree(trees, b)
+    while waiting > 0:
+        waiting -= 1
+        node = stack[waiting]
+        if not _enters(trees.box[root + node], place[0], place[1], place[2], inverse, far) < inf:
+            continue
+        if node >= inner:
+            start = (node - inner) * LEAF
+            return first + start, first + min(start + LEAF, count), waiting
+        stack[waiting], stack[waiting + 1] = 2 * node + 2, 2 * node + 1
+        waiting += 2
+    return 0, 0, 0
 
 
 @exact
 def search(
-    tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
+    trees: Hierarchy, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
 ) -> tuple[float, int]:
     """Nearest triangle of body b at a distance between `least` and `most`: distance and number, inf and −1.
 
     The ray is relative to `origin`, the centre of its cell; `stack` (DEPTH,) is scratch.
     """
-    root, first, count, inner = _tree(tiles, b)
     inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
-    gx, gy, gz = origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z
+    place = (origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z)
     best, which = most, -1
-    stack[0], height_of_stack = 0, 1
-    while height_of_stack > 0:
-        height_of_stack -= 1
-        node = stack[height_of_stack]
-        if not _enters(tiles.box[root + node], gx, gy, gz, inverse, best) < inf:
-            continue
-        if node < inner:
-            stack[height_of_stack], stack[height_of_stack + 1] = 2 * node + 2, 2 * node + 1
-            height_of_stack += 2
-            continue
-        start = (node - inner) * LEAF
-        for k in range(start, min(start + LEAF, count)):
-            t = hit(tiles.corner[first + k], origin, ray)[0]
+    stack[0] = 0
+    begin, end, waiting = _next_leaf(trees, b, place, inverse, best, stack, 1)
+    while begin < end:
+        for k in range(begin, end):
+            t = hit(trees.corner[k], origin, ray)[0]
             if least < t < best:
-                best, which = t, first + k
+                best, which = t, k
+        begin, end, waiting = _next_leaf(trees, b, place, inverse, best, stack, waiting)
     return (best, which) if which >= 0 else (inf, -1)
 
 
-@owning
-def nearest(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> tuple[float, int]:
-    """As `search`, with scratch of its own."""
-    return search(tiles, b, origin, ray, least, most, np.empty(DEPTH, dtype=np.int64))
-
-
-@owning
-def ways_through(tiles: Tiles, b: int, origin: Vector, ray: Ray, least: float, most: float) -> int:
+@exact
+def ways_through(
+    trees: Hierarchy, b: int, origin: Vector, ray: Ray, least: float, most: float, stack: Ints
+) -> int:
     """Which way the ray goes through the triangles between two distances: INWARDS, OUTWARDS, BOTH, or 0 for none."""
-    root, first, count, inner = _tree(tiles, b)
     inverse = (1.0 / ray.L, 1.0 / ray.M, 1.0 / ray.N)
-    gx, gy, gz = origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z
-    found = 0
-    stack = np.empty(DEPTH, dtype=np.int64)
-    stack[0], height_of_stack = 0, 1
-    while height_of_stack > 0:
-        height_of_stack -= 1
-        node = stack[height_of_stack]
-        if not _enters(tiles.box[root + node], gx, gy, gz, inverse, most) < inf:
-            continue
-        if node < inner:
-            stack[height_of_stack], stack[height_of_stack + 1] = 2 * node + 2, 2 * node + 1
-            height_of_stack += 2
-            continue
-        start = (node - inner) * LEAF
-        for k in range(start, min(start + LEAF, count)):
-            t = hit(tiles.corner[first + k], origin, ray)[0]
-            if least < t < most:
-                nx, ny, nz = normal_of(tiles, first + k)
+    place = (origin[0] + ray.x, origin[1] + ray.y, origin[2] + ray.z)
+    found, stack[0] = 0, 0
+    begin, end, waiting = _next_leaf(trees, b, place, inverse, most, stack, 1)
+    while begin < end:
+        for k in range(begin, end):
+            if least < hit(trees.corner[k], origin, ray)[0] < most:
+                nx, ny, nz = normal_of(trees, k)
                 found |= OUTWARDS if nx * ray.L + ny * ray.M + nz * ray.N > 0.0 else INWARDS
+        begin, end, waiting = _next_leaf(trees, b, place, inverse, most, stack, waiting)
     return found
 
 
 @exact
-def normal_of(tiles: Tiles, k: int) -> tuple[float, float, float]:
+def normal_of(trees: Hierarchy, k: int) -> tuple[float, float, float]:
     """Outward normal of a triangle, as long as twice its area."""
-    c = tiles.corner[k]
+    c = trees.corner[k]
     ux, uy, uz = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[1, 2] - c[0, 2]
     vx, vy, vz = c[2, 0] - c[0, 0], c[2, 1] - c[0, 1], c[2, 2] - c[0, 2]
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -148,22 +145,22 @@ def normal_of(tiles: Tiles, k: int) -> tuple[float, float, float]:
 
 @owning
 def first_facet(
-    tiles: Tiles, normals: Floats, position: Floats, direction: Floats, facing: float, distance: Floats,
+    trees: Hierarchy, normals: Floats, position: Floats, direction: Floats, facing: float, distance: Floats,
     facet: Ints,
 ) -> None:  # fmt: skip
     """Fill `distance` (n,) and `facet` (n,) for rays with d_z > 0; NaN and −1 where none is met.
 
-    Of the facets of body 0 of `tiles` with facing × normal · direction > 0 the nearest ahead.
+    Of the facets of body 0 of `trees` with facing × normal · direction > 0 the nearest ahead.
     """
     origin, stack = (0.0, 0.0, 0.0), np.empty(DEPTH, dtype=np.int64)
     for r in range(len(position)):
         u, v, w = direction[r, 0], direction[r, 1], direction[r, 2]
         u, v = u if u != 0.0 else UPRIGHT, v if v != 0.0 else UPRIGHT
         ray = Ray(position[r, 0], position[r, 1], position[r, 2], u, v, w)
-        t, which = search(tiles, 0, origin, ray, BEFORE, inf, stack)
+        t, which = search(trees, 0, origin, ray, BEFORE, inf, stack)
         while which >= 0:
             n = normals[which]
             if facing * (n[0] * u + n[1] * v + n[2] * w) > 0.0:
                 break
-            t, which = search(tiles, 0, origin, ray, t, inf, stack)
+            t, which = search(trees, 0, origin, ray, t, inf, stack)
         distance[r], facet[r] = t if which >= 0 else nan, which

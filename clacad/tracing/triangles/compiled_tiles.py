@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from math import copysign, inf, nan
+from math import inf, nan
 
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.cells import kept, sheet_xy
+from clacad.tracing.compiled.cells import kept
 from clacad.tracing.compiled.column import (
-    box_span,
+    border_ahead,
     divide_outline,
+    ends_of_body,
     enter_cell,
     in_footprint,
     jump,
@@ -119,11 +120,7 @@ def first_facet_change(
     lat = sheet.lattice
     start_search(sheet, b, ray, work)
     causes[FACET], causes[FACET + 1] = NOT_LOOKED_UP, NOT_LOOKED_UP
-    array, i, j, x, y, z, L, M, N = ray
-    sx, sy = sheet_xy(lat, array, i, j, x, y)
-    along = Ray(sx, sy, z, L, M, N)
-    aside = max(box_span(lat, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
-    above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
+    along, above, aside = ends_of_body(sheet, b, ray, inside)
     limit = min(aside, above)
     since, cause, kind = 0.0, WALL, ASIDE
     normal = (0.0, 0.0, 1.0)
@@ -141,11 +138,8 @@ def first_facet_change(
             kind = cause
             normal = _normal_met(tiles, sheet, b, along, (kind, since), work, causes)
             break
-        if above <= end:
-            kind, since = ABOVE, above
-            break
-        if aside <= end:
-            kind, since = ASIDE, aside
+        if limit <= end:
+            kind, since = (ABOVE, above) if above <= end else (ASIDE, aside)
             break
         entered = end
         if inside:
@@ -189,14 +183,9 @@ def _next_edge(
                 # a hair into the piece, so that a ray along an edge is in the facet it goes to
                 t = entered + 2.0 * lat[slot.TINY]
                 causes[FACET + at] = locate_facet(tiles, tiles.of[b, side], u + t * ray.L, v + t * ray.M)
-        for n in range(int(lat[slot.BORDERS])):
-            ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
-            speed = ux * ray.L + uy * ray.M
-            if speed == 0.0:
-                continue
-            t = (copysign(lat[slot.HALF + n], speed) - (ux * u + uy * v)) / speed
-            if t < end:
-                end, across, edge, of, sense = t, n, -1, at, copysign(1.0, speed)
+        t, n, towards = border_ahead(lat, ray, u, v, end)
+        if n >= 0:
+            end, across, edge, of, sense = t, n, -1, at, towards
         f = causes[FACET + at]
         if f < 0:
             continue
@@ -243,16 +232,16 @@ def _first_stretch(
     over_cell = kept(sheet.lattice, sheet.rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
     for c in range(count + 1):
         to, why = (work[c], causes[c]) if c < count else (end, WALL)
-        if to - since > tiny:
-            t = 0.5 * (since + to)
-            level = z + t * N
-            over = in_footprint(bodies, b, sx + t * L, sy + t * M, over_cell)
-            now = over and low + t * low_rise <= level <= high + t * high_rise
-            if now != inside:
-                return True, since, cause
-            since, cause = to, why
-        elif c < count and why != WALL:
-            cause = why
+        if not to - since > tiny:
+            cause = cause if c == count or why == WALL else why
+            continue
+        t = 0.5 * (since + to)
+        level = z + t * N
+        over = in_footprint(bodies, b, sx + t * L, sy + t * M, over_cell)
+        now = over and low + t * low_rise <= level <= high + t * high_rise
+        if now != inside:
+            return True, since, cause
+        since, cause = to, why
     return False, since, cause
 
 

@@ -21,8 +21,8 @@ from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import refract
 from clacad.sheet.window import Face, Window
 from clacad.tracing.layout import Layout
+from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.median_tree import Tree, meet_each, nearest_triangle
-from clacad.tracing.triangles.tiles import Tiles
 
 DOUBTFUL = 16.0
 """Float32 spacings at the scene's size within which a hit's place is not trusted to Embree."""
@@ -75,7 +75,7 @@ def name_first(scene: Any, start: Floats, direction: Floats) -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
-class _Body:
+class BodyTree:
     """Triangles of one body and Embree's tree of them.
 
     corners : (t, 3, 3) lengths about `origin`, normals : (t, 3) outward unit
@@ -89,7 +89,7 @@ class _Body:
     origin: Floats
 
     @classmethod
-    def of(cls, corners: Floats) -> _Body:
+    def of(cls, corners: Floats) -> BodyTree:
         """Index the triangles (t, 3, 3) of a body about its middle."""
         origin = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
         local = corners - origin
@@ -101,14 +101,22 @@ class _Body:
         return cls(embree_scene(local), local, normals, altitude, origin)
 
 
-def trace_straight(window: Window, layout: Layout, tiles: Tiles, rays: Rays) -> tuple[TraceResult, Bools]:
+def body_trees(trees: Hierarchy) -> tuple[BodyTree, ...]:
+    """Embree's trees of the triangles of every body."""
+    return tuple(
+        BodyTree.of(trees.corner[first : first + count]) for first, count in trees.tree[:, 1:3].tolist()
+    )
+
+
+def trace_straight(layout: Layout, bodies: tuple[BodyTree, ...], rays: Rays) -> tuple[TraceResult, Bools]:
     """Trace what goes straight through every body by its lens faces.
 
     Parameters
     ----------
-    window : Window
-    layout, tiles
-        As `triangle_soup.lay_out_soup` gives them, facet normals.
+    layout : Layout
+        As `triangle_soup.lay_out_soup` gives it, facet normals.
+    bodies : tuple of BodyTree
+        As `body_trees` gives them.
     rays : Rays
         n, without wavelengths of their own.
 
@@ -119,11 +127,8 @@ def trace_straight(window: Window, layout: Layout, tiles: Tiles, rays: Rays) -> 
     decided : (n,) bool
         False: to be traced by the own tree.
     """
-    straight = _Straight.launched(layout, rays)
-    before = 1.0
-    for number, body in enumerate(window.bodies):
-        first, count = (int(v) for v in tiles.tree[number, 1:3])
-        triangles = _Body.of(tiles.corner[first : first + count])
+    window, straight, before = layout.window, _Straight.launched(layout, rays), 1.0
+    for body, triangles in zip(window.bodies, bodies, strict=True):
         for face, after in ((body.front, body.index), (body.back, 1.0)):
             straight.cross(window, triangles, face, (before, after), face is body.front)
             before = after
@@ -161,7 +166,7 @@ class _Straight:
         return cls(position, direction, np.zeros(n), np.full((2, n, 2), NO_CELL, dtype=np.int64), decided)
 
     def cross(
-        self, window: Window, triangles: _Body, face: Face, indices: tuple[float, float], entering: bool
+        self, window: Window, triangles: BodyTree, face: Face, indices: tuple[float, float], entering: bool
     ) -> None:
         """Move the decided rays to one face of a body and refract them; refractive index before and after it."""
         live = np.flatnonzero(self.decided)
@@ -197,7 +202,7 @@ class _Straight:
         return TraceResult(self.position, self.direction, fate, self.path, cell, order, surface, np.ones(n))
 
 
-def _hit(body: _Body, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Floats, Bools]:
+def _hit(body: BodyTree, position: Floats, direction: Floats, entering: bool) -> tuple[Floats, Floats, Bools]:
     """Distance (n,), unit normal towards where the light goes (n, 3), and whether both are beyond doubt."""
     start = position - body.origin
     reach = float(np.abs(body.corners).max()) + float(np.abs(start).max(initial=0.0))

@@ -17,16 +17,15 @@ from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
 from clacad.sheet.window import Face, Window, in_optical_tile
 from clacad.tracing.sampled_face import SampledFace, meet_sampled
-from clacad.tracing.triangles.tiles import NO_TILES, Tiles
-from clacad.tracing.triangles.triangle_soup import hierarchy
+from clacad.tracing.triangles.hierarchy import Hierarchy, hierarchy
 
 
 @dataclass(frozen=True, eq=False)
 class FacetFace:
     """The facets of one side of one body over one cell, in a tree of boxes.
 
-    tiles : Tiles
-        One body: the facets `tiles.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise seen from
+    trees : Hierarchy or None
+        One body: the facets `trees.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise seen from
         outside.
     normals : (t, 3)
         Outward, length twice the facet's area.
@@ -37,7 +36,7 @@ class FacetFace:
         Facets that are flat land: light through them is no lens light.
     """
 
-    tiles: Tiles
+    trees: Hierarchy | None
     normals: Floats
     origin: Floats
     z_range: tuple[float, float]
@@ -77,12 +76,12 @@ def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> Fa
     flat_land = np.zeros(len(corners), dtype=bool) if land is None else land
     local = np.asarray(corners, dtype=np.float64) - origin
     if not len(local):
-        return FacetFace(NO_TILES, np.zeros((0, 3)), origin, (0.0, 0.0), flat_land)
-    rank, tiles = hierarchy([local])
-    local = tiles.corner
+        return FacetFace(None, np.zeros((0, 3)), origin, (0.0, 0.0), flat_land)
+    rank, trees = hierarchy([local])
+    local = trees.corner
     normals = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
     return FacetFace(
-        tiles, normals, origin, (float(local[..., 2].min()), float(local[..., 2].max())), flat_land[rank]
+        trees, normals, origin, (float(local[..., 2].min()), float(local[..., 2].max())), flat_land[rank]
     )
 
 
@@ -117,11 +116,11 @@ def first_crossing(
     """
     distance = np.full(len(position), np.nan)
     facet = np.full(len(position), -1, dtype=np.int64)
-    if len(face.normals) and len(position):
+    if face.trees is not None and len(position):
         from clacad.tracing.triangles.compiled_search import first_facet
 
         start, ray = position - face.origin, np.ascontiguousarray(direction)
-        first_facet(face.tiles, face.normals, start, ray, -1.0 if entering else 1.0, distance, facet)
+        first_facet(face.trees, face.normals, start, ray, -1.0 if entering else 1.0, distance, facet)
     return distance, facet
 
 

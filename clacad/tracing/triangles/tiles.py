@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 Normals = Literal["facet", "vertex"]
 
-LEAF = 4
-"""Triangles in a leaf of a tree of boxes."""
-
 LENS, LAND, VOID = 0, 1, 2
 BEYOND = 2**59
 """Levels beyond this stand for a face that is not there."""
@@ -59,9 +56,6 @@ class Tiles(NamedTuple):
         Planes of those facets where they belong to the lens, NaN elsewhere.
     normal : (m, 2, 3, 3) or (0, 2, 3, 3)
         Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
-    corner : (t, 3, 3), corner_normal : (t, 3, 3) or (0, 3, 3), tree : (bodies, 3) ints, box : (nodes, 6)
-        Foreign triangles instead of tilings: corners in the sheet frame, outward normals at them, and for each
-        body the first box of its tree, its first triangle and their number; see `clacad.tracing.triangles.triangle_soup`.
     """
 
     table: Floats
@@ -75,19 +69,6 @@ class Tiles(NamedTuple):
     half: Ints
     lens: Floats
     normal: Floats
-    corner: Floats
-    corner_normal: Floats
-    tree: Ints
-    box: Floats
-
-
-NO_TILES = Tiles(
-    np.zeros((0, TILE_NUMBERS)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3, 3)),
-    np.zeros((0, 3), dtype=np.int64), np.zeros((0, 2, 3)), np.zeros((0, 2), dtype=np.uint8),
-    np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64),
-    np.zeros((0, 2, 3)), np.zeros((0, 2, 3, 3)),
-    np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 6)),
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,11 +210,7 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
     first = np.clip(((corners.min(axis=1) - hair - low) / width).astype(np.int64), 0, count - 1)
     last = np.clip(((corners.max(axis=1) + hair - low) / width).astype(np.int64), 0, count - 1)
     across = last - first + 1  # bins a facet lies in, along x and y
-    each = across[:, 0] * across[:, 1]
-    facets = np.repeat(np.arange(len(corners)), each)
-    place = np.arange(len(facets)) - np.repeat(np.cumsum(each) - each, each)
-    j, i = np.divmod(place, across[facets, 0])
-    bins = (first[facets, 1] + j) * count + first[facets, 0] + i
+    facets, bins = over_bins(np.arange(len(corners)), first, across, count)
     middle = low + width * (np.stack([bins % count, bins // count], axis=1) + 0.5)
     weights = _weights(corners)[facets]
     deep = (np.einsum("mkc,mc->mk", weights[..., :2], middle) + weights[..., 2]).min(axis=1)
@@ -241,6 +218,19 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
     start = np.searchsorted(bins[order], np.arange(count * count + 1))
     table = [float(count), float(count), *low.tolist(), *(1.0 / width).tolist()]
     return table, start.astype(np.int64), facets[order].astype(np.int64)
+
+
+def over_bins(which: Ints, first: Ints, across: Ints, bins_x: int) -> tuple[Ints, Ints]:
+    """Every pair of a facet of `which` (k,) and a bin it is over.
+
+    first, across : (m, 2)
+        Of all facets: the first bin along x and y, and how many from there.
+    """
+    each = across[which].prod(axis=1)
+    facet = np.repeat(which, each)
+    place = np.arange(len(facet)) - np.repeat(np.cumsum(each) - each, each)
+    j, i = np.divmod(place, across[facet, 0])
+    return facet, (first[facet, 1] + j) * bins_x + first[facet, 0] + i
 
 
 def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
@@ -282,7 +272,7 @@ def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
     planes = [np.stack([_planes(t.corners, t.heights[..., s]) for s in (0, 1)], axis=1) for t in tiles]
     plane = np.ascontiguousarray(np.concatenate(planes))
     part, half = np.concatenate([t.part for t in tiles]).astype(np.uint8), np.concatenate(halves)
-    return NO_TILES._replace(
+    return Tiles(
         table=np.array(table),
         of=of,
         weight=np.concatenate([_weights(t.corners) for t in tiles]),

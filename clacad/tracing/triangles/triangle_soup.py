@@ -1,8 +1,7 @@
-"""Triangles from anywhere, known by nothing but their corners: bodies told apart, and a tree to find them in.
+"""Triangles from anywhere, known by nothing but their corners: read, and told apart by body.
 
 A file that came back from a shop knows no cells, faces or bodies. Triangles are joined where they share a
 corner to the last bit; each connected piece belongs to the body of the window whose heights it lies nearest.
-The tree is a complete binary one over triangles in Morton order: built by sorting, without recursion.
 """
 
 from __future__ import annotations
@@ -17,7 +16,9 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.sheet.window import Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out
-from clacad.tracing.triangles.tiles import LEAF, NO_TILES, Normals, Tiles
+from clacad.tracing.triangles.facet_grid import Triangles, facet_grid
+from clacad.tracing.triangles.hierarchy import hierarchy
+from clacad.tracing.triangles.tiles import Normals
 
 Search = Literal["tree", "embree"]
 
@@ -37,7 +38,7 @@ class TriangleSoup:
     normals : (t, 3, 3) or None
         Unit outward normals at the corners, where the file has them.
     search : "tree" or "embree"
-        Who finds the triangle a ray meets: the tree of this module, or Embree (with facet normals, one wavelength
+        Who finds the triangle a ray meets: the own tree, or Embree (with facet normals, one wavelength
         and nothing recorded; what is not plain goes to the tree). The results are the same.
     """
 
@@ -114,7 +115,7 @@ def _factor(corners: Floats, window: Window) -> float:
     return fits[0]
 
 
-def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[Layout, Tiles]:
+def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[Layout, Triangles]:
     """Prepare a window and foreign triangles for tracing.
 
     Raises
@@ -130,41 +131,11 @@ def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[
     for mine, body in zip(bodies, window.bodies, strict=True):
         if len(mine) == 0:
             raise ValueError(f"no triangles of the mesh belong to {body.name!r}")
-    rank, tiles = hierarchy([soup.corners[mine] for mine in bodies])
+    rank, trees = hierarchy([soup.corners[mine] for mine in bodies])
     if normals == "vertex":
-        tiles = tiles._replace(corner_normal=_upward(soup, np.concatenate(bodies)[rank]))
+        trees = trees._replace(corner_normal=_upward(soup, np.concatenate(bodies)[rank]))
     plans = tuple(_bounded(plan, soup.corners[mine]) for plan, mine in zip(exact.bodies, bodies, strict=True))
-    return replace(exact, bodies=plans), tiles
-
-
-def hierarchy(bodies: list[Floats]) -> tuple[Ints, Tiles]:
-    """Triangles of each body in a tree of boxes.
-
-    Parameters
-    ----------
-    bodies : list of (t, 3, 3) lengths
-        Corners, counter-clockwise seen from outside; none empty.
-
-    Returns
-    -------
-    rank : (Σ t,) ints
-        For each triangle of the tiles, its row in all bodies one after the other.
-    tiles : Tiles
-        No tilings; `corner`, `tree` and `box` filled.
-    """
-    ranks, rows, boxes, first, root = [], [], [], 0, 0
-    for corners in bodies:
-        rank, own = _tree(corners)
-        ranks.append(first + rank)
-        rows.append((root, first, len(corners)))
-        boxes.append(own)
-        first, root = first + len(corners), root + len(own)
-    which = np.concatenate(ranks)
-    return which, NO_TILES._replace(
-        corner=np.ascontiguousarray(np.concatenate(bodies)[which]),
-        tree=np.array(rows, dtype=np.int64),
-        box=np.concatenate(boxes),
-    )
+    return replace(exact, bodies=plans), Triangles(trees, facet_grid(trees))
 
 
 def _upward(soup: TriangleSoup, which: Ints) -> Floats:
@@ -209,37 +180,3 @@ def _pieces(corners: Floats) -> Ints:
         label = new
     _, piece = np.unique(label[triangles[:, 0]], return_inverse=True)
     return np.asarray(piece.ravel(), dtype=np.int64)
-
-
-def _tree(corners: Floats) -> tuple[Ints, Floats]:
-    """Order of the triangles, and the boxes (nodes, 6) of a complete binary tree over them, root first.
-
-    Node i has children 2 i + 1 and 2 i + 2; the last level's nodes are leaves of `LEAF` triangles each.
-    """
-    middle = corners.mean(axis=1)[:, :2]
-    low, high = middle.min(axis=0), middle.max(axis=0)
-    cells = ((middle - low) / np.maximum(high - low, 1e-300) * 65535.0).astype(np.uint64)
-    rank = np.argsort(_spread(cells[:, 0]) | (_spread(cells[:, 1]) << np.uint64(1)), kind="stable")
-    ordered = corners[rank]
-    leaves = 1 << max(0, int(np.ceil(np.log2(max(1, -(-len(corners) // LEAF))))))
-    starts = np.arange(0, len(corners), LEAF)
-    boxes = np.empty((2 * leaves - 1, 6))
-    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-    level = boxes[leaves - 1 :]
-    level[: len(starts), :3] = np.minimum.reduceat(ordered.min(axis=1), starts, axis=0)
-    level[: len(starts), 3:] = np.maximum.reduceat(ordered.max(axis=1), starts, axis=0)
-    first = leaves - 1
-    while first > 0:
-        parents = slice((first - 1) // 2, first)
-        left, right = boxes[first : 2 * first + 1 : 2], boxes[first + 1 : 2 * first + 1 : 2]
-        boxes[parents, :3] = np.minimum(left[:, :3], right[:, :3])
-        boxes[parents, 3:] = np.maximum(left[:, 3:], right[:, 3:])
-        first = (first - 1) // 2
-    return rank, boxes
-
-
-def _spread(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Put a zero bit between the bits of 16-bit numbers."""
-    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-        x = (x | (x << np.uint64(shift))) & np.uint64(mask)
-    return x

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from math import isfinite
 from typing import Any
 
+from clacad.base.drawn_figure import drawn
 from clacad.verification.accuracy.error_and_seconds import AccuracyRow, AccuracyTable, pareto
 
 SIZE = (9.6, 4.6)
@@ -29,32 +29,13 @@ def plot_svg(table: AccuracyTable, target: float | None = None) -> str:
     target : float or None, radians
         Drawn as a line.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with rc_context({"svg.hashsalt": "clacad", "font.size": 9.0, "svg.fonttype": "path"}):
-        figure = Figure(figsize=SIZE, layout="constrained")
-        FigureCanvasSVG(figure)
-        _draw(figure, table, target)
-        out = io.StringIO()
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": "clacad"})
-    return out.getvalue()
+    style = {"svg.hashsalt": "clacad", "font.size": 9.0, "svg.fonttype": "path"}
+    return drawn("svg", SIZE, lambda figure: _draw(figure, table, target), style).decode()
 
 
 def plot_png(table: AccuracyTable, target: float | None = None) -> bytes:
     """The same picture as PNG."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context({"font.size": 9.0}):
-        figure = Figure(figsize=SIZE, layout="constrained", dpi=100)
-        FigureCanvasAgg(figure)
-        _draw(figure, table, target)
-        out = io.BytesIO()
-        figure.savefig(out, format="png", metadata={"Software": "clacad"})
-    return out.getvalue()
+    return drawn("png", SIZE, lambda figure: _draw(figure, table, target), {"font.size": 9.0})
 
 
 def _draw(figure: Any, table: AccuracyTable, target: float | None) -> None:

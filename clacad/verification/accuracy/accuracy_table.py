@@ -14,6 +14,7 @@ from clacad.verification.accuracy.error_and_seconds import AccuracyRow, Accuracy
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.window import Window
     from clacad.verification.accuracy.measure_rungs import TracedRays
 
 __all__ = ["AccuracyRow", "AccuracyTable", "TargetOutOfReach", "accuracy"]
@@ -86,15 +87,21 @@ TASK = "accuracy"
 """Name under which the time it takes is noted."""
 
 
-def accuracy_seconds(rays: int, bodies: int, quads: Sequence[int] | None = None) -> float:
+def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = None) -> float:
     """Processor seconds of the table, by a model of one reference machine (see `clacad.base.machine_rates`): the 50-digit
-    trace, the STEP spot and the floors; rays through every row; facets laid out.
+    trace and the STEP spot once; rays through every row, facets laid out and the floors of each pattern of cells that is
+    meshed. Hexagons have more facets a quad than squares, and cells with land are cut along their rims.
     """
     from clacad.verification.accuracy.measure_rungs import QUADS
 
     grids = tuple(quads or QUADS)
-    each = 1.55 + 8.4e-6 * rays * len(grids) + 1.35e-4 * sum(q * q for q in grids)
-    return 0.4 + bodies * each
+    patterns = sum(2 if len({f.array for f in (b.front, b.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0) else 1
+                   for b in window.bodies)  # fmt: skip
+    rough = 4.0 if window.lattice.hexagonal else 1.0
+    if window.outline is not None and patterns == len(window.bodies) and not window.lattice.hexagonal:
+        rough = 2.2
+    facets = 1.25e-4 * sum(q * q for q in grids) + 1.1
+    return 2.0 + patterns * (0.6 + 3.3e-6 * rays * len(grids) + rough * facets)
 
 
 def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:

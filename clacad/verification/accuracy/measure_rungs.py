@@ -131,15 +131,15 @@ def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
 
 
 def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRow]:
-    """Rungs law, thin, surfaces in float64 and float32, the last two compiled."""
+    """Rungs law, thin, surfaces in float64 and float32, all compiled."""
     from clacad.tracing.trace import trace
 
     window, rays = ladder.window, ladder.rays
     surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays, path="numba"))
     single = row(ladder, "surfaces", "float32", lambda: trace(window, rays, precision="float32"))
     return [
-        row(ladder, "law", "", lambda: trace(window, rays, rung="law")),
-        row(ladder, "thin", "", lambda: trace(window, rays, rung="thin")),
+        row(ladder, "law", "", lambda: trace(window, rays, rung="law", path="numba")),
+        row(ladder, "thin", "", lambda: trace(window, rays, rung="thin", path="numba")),
         replace(
             surfaces, model_rms=checked["rms"], model_p95=checked["p95"], model_max=checked["max"],
             checked=int(checked["rays"]), bytes=_surface_bytes(window),

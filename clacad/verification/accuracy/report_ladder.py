@@ -69,14 +69,16 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
 
     lit = bundle(window, RAYS, design.check.field, design.check.field_centre)
     ladder = measure_rungs.TracedRays(
-        window, lit.rays, trace(window, lit.rays), window.law.refract(lit.rays.direction)
+        window, lit.rays, trace(window, lit.rays, path="size"), window.law.refract(lit.rays.direction)
     )
     known = measure_rungs.reference(ladder, ORACLE_RAYS)["rms"]
     rows, forecast = [], []
     exact: tuple[Literal["law", "thin", "surfaces"], ...] = ("law", "thin", "surfaces")
     for number, rung in enumerate(exact):
         progress("accuracy against time", 0.1 * number)
-        found = measure_rungs.row(ladder, rung, "exact", partial(trace, window, lit.rays, rung=rung))
+        found = measure_rungs.row(
+            ladder, rung, "exact", partial(trace, window, lit.rays, rung=rung, path="size")
+        )
         rows.append(replace(found, model_rms=known) if rung == "surfaces" else found)
         forecast.append(MICROSECONDS[rung])
     for number, quads in enumerate(QUADS):

@@ -85,7 +85,7 @@ def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
 
 def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
     """The numbers that would cover the cell; found by building, since the radii follow the thickness."""
-    if not isfinite(lens.least_thickness):
+    if not (isfinite(lens.least_thickness) and lens.least_thickness > 0.0):
         return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
     ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
     if design.pair.form == "biconvex":

@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.facet_vectors import doubled_normals, lengths, middles
+from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import rounding
 from clacad.exporting.compare_instances import levels as levels
 from clacad.exporting.compare_instances import owner as owner
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.bundle import central_cell
-from clacad.sheet.volume_and_extent import distance_to_face
+from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height
 from clacad.solid.marks import pockets
 from clacad.tracing.triangles.telescopelet_facets import (
@@ -121,6 +122,24 @@ class CellFacets:
         return sources.pop() if alone and len(sources) == 1 else cell
 
 
+@dataclass(frozen=True, eq=False)
+class SideFacets:
+    """Facets of one side of a body in a chunk of a file.
+
+    corners : (k, 3, 3), normals : (k, 3, 3) or None
+        Of the whole chunk.
+    rows : (n,)
+        Those of this side.
+    cells : (n, 2)
+        What they lie over, in the grid of the side's array.
+    """
+
+    corners: Floats
+    normals: Floats | None
+    rows: Ints
+    cells: Ints
+
+
 class Gatherer:
     """Looks at chunks of a file and keeps the facets of the chosen cells.
 
@@ -146,8 +165,8 @@ class Gatherer:
 
         times : places where these facets stand; they are counted so often, and kept where they are.
         """
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        length = np.linalg.norm(normal, axis=1)
+        normal = doubled_normals(corners)
+        length = lengths(normal)
         optical = np.abs(normal[:, 2]) > WALL * length
         self.result.degenerate += times * int((length == 0.0).sum())
         self.result.optical += times * int(optical.sum())
@@ -155,7 +174,7 @@ class Gatherer:
         if normals is not None:
             self._weigh(corners, normal, normals, times)
         upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
-        middle = corners.mean(axis=1)
+        middle = middles(corners)
         if self._bevel > 0.0:  # bevels at saddles are no optical faces
             optical &= ~in_corners(self.window, middle, self._bevel)
         for pocket in self._pockets:
@@ -168,10 +187,10 @@ class Gatherer:
             for side, face in enumerate((piece.front, piece.back)):
                 rows = np.flatnonzero(optical & (body == number) & (back == bool(side)))
                 if len(rows):
-                    self._keep(number, side, owner(piece, face), corners[rows], middle[rows])
-                    self._hold(face, owner(piece, face), middle[rows], upright[rows])
-                    if normals is not None:
-                        self._keep_normals(number, side, owner(piece, face), normals[rows], middle[rows])
+                    array = owner(piece, face)
+                    cells = self._cells(array, middle[rows])
+                    self._keep(number, side, array, SideFacets(corners, normals, rows, cells))
+                    self._hold(face, middle[rows], cells, upright[rows])
 
     def _weigh(self, corners: Floats, normal: Floats, normals: Floats, times: int) -> None:
         """Count facets whose stored normals are no unit vectors, or point inward."""
@@ -194,32 +213,31 @@ class Gatherer:
                 aside.result.farthest_cell,
             )
 
-    def _hold(self, face: Face, array: int, middle: Floats, upright: Floats) -> None:
+    def _hold(self, face: Face, middle: Floats, cells: Ints, upright: Floats) -> None:
         """Hold every facet against the face it is on: a lenslet that is not among the chosen may be wrong too."""
-        off = distance_to_face(self.window, face, middle[:, None], middle[:, :2])[:, 0] * upright
+        off = distance_in_cell(self.window, face, middle[:, None], cells)[:, 0] * upright
         worst = int(np.argmax(off))
         if off[worst] > self.result.farthest:
-            shift = self.window.shifts[array]
-            place = middle[worst : worst + 1]
-            index, _, _ = self.window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
             self.result.farthest = float(off[worst])
-            self.result.farthest_cell = (int(index[0, 0]), int(index[0, 1]))
+            self.result.farthest_cell = (int(cells[worst, 0]), int(cells[worst, 1]))
 
-    def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
-        number = self._chosen(array, middle)
+    def _keep(self, body: int, side: int, array: int, some: SideFacets) -> None:
+        """Keep those facets that lie over chosen cells of an array."""
+        number = self._chosen(some.cells)
         for cell in np.unique(number[number >= 0]):
-            self.result.facets.setdefault((body, side, int(cell)), []).append(corners[number == cell].copy())
+            key, mine = (body, side, int(cell)), some.rows[number == cell]
+            self.result.facets.setdefault(key, []).append(some.corners[mine])
+            if some.normals is not None:
+                self.result.normals.setdefault(key, []).append(some.normals[mine])
 
-    def _keep_normals(self, body: int, side: int, array: int, normals: Floats, middle: Floats) -> None:
-        number = self._chosen(array, middle)
-        for cell in np.unique(number[number >= 0]):
-            self.result.normals.setdefault((body, side, int(cell)), []).append(normals[number == cell].copy())
-
-    def _chosen(self, array: int, middle: Floats) -> NDArray[np.int64]:
-        """Number of the chosen cell (k,) under each point (k, 3); −1 for the other cells."""
+    def _cells(self, array: int, middle: Floats) -> Ints:
+        """Cells (k, 2) of an array under points (k, 3)."""
         shift = self.window.shifts[array]
-        index, _, _ = self.window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
-        place = index - self._first
+        return self.window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])[0]
+
+    def _chosen(self, cells: Ints) -> NDArray[np.int64]:
+        """Number of the chosen cell (k,) that each cell (k, 2) is; −1 for the others."""
+        place = cells - self._first
         known = ((place >= 0) & (place < self._table.shape)).all(axis=1)
         number = np.full(len(place), -1, dtype=np.int64)
         number[known] = self._table[place[known, 0], place[known, 1]]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.compiled import exact
+from clacad.base.compiled import entry
 from clacad.base.types import Cells, Words
 
 
-@exact
+@entry
 def join(keys: Words, table: Words, number: Cells, parent: Cells, count: int) -> tuple[int, int]:
     """Join the three corners of each facet (k, 3), given by their hashes; returns vertices so far and joins made.
 
@@ -45,7 +45,7 @@ def join(keys: Words, table: Words, number: Cells, parent: Cells, count: int) ->
     return count, joins
 
 
-@exact
+@entry
 def rehash(table: Words, number: Cells, larger: Words, renumbered: Cells) -> None:
     """Move a hash table into a larger one."""
     mask = np.uint64(len(larger) - 1)

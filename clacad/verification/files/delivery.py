@@ -19,7 +19,7 @@ from clacad.sheet.feasibility import body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.checks import Check, judge, not_run, unreadable
 from clacad.verification.files.find_files import SUFFIXES, Subject
 from clacad.verification.files.map_file import format_of
 from clacad.verification.files.unit_and_cells import FACTORS, SAME_EXTENT
@@ -125,7 +125,7 @@ def judge_other(subject: Subject, reason: Reason) -> list[Check]:
     try:
         return _shape(subject, common)
     except (ExportError, OSError, ValueError) as error:
-        return [Check("readable", "fail", f"it cannot be read: {error}", **common)]
+        return [unreadable(error, **common)]
 
 
 def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:

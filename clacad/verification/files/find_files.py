@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.verification.checks import Check
+from clacad.verification.files.stranger_words import believable, is_there, shown_name
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -20,6 +21,9 @@ SUFFIXES: Mapping[str, str] = {
     ".stl": "stl", ".3mf": "3mf", ".ply": "ply", ".glb": "glb", ".obj": "obj", ".step": "step", ".stp": "step",
     ".brep": "brep",
 }  # fmt: skip
+
+
+AGAIN = " (listed again)"
 
 
 class UnknownRole(ValueError):
@@ -59,7 +63,7 @@ class Subject:
         """Names of the bodies its manifest lists; a body with its name engraved is that body."""
         listed = self.entry.get("bodies")
         names = listed if isinstance(listed, list) else []
-        return tuple(str(name).removesuffix(".marked") for name in names)
+        return tuple(shown_name(name).removesuffix(".marked") for name in names)
 
     @property
     def is_mesh(self) -> bool:
@@ -78,6 +82,16 @@ class Delivery:
 
     subjects: tuple[Subject, ...]
     manifest: Mapping[str, Any] | None
+
+    def hashed(self) -> Delivery:
+        """The same with the hash of every file that is there and has none yet; reads each of them once."""
+        return replace(self, subjects=tuple(one if one.sha256 else _hashed(one) for one in self.subjects))
+
+
+def _hashed(subject: Subject) -> Subject:
+    if subject.name.endswith(AGAIN) or not is_there(subject.path):
+        return subject
+    return replace(subject, sha256=file_hash(subject.path))
 
 
 Roles = Mapping[str, Role]
@@ -103,7 +117,12 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
 
 
 def find_files(place: Path, roles: Roles | None = None) -> Delivery:
-    """Find what there is to judge: a folder with a manifest, one file of it, or any one file.
+    """Find what there is to judge: a folder with a manifest, one file of it, or any one file; see `list_files`."""
+    return list_files(place, roles).hashed()
+
+
+def list_files(place: Path, roles: Roles | None = None) -> Delivery:
+    """What there is to judge by name and size; no file is read, so a large one is told at once.
 
     Parameters
     ----------
@@ -135,6 +154,7 @@ def _called(subject: Subject) -> tuple[str, ...]:
     """Words a role may be declared by, the most special first."""
     return (
         subject.name,
+        subject.path.name,
         subject.format,
         subject.format.split("-")[0],
         subject.path.suffix.lower().lstrip("."),
@@ -160,9 +180,10 @@ def _found(place: Path) -> Delivery:
                     f"{place}: no {MANIFEST} and no file of a known format ({', '.join(SUFFIXES)})"
                 )
             return Delivery(tuple(_bare(path) for path in known), None)
-        return Delivery(tuple(_listed(place, entry) for entry in manifest["files"]), manifest)
+        return Delivery(tuple(_all_listed(place, manifest["files"])), manifest)
     if not place.is_file():
-        raise FileNotFoundError(f"{place}: no such file or folder")
+        what = "it is neither a file nor a folder" if place.exists() else "no such file or folder"
+        raise FileNotFoundError(f"{place}: {what}")
     manifest = read_manifest(place.parent)
     listed = [] if manifest is None else [e for e in manifest["files"] if isinstance(e, dict)]
     entries = [entry for entry in listed if entry.get("name") == place.name]
@@ -171,17 +192,37 @@ def _found(place: Path) -> Delivery:
     return Delivery((_bare(place),), None)
 
 
+def _all_listed(folder: Path, entries: Sequence[Any]) -> Iterator[Subject]:
+    """Files of a manifest; one that it lists again is not there a second time."""
+    seen: set[str] = set()
+    for entry in entries:
+        subject = _listed(folder, entry) if _name(entry) not in seen else _again(folder, entry)
+        seen.add(subject.path.name)
+        yield subject
+
+
+def _name(told: Any) -> str:
+    """Name of the file that an entry of a manifest means, in the manifest's own folder."""
+    return Path(str(told.get("name", ""))).name if isinstance(told, dict) else ""
+
+
+def _again(folder: Path, entry: Mapping[str, Any]) -> Subject:
+    return Subject(folder / _name(entry), f"{_name(entry)}{AGAIN}", str(entry.get("format", "")), entry)
+
+
 def _listed(folder: Path, told: Any) -> Subject:
-    entry: Mapping[str, Any] = told if isinstance(told, dict) and told else {"name": ""}
+    entry = believable(told) if isinstance(told, dict) and told else {"name": ""}
     name = str(entry.get("name", ""))
     path = folder / Path(name).name  # a manifest names files of its own folder and no other
-    known = path.is_file()
+    known = is_there(path)
+    format = entry.get("format")
+    format = shown_name(format) if isinstance(format, str) else ""
     role = next((one for one in Role if one.value == entry.get("role")), None)
     if role is None or role is Role.SCAN:  # nobody exports scans; files of old have no role
-        role = Role.OTHER if entry.get("format") in NOT_OPTICAL else Role.MASTER
+        role = Role.OTHER if format in NOT_OPTICAL else Role.MASTER
     return Subject(
-        path, path.name if known else name or "(no name)", str(entry.get("format", "")), entry,
-        path.stat().st_size if known else 0, file_hash(path) if known else "", role,
+        path, shown_name(path.name if known else name) or "(no name)", format, entry,
+        path.stat().st_size if known else 0, "", role,
         role is not Role.PREVIEW or entry.get("role_declared") is True,
     )  # fmt: skip
 
@@ -189,11 +230,10 @@ def _listed(folder: Path, told: Any) -> Subject:
 def _bare(path: Path) -> Subject:
     return Subject(
         path,
-        path.name,
+        shown_name(path.name),
         SUFFIXES.get(path.suffix.lower(), "unknown"),
         {},
         path.stat().st_size,
-        file_hash(path),
     )
 
 
@@ -209,7 +249,8 @@ def integrity(subject: Subject) -> Check:
             **common,
         )
     if not subject.sha256:
-        return Check("integrity", "fail", "the manifest lists this file, but it is not there", **common)
+        why = " again" if subject.name.endswith(AGAIN) else ", but it is not there"
+        return Check("integrity", "fail", f"the manifest lists this file{why}", **common)
     stated = str(subject.entry.get("sha256", ""))
     same = stated == subject.sha256
     sentence = (
@@ -221,6 +262,16 @@ def integrity(subject: Subject) -> Check:
         "integrity", "pass" if same else "fail", sentence, subject.sha256[:16], stated[:16], detail={"sha256": subject.sha256},
         **common,
     )  # fmt: skip
+
+
+def written_meanwhile(delivery: Delivery) -> list[Check]:
+    """Say whether an export wrote into the folder while its files were judged: some of old, some of new were seen."""
+    if delivery.manifest is None or not delivery.subjects:
+        return []
+    if read_manifest(delivery.subjects[0].path.parent) == delivery.manifest:
+        return []
+    sentence = "an export wrote into the folder while its files were judged: judge them again"
+    return [Check("integrity", "fail", sentence, where="file", relation="=", subject=MANIFEST)]
 
 
 def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:

@@ -109,7 +109,7 @@ def measure_light(
     """
     spec = design.check
     main = bundle(window, rays, spec.field, spec.field_centre, cell=cell)
-    seen, truth = send(main), trace(window, main.rays)
+    seen, truth = send(main), trace(window, main.rays, path="size")
     alive = seen.fate == Fate.ALIVE
     asked = window.law.refract(main.rays.direction)
     error = law_errors(seen, asked)

@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.maps.gds import GRID, gds_misfit, grey_cell, layer_counts
+from clacad.formats.maps.gds import GRID, grey_cell, layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff
@@ -31,10 +31,12 @@ from clacad.formats.maps.sag import (
 )
 from clacad.sheet.window import Face, Window, face_height, lens_height_and_normal
 from clacad.storage.errors import ExportError, UnreadableFile
-from clacad.verification.checks import Check, judge, not_run
+from clacad.storage.spending import Spending
+from clacad.verification.checks import Check, judge, not_run, unreadable
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.map_light import FaceFile, map_light
+from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.limit_sources import other
 
 SUFFIXES: Mapping[str, str] = {
@@ -45,9 +47,23 @@ SUFFIXES: Mapping[str, str] = {
 }  # fmt: skip
 """Ends of names that exports give, and their formats: so many tables end in .csv that the whole end is asked for."""
 
-LARGEST_TEXT = 64 << 20
 SAME = 1e-9
 """Relative difference up to which two numbers of a table are the same; also that of two heights, in pitches."""
+
+DAMAGED = (
+    ExportError,
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    ArithmeticError,
+    RecursionError,
+    MemoryError,
+    csv.Error,
+)
+"""What the readers of numbers make of bytes that are no such file."""
+
+GDS_MISFIT = "clacad.formats.maps.gds:gds_misfit"
 
 Misfit = tuple[float, float, str]
 """Greatest deviation in millimetres (or relative, for tables), what may be left by writing it, and what was compared."""
@@ -81,10 +97,8 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, format: str) 
     common = asked.common
     try:
         worst, room, what, label = _compared(window, subject, format)
-    except (ExportError, OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-        why = str(error) if isinstance(error, ExportError) else f"damaged ({type(error).__name__}: {error})"
-        unread = Check("readable", "fail", f"it cannot be read: {why}", **common)
-        return [unread, not_run("shape", "the file cannot be read", **common)]
+    except DAMAGED as error:
+        return [unreadable(error, **common), not_run("shape", "the file cannot be read", **common)]
     sentence = (
         f"{what}: up to {worst:.3g} off the design's" if worst < inf else f"{what}: other than the design's"
     )
@@ -169,7 +183,10 @@ def _layers(of: FaceFile) -> Misfit:
     for levels in range(max(2, most + 1), most + 4):
         try:
             laid = grey_cell(of.window, of.body, of.face, of.label, levels, of.scale)
-            worst, count = gds_misfit(laid, of.path, of.scale)
+            with reading_worker(
+                of.path
+            ) as worker:  # the library crashes on files that are damaged within a record
+                worst, count = worker.run(GDS_MISFIT, laid, of.path, of.scale, timeout=longest_wait(of.path))
         except ExportError as error:
             refusal = refusal or error
             continue
@@ -257,8 +274,7 @@ def _calibration(window: Window, path: Path) -> Misfit:
 
 
 def _json(path: Path) -> Any:
-    if path.stat().st_size > LARGEST_TEXT:
-        raise UnreadableFile(f"{path.name}: too large for a table of a design")
+    Spending("surface-table", path)
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -283,15 +299,17 @@ def _poses(window: Window, path: Path) -> Misfit:
     scale, count, worst = millimetres(window.unit), 0, 0.0
     rows = (window.lattice.row(j) for j in range(window.lattice.count[1]))
     wanted = pose_lines(window, scale, rows)
-    with path.open(encoding="ascii", newline="") as stream:
-        lines = csv.reader(stream)
-        next(lines)
+    spent = Spending("pose-table", path)
+    with path.open("rb") as stream:
+        lines = csv.reader(line.decode("ascii") for line in spent.lines(stream))
+        next(lines, None)
         while block := list(islice(lines, 4096)):
             expected = list(islice(wanted, len(block)))
             if len(expected) != len(block):
                 raise UnreadableFile(f"{path.name}: more lenslets than the design has")
             worst = max(worst, _lines_apart(expected, block))
             count += len(block)
+            spent.count(len(block))
     if next(wanted, None) is not None:
         raise UnreadableFile(f"{path.name}: fewer lenslets than the design has")
     return worst, SAME * min(window.lattice.pitch) * scale, f"places and angles of {count:,} lenslets"

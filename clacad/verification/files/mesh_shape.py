@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
@@ -174,7 +175,7 @@ def _shape_limit(asked: Inspection, window: Window, sag: float) -> tuple[float, 
     reach = max(abs(v) for v in (*whole_extent(window), *window.z_range))
     rounding = reach * 2.0**-24 * 12.0  # corners rounded to float32, on slopes
     if "sag_error_max" in stated:
-        told = float(stated["sag_error_max"]) * UNITS[str(stated.get("unit", "mm"))] / window.unit
+        told = float(stated["sag_error_max"]) * UNITS.get(str(stated.get("unit", "mm")), 1e-3) / window.unit
         if told <= spec.file_rms * sag:  # more than such facets can be off is no promise
             return spec.shape * told + rounding, derived("stated sag error of the file")
     return spec.shape * sag + rounding, other("the design cut into the same facets")
@@ -259,7 +260,7 @@ def _rounding_slope(window: Window, corners: Floats) -> float:
     good = twice > 1e-12 * edges**2
     if not good.any():
         return 0.0
-    normal = np.cross(corners[good, 1] - corners[good, 0], corners[good, 2] - corners[good, 0])
+    normal = doubled_normals(corners[good])
     steep = np.linalg.norm(normal[:, :2], axis=1) / np.maximum(np.abs(normal[:, 2]), 1e-300)
     off = 2.0**-24 * (np.abs(window.z_range).max() + steep * max(abs(v) for v in whole_extent(window)))
     slope = (
@@ -293,7 +294,7 @@ def own_sag_error(gathered: CellFacets) -> float:
         if cell:
             continue
         corners = np.concatenate(parts)
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = doubled_normals(corners)
         slopes = normal[:, :2] / normal[:, 2:]
         middle = corners.mean(axis=1)[:, :2]
         if len(corners) < 8:

@@ -16,10 +16,11 @@ from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.storage.errors import ExportError
-from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.checks import Check, judge, not_run, unreadable
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
 from clacad.verification.files.mesh_shape import volume_of
+from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays
 from clacad.verification.limit_sources import LimitSource, default, other
 
@@ -43,8 +44,6 @@ FITTED = 1e-8
 
 PART = 0.1
 """Part of the limit of the law's rms error that faces of a file without a manifest may use up."""
-
-SECONDS = 1800.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,27 +110,31 @@ def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Che
         What the reader says; empty if it could not read. `holds`: solids, shells, faces, prototypes, parts (name, solid,
         faces, instances); `holds_words`: the same in words.
     """
-    from clacad.storage.worker import Worker
-
     asked.progress(f"reading {path.name}", 0.0)
-    with Worker() as worker:
+    try:
+        worker = reading_worker(path)
+    except (ExportError, OSError) as error:
+        return _refused(asked, error), {}
+    with worker:
         try:
             found = worker.run(
-                "clacad.exporting.step_record:read",
-                str(path),
-                window,
-                timeout=SECONDS,
+                "clacad.exporting.step_record:read", str(path), window, timeout=longest_wait(path),
                 progress=asked.progress,
-            )
+            )  # fmt: skip
         except (ExportError, OSError) as error:
-            checks = [Check("readable", "fail", f"it cannot be read: {error}", **asked.common)]
-            later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
-            return checks + [not_run(name, "the file cannot be read", **asked.common) for name in later], {}
+            return _refused(asked, error), {}
         found["holds_words"] = holds_words(found["holds"])
         checks = _checks_of_shape(asked, window, found)
         asked.progress("tracing through the faces", 0.0)
         checks += _light(asked, window, worker, path, found)
     return checks, found
+
+
+def _refused(asked: Inspection, error: Exception) -> list[Check]:
+    """Checks of a file that could not be read."""
+    later = ("closed", "placement", "shape", "faithful_rms", "volume", *IDS)
+    unread = [not_run(name, "the file cannot be read", **asked.common) for name in later]
+    return [unreadable(error, **asked.common), *unread]
 
 
 def _checks_of_shape(asked: Inspection, window: Window, found: Mapping[str, Any]) -> list[Check]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.exporting.limits import MOST_CELLS, refuse_cells
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import body_range
@@ -42,8 +43,15 @@ class CannotRegister(ValueError):
 def written_window(
     design: Design, manifest: Mapping[str, Any] | None, cells: tuple[int, int] | None
 ) -> Window | None:
-    """Window with the cells that were written, as the manifest or the caller says; None if neither does."""
+    """Window with the cells that were written, as the manifest or the caller says; None if neither does.
+
+    Raises
+    ------
+    LimitRefused
+        More cells than an export writes.
+    """
     if cells is not None:
+        refuse_cells(*cells)
         return prescribe(design.with_cells(cells))
     if manifest is None:
         return None
@@ -53,6 +61,7 @@ def written_window(
         return None
     if tuple(count) == design.lattice.count:
         return prescribe(design)
+    refuse_cells(count[0], count[1])
     return prescribe(design.with_cells((count[0], count[1])))
 
 
@@ -90,6 +99,8 @@ def fitting_window(
         return None
     if not fixed:
         count, spec = _cells_of(design, whole, extent), design.lattice
+        if count[0] * count[1] > max(MOST_CELLS, spec.count[0] * spec.count[1]):
+            return None  # one corner far away: nothing that an export wrote
         if (count != spec.count or spec.outline is not None) and not _alike(whole_extent(whole), extent):
             whole = whole.with_cells(count)
     return whole if _alike(whole_extent(whole), extent) or _one_body_alike(whole, extent) else None

@@ -176,7 +176,7 @@ def attribute(
 
 def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floats, ...] | None:
     """What each model adds to the direction of a ray, (n, 3) each, then the whole; None where no ray gets through all."""
-    truth = trace(window, lit.rays)
+    truth = trace(window, lit.rays, path="size")
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)
     law = window.law.refract(lit.rays.direction)

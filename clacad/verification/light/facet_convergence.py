@@ -13,7 +13,8 @@ from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import size_text
 from clacad.exporting.quads_and_roles import Needed, masters
 from clacad.exporting.tessellations import Meshes
-from clacad.optics.law import Law, angle_between
+from clacad.optics.law import angle_between
+from clacad.optics.law.fitting import law_in_axes
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.vignetting import half_field, thin_cells
@@ -69,7 +70,7 @@ def converge(
     one = window.with_cells((1, 1))
     angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
     lit = bundle(one, RAYS, angle, design.check.field_centre)
-    truth = trace(one, lit.rays)
+    truth = trace(one, lit.rays, path="size")
     good = truth.fate == Fate.ALIVE
     into = lit.rays.direction
     errors, etas = [], []
@@ -84,8 +85,8 @@ def converge(
         errors.append(
             float(np.sqrt(np.mean(angle_between(seen.direction[both], truth.direction[both]) ** 2)))
         )
-        law = Law.fit(into[both], seen.direction[both], axes=window.law).law
-        exact = Law.fit(into[both], truth.direction[both], axes=window.law).law
+        law = law_in_axes(into[both], seen.direction[both], window.law)
+        exact = law_in_axes(into[both], truth.direction[both], window.law)
         etas.append(max(abs(law.eta_x / exact.eta_x - 1.0), abs(law.eta_y / exact.eta_y - 1.0)))
     size = np.log(1.0 / np.array(quads, dtype=np.float64))
     slopes = [float(np.polyfit(size, np.log(np.maximum(v, 1e-300)), 1)[0]) for v in (errors, etas)]

@@ -65,7 +65,7 @@ def ghost_map(window: Window) -> GhostMap:
         window, np.tile(places, (len(direction), 1)), np.repeat(direction, PLACES, axis=0), central_cell(window),
         middle_direction(window),
     )  # fmt: skip
-    fate = trace(window, lit.rays).fate.reshape(len(direction), PLACES)
+    fate = trace(window, lit.rays, path="size").fate.reshape(len(direction), PLACES)
     alive, ghost = ((fate == f).mean(axis=1) for f in (Fate.ALIVE, Fate.GHOST))
     closed = share(cells, direction)
     for values in (alive, ghost, closed):

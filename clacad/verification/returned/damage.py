@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.mesh.file_mesh import FileMesh
@@ -150,7 +151,7 @@ def find_features(
 
 def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
     """Steep facets (k, 3, 3) that stand where the design has no wall: inside of its rim, off the borders of cells."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = doubled_normals(corners)
     length = np.linalg.norm(normal, axis=1)
     steep = np.asarray(corners[(np.abs(normal[:, 2]) < STEEP * length) & (length > 0.0)])
     if not len(steep):
@@ -267,7 +268,7 @@ def _circle(corners: Floats) -> tuple[float, float, float] | None:
     off = np.hypot(*(points - centre).T) - radius
     if np.sqrt(np.mean(off**2)) > ROUND * radius:
         return None
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = doubled_normals(corners)
     middle = corners.mean(axis=1)[:, :2] - centre
     if float((normal[:, :2] * middle).sum()) > 0.0:  # a post, not a hole
         return None
@@ -355,7 +356,7 @@ def find_dents(
     deepest: dict[tuple[int, tuple[int, int]], tuple[float, float, float]] = {}
     for chunk in mesh.chunks():
         corners = chunk * factor
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = doubled_normals(corners)
         length = np.linalg.norm(normal, axis=1)
         good = (np.abs(normal[:, 2]) > STEEP * length) & believed(corners, noise)
         corners, normal = corners[good], normal[good] / length[good, None]

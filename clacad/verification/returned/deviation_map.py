@@ -6,17 +6,18 @@ normals of the exact faces, averaged over bins, so that noise averages out and i
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.text import plain
+from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.facet_vectors import doubled_normals
+from clacad.base.text import plain, printable
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.sheet.feasibility import body_range
@@ -25,6 +26,10 @@ from clacad.storage.atomic import Stage, canonical_json, safe_name
 from clacad.verification.files.cell_triangles import levels
 from clacad.verification.files.face_distance import STEEP, believed, distance_to_faces, drawn_in
 from clacad.verification.returned.damage import MICRON, Dent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 BINS = 16
 """Bins a side of the folded cell."""
@@ -174,7 +179,7 @@ class Mapper:
     def look(self, corners: Floats) -> None:
         """Take a chunk (k, 3, 3), sheet frame, design units."""
         corners = corners[:: self._stride]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = doubled_normals(corners)
         length = np.linalg.norm(normal, axis=1)
         good = np.abs(normal[:, 2]) > STEEP * length
         facing = np.repeat(normal[good] / length[good, None], 3, axis=0)
@@ -244,44 +249,49 @@ def deviation_map(
 
 def plot_deviation(found: DeviationMap, title: str) -> bytes:
     """Both maps of every lens face as PNG, the same for the same numbers."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    style = {"font.size": 8.0}
+    return drawn("png", (3.6 * len(found.faces), 6.8), lambda figure: _draw(figure, found, title), style)
 
+
+def _draw(figure: Figure, found: DeviationMap, title: str) -> None:
+    said = f"{no_formula(printable(title))}: deviation along the normal; positive is too much material"
+    figure.suptitle(said, fontsize=9)
+    axes = figure.subplots(2, len(found.faces), squeeze=False)
+    for column, face in enumerate(found.faces):
+        _draw_cell(figure, axes[0, column], found, face)
+        _draw_sheet(figure, axes[1, column], found, face)
+
+
+def _draw_cell(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -> None:
+    """The map of all cells folded into one."""
     microns, mm = found.unit_m / MICRON, millimetres(found.unit_m)
-    with rc_context({"font.size": 8.0}):
-        figure = Figure(figsize=(3.6 * len(found.faces), 6.8), layout="constrained", dpi=100)
-        FigureCanvasAgg(figure)
-        figure.suptitle(f"{title}: deviation along the normal; positive is too much material", fontsize=9)
-        axes = figure.subplots(2, len(found.faces), squeeze=False)
-        for column, face in enumerate(found.faces):
-            folded = face.folded * microns
-            most = float(np.nanmax(np.abs(folded))) if np.isfinite(folded).any() else 1.0
-            x0, y0, x1, y1 = *(found.low * mm), *(found.high * mm)
-            image = axes[0, column].imshow(
-                folded.T, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most, extent=(x0, x1, y0, y1)
-            )
-            axes[0, column].set_title(
-                f"{face.name}: mean over all cells,\nnoise {face.noise * microns:.2g} µm", fontsize=8
-            )
-            axes[0, column].set(xlabel="x in the cell / mm", ylabel="y in the cell / mm")
-            figure.colorbar(image, ax=axes[0, column], label="µm")
-            i0, j0 = (int(v) for v in found.first)
-            n1, n2 = face.cells.shape
-            image = axes[1, column].imshow(
-                (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal",
-                extent=(i0 - 0.5, i0 + n1 - 0.5, j0 - 0.5, j0 + n2 - 0.5),
-            )  # fmt: skip
-            mine = [dent for dent in found.dents if dent.face == face.name]
-            axes[1, column].scatter(*zip(*(d.cell for d in mine), strict=True), marker="s", facecolors="none",
-                                    edgecolors="red") if mine else None  # fmt: skip
-            worst = f"\n{mine[0].words(found.unit_m).split(' is ', 1)[1]}" if mine else ""
-            axes[1, column].set_title(f"rms of each cell{worst}", fontsize=8)
-            axes[1, column].set(xlabel="cell i", ylabel="cell j")
-            figure.colorbar(image, ax=axes[1, column], label="µm")
-        out = io.BytesIO()
-        figure.savefig(out, format="png", metadata={"Software": "clacad"})
-    return out.getvalue()
+    folded = face.folded * microns
+    most = float(np.nanmax(np.abs(folded))) if np.isfinite(folded).any() else 1.0
+    x0, y0, x1, y1 = *(found.low * mm), *(found.high * mm)
+    image = axes.imshow(
+        folded.T, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most, extent=(x0, x1, y0, y1)
+    )
+    axes.set_title(f"{face.name}: mean over all cells,\nnoise {face.noise * microns:.2g} µm", fontsize=8)
+    axes.set(xlabel="x in the cell / mm", ylabel="y in the cell / mm")
+    figure.colorbar(image, ax=axes, label="µm")
+
+
+def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -> None:
+    """The map cell by cell, dents framed."""
+    microns = found.unit_m / MICRON
+    i0, j0 = (int(v) for v in found.first)
+    n1, n2 = face.cells.shape
+    image = axes.imshow(
+        (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal",
+        extent=(i0 - 0.5, i0 + n1 - 0.5, j0 - 0.5, j0 + n2 - 0.5),
+    )  # fmt: skip
+    mine = [dent for dent in found.dents if dent.face == face.name]
+    axes.scatter(*zip(*(d.cell for d in mine), strict=True), marker="s", facecolors="none",
+                 edgecolors="red") if mine else None  # fmt: skip
+    worst = f"\n{mine[0].words(found.unit_m).split(' is ', 1)[1]}" if mine else ""
+    axes.set_title(f"rms of each cell{worst}", fontsize=8)
+    axes.set(xlabel="cell i", ylabel="cell j")
+    figure.colorbar(image, ax=axes, label="µm")
 
 
 def write_deviation(

@@ -17,7 +17,7 @@ from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import CellFacets, Gatherer, chosen_cells
+from clacad.verification.files.cell_triangles import CellFacets, Gatherer, SideFacets, chosen_cells
 from clacad.verification.files.facet_deviation import deviations
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
@@ -45,7 +45,8 @@ ON_FACES = 1e-5
 class Cutter(Gatherer):
     """A gatherer that cuts facets at the borders of the chosen cells: a scan's run across them."""
 
-    def _keep(self, body: int, side: int, array: int, corners: Floats, middle: Floats) -> None:
+    def _keep(self, body: int, side: int, array: int, some: SideFacets) -> None:
+        corners = some.corners[some.rows]
         centres = self.window.lattice.centres(np.array(self.result.cells, dtype=np.int64))
         tile = self.window.lattice.tile()
         shift = np.asarray(self.window.shifts[array])

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.verification.files.face_distance import STEEP
+from clacad.verification.files.unit_and_cells import CannotRegister
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Window
@@ -77,13 +79,31 @@ class PartFrame:
     straight: bool = False
 
 
+VAST = 1e60
+"""Coordinates beyond this, or below one over it, are no part's in any unit; squares of areas would leave the doubles."""
+
+
+def _refuse_vast(mesh: FileMesh, chunk: Floats) -> None:
+    """Refuse corners (k, 3, 3) that lie beyond every part.
+
+    Raises
+    ------
+    CannotRegister
+    """
+    most = float(np.abs(chunk).max(initial=0.0))
+    if most > VAST or 0.0 < most < 1.0 / VAST:
+        text = f"{mesh.name or 'the file'} has coordinates of up to {most:.3g}: in no unit is that a part"
+        raise CannotRegister(text)
+
+
 def sampled(mesh: FileMesh) -> tuple[Sample, PartFrame]:
     """Some facets of a file, and its own axes, or those of its sides where these lean by a little."""
     stride = max(1, mesh.facet_count // SAMPLE)
     kept, areas, whole, at = [], np.zeros((3, 3)), np.zeros(3), 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for chunk in mesh.chunks():
-        normal = 0.5 * np.cross(chunk[:, 1] - chunk[:, 0], chunk[:, 2] - chunk[:, 0])
+        _refuse_vast(mesh, chunk)
+        normal = 0.5 * doubled_normals(chunk)
         area = np.linalg.norm(normal, axis=1)
         for k in range(3):  # vector area, and area, of the sides that look along ±k
             looks = np.abs(normal[:, k]) > 0.9 * area
@@ -96,7 +116,7 @@ def sampled(mesh: FileMesh) -> tuple[Sample, PartFrame]:
     lean = _lean(areas, whole)
     straight = np.array_equal(lean, np.eye(3))
     frame = PartFrame(lean, high - low, 0.5 * (low + high), True) if straight else _boxed(mesh, lean)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = doubled_normals(corners)
     length = np.linalg.norm(normal, axis=1)
     good = length > 0.0
     inward = (corners.mean(axis=1, keepdims=True) - corners)[good].reshape(-1, 3)
@@ -235,9 +255,7 @@ def _hull(mesh: FileMesh) -> tuple[Floats, Floats] | None:
         return None
     corners = hull.points[hull.simplices]
     normal = hull.equations[:, :3]
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = 0.5 * np.linalg.norm(doubled_normals(corners), axis=1)
     return points[hull.vertices], _planes(normal, area)
 
 

@@ -24,6 +24,7 @@ from clacad.verification.files.find_files import Subject
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS
 from clacad.verification.files.mesh_light import MeshEvidence
+from clacad.verification.files.reading_worker import longest_wait, reading_worker
 from clacad.verification.files.step_file import hole_words, judge_solid
 from clacad.verification.limit_sources import other
 from clacad.verification.returned.judge_part import judge_returned
@@ -41,7 +42,6 @@ COARSE = 1e-6
 SCALE = 1e-5
 """Relative error of size that registration leaves."""
 
-SECONDS = 600.0
 THROUGH = (*IDS, "faithful_rms", "faithful_eta", "faithful_delta")
 """What light says: through the faces, not through triangles made here."""
 KEPT = ("readable", "closed", "solids")
@@ -93,11 +93,10 @@ def judge_turned(
 def _meshed(asked: Inspection, subject: Subject, target: Path, deflection: float) -> FileMesh:
     """The solids of a file as triangles, at most `deflection` (mm) off its faces, by a worker that writes them to `target`."""
     from clacad.formats.mesh.readers import read_mesh
-    from clacad.storage.worker import Worker
 
-    with Worker() as worker:
+    with reading_worker(subject.path) as worker:
         worker.run(
-            "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=SECONDS,
+            "clacad.formats.step.step_triangles:facets", str(subject.path), str(target), deflection, timeout=longest_wait(subject.path),
             progress=asked.progress,
         )  # fmt: skip
     return replace(read_mesh(target), format="step", unit=MILLIMETRE)
@@ -114,14 +113,12 @@ def _deflection(window: Window, facts: Mapping[str, Any]) -> float:
 
 def _through_faces(asked: Inspection, placed: Placed, subject: Subject, target: Path) -> list[Check]:
     """Set the shape down as the design lies, and send light through its own faces."""
-    from clacad.storage.worker import Worker
-
     pose = placed.pose
     try:
-        with Worker() as worker:
+        with reading_worker(subject.path) as worker:
             worker.run(
                 "clacad.formats.step.step_triangles:set_down", str(subject.path), str(target), pose.turn.tolist(),
-                (pose.move * millimetres(asked.design.unit_m)).tolist(), timeout=SECONDS, progress=asked.progress,
+                (pose.move * millimetres(asked.design.unit_m)).tolist(), timeout=longest_wait(subject.path), progress=asked.progress,
             )  # fmt: skip
     except (ExportError, OSError) as error:
         why = f"no light can be sent through its faces: {error}"

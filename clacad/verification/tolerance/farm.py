@@ -6,24 +6,33 @@ Which of them did it cannot be told from the results.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing import active_children, get_context, parent_process
-from typing import Any, Protocol
+from time import monotonic
+from typing import Any, Protocol, cast
 
 from clacad import __version__
+from clacad.storage.child_path import safe_children
 
 Work = Callable[[str, Any], list[Any]]
 """Takes a study as text and a piece of it; a function of a module, so that other processes find it."""
 
 PER_WORKER = 3
 """Pieces handed out ahead to each worker."""
+PULSE = 1.0
+"""Seconds between two looks at a cluster that owes us a result."""
+PATIENCE = 30.0
+"""Seconds for which a cluster may have no worker at all: time for one that died to be started again."""
 
 
 class NoCluster(RuntimeError):
@@ -32,14 +41,22 @@ class NoCluster(RuntimeError):
     exit_status = 2
 
 
-class Broken(RuntimeError):
-    """A worker died."""
+class WorkersLost(RuntimeError):
+    """Those who did the work are gone: what they had delivered is good, the rest has to be done again."""
 
-    exit_status = 70
+    exit_status = 4
 
 
 class _Promise(Protocol):
-    def result(self) -> Any: ...
+    status: str
+
+    def result(self, timeout: float | None = None) -> Any: ...
+
+
+class _Client(Protocol):
+    """What is asked of a Dask client."""
+
+    def nthreads(self) -> dict[str, int]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +81,8 @@ class Farm:
         ------
         NoCluster
             The scheduler does not answer, or the package to speak with it is missing.
-        Broken
-            A worker died.
+        WorkersLost
+            A process of this machine died; the scheduler went away, or no worker was left.
         """
         if not pieces:
             return
@@ -94,15 +111,19 @@ def told(work: Work, study: str, piece: Any) -> tuple[str, list[Any]]:
 def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
     """Results of all pieces, in their order, from so many processes of this machine."""
     others = {process.pid for process in active_children()}
-    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_settle)
+    with safe_children():  # it starts a process that keeps track of semaphores
+        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_settle)
+
+    def submitted(piece: Any) -> Future[Any]:
+        with safe_children():  # and workers when there is work
+            return pool.submit(told, work, study, piece)
+
     done = False
     try:
-        yield from _in_order(lambda piece: pool.submit(told, work, study, piece), pieces, count)
+        yield from _in_order(submitted, pieces, count)
         done = True
     except BrokenProcessPool as error:
-        raise Broken(
-            "a worker process died (out of memory?); the same command again goes on from there"
-        ) from error
+        raise WorkersLost("a worker process died (out of memory?)") from error
     finally:
         if not done:  # stopped on the way: nobody waits for pieces that nobody will take
             for process in active_children():
@@ -112,8 +133,9 @@ def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iter
 
 
 def _settle() -> None:
-    """In a worker: leave Ctrl-C to the parent, and end when the parent ends, however it ends."""
+    """In a worker: leave Ctrl-C and warnings to the parent, and end when the parent ends, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.filterwarnings("ignore", message="compiled kernels cannot be kept")
     parent = parent_process()
 
     def follow() -> None:
@@ -125,21 +147,85 @@ def _settle() -> None:
 
 
 def _on_cluster(address: str, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
+    """Results of all pieces, in their order, from the workers of a Dask cluster."""
     try:
         from distributed import Client
     except ImportError as error:
         raise NoCluster("--scheduler needs the package distributed: pip install 'clacad[dask]'") from error
-    try:
-        client = Client(address, timeout="5s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise NoCluster(f"no Dask scheduler answers at {address}") from error
-    with client:
+    with ExitStack() as ending:
+        ending.enter_context(_hushed())
+        try:
+            client = ending.enter_context(Client(address, timeout="5s", set_as_default=False))
+        except (OSError, ValueError, TimeoutError) as error:
+            raise NoCluster(f"no Dask scheduler answers at {address}") from error
         count = max(1, sum(client.nthreads().values()))
-        yield from _in_order(lambda piece: client.submit(told, work, study, piece, pure=False), pieces, count)
+
+        def submit(piece: Any) -> _Promise:
+            try:
+                return cast(_Promise, client.submit(told, work, study, piece, pure=False))
+            except Exception as error:
+                raise _gone(address) from error
+
+        yield from _in_order(submit, pieces, count, lambda promise: _awaited(promise, client, address))
+
+
+def _gone(address: str) -> WorkersLost:
+    return WorkersLost(f"the scheduler at {address} was lost")
+
+
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Keep the cluster's own logs still: that it was lost is said by us, in one sentence."""
+    roots = ("distributed", "tornado")
+    talking = [
+        logger
+        for name, logger in logging.root.manager.loggerDict.items()
+        if name.partition(".")[0] in roots and isinstance(logger, logging.Logger) and not logger.disabled
+    ]
+    for logger in talking:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for logger in talking:
+            logger.disabled = False
+
+
+def _awaited(promise: _Promise, client: _Client, address: str) -> Any:
+    """What a cluster was asked for, once it is there; the work's own errors pass as they are.
+
+    Raises
+    ------
+    WorkersLost
+        The scheduler went away, no worker was left for `PATIENCE`, or the piece ended every worker that took it.
+    """
+    from distributed import KilledWorker
+
+    last = monotonic()
+    while True:
+        try:
+            return promise.result(timeout=PULSE)
+        except KilledWorker as error:
+            raise WorkersLost("the workers died one after another (out of memory?)") from error
+        except Exception as error:
+            if promise.status == "error":  # raised by the work
+                raise
+            if not isinstance(error, TimeoutError):
+                raise _gone(address) from error
+        try:
+            last = monotonic() if client.nthreads() else last
+        except Exception as error:
+            raise _gone(address) from error
+        if monotonic() - last > PATIENCE:
+            raise WorkersLost(f"the scheduler at {address} has had no worker for {PATIENCE:.0f} s")
+
+
+def _taken(promise: _Promise) -> Any:
+    return promise.result()
 
 
 def _in_order(
-    submit: Callable[[Any], Future[Any] | _Promise], pieces: Sequence[Any], count: int
+    submit: Callable[[Any], Any], pieces: Sequence[Any], count: int, taken: Callable[[Any], Any] = _taken
 ) -> Iterator[list[Any]]:
     """Keep every worker busy, never hold more than a few results, give them in the order of the pieces."""
     waiting: deque[Any] = deque()
@@ -151,7 +237,7 @@ def _in_order(
                 break
         if not waiting:
             return
-        version, result = waiting.popleft().result()
+        version, result = taken(waiting.popleft())
         if version != __version__:
             raise NoCluster(f"a worker runs clacad {version}, this is {__version__}")
         yield result

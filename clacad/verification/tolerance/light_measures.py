@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.effects.scatter import haze
-from clacad.optics.law import Law, angle_between
+from clacad.optics.law import angle_between
+from clacad.optics.law.fitting import law_in_axes
 from clacad.sheet.bundle import bundle, field_points, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.vignetting import share, thin_cells
@@ -148,7 +149,7 @@ class Bench:
         if len(lit) < 64:
             return dict.fromkeys(names, np.nan)
         try:
-            law = Law.fit(into, lit, axes=self.window.law).law
+            law = law_in_axes(into, lit, self.window.law)
         except ValueError:  # light that leaves without depending on how it came
             return dict.fromkeys(names, np.nan)
         asked = self.window.law

@@ -18,7 +18,7 @@ from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance.checkpoint import Checkpoint
-from clacad.verification.tolerance.farm import Farm
+from clacad.verification.tolerance.farm import Farm, WorkersLost
 from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
 from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
 
@@ -266,16 +266,34 @@ def worked(
     work: Callable[[str, Any], list[Any]], text: str, header: Mapping[str, Any], count: int, farm: Farm,
     checkpoint: Path | None, progress: Progress | None, piece: int = PIECE,
 ) -> list[Any]:  # fmt: skip
-    """Records 0 … count − 1 of a study: those of the checkpoint, and the others, which are added to it."""
+    """Records 0 … count − 1 of a study: those of the checkpoint, and the others, which are added to it.
+
+    Raises
+    ------
+    WorkersLost
+        With what was kept, and how to go on.
+    """
     report = progress or silent
     with Checkpoint(checkpoint, header) as kept:
         rows = list(islice(kept.records, count))
         pieces = list(_pieces(len(rows), count, piece)) if len(rows) < count else []
-        for found in farm.run(work, text, pieces):
-            kept.append(found)
-            rows += found
-            report("making sheets", len(rows) / count)
+        try:
+            for found in farm.run(work, text, pieces):
+                kept.append(found)
+                rows += found
+                report("making sheets", len(rows) / count)
+        except WorkersLost as error:
+            raise WorkersLost(f"{error}; {_how_to_go_on(len(rows), count, checkpoint)}") from error
     return rows
+
+
+def _how_to_go_on(done: int, count: int, checkpoint: Path | None) -> str:
+    if checkpoint is None:
+        return f"{done} of {count} results were made and none is kept: with -o DIR the same command would go on from there"
+    return (
+        f"{done} of {count} results are kept in {checkpoint}: "
+        "the same command goes on from there, with this scheduler, another or none"
+    )
 
 
 def _pieces(start: int, stop: int, size: int) -> Iterator[list[int]]:

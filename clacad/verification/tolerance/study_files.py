@@ -84,8 +84,17 @@ def study_table(study: Study) -> str:
 
 def _csv(lines: Sequence[Sequence[str]]) -> str:
     out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(lines)
+    csv.writer(out, lineterminator="\n").writerows([harmless_cell(cell) for cell in line] for line in lines)
     return out.getvalue()
+
+
+def harmless_cell(cell: str) -> str:
+    """Give a cell as it is, but with an apostrophe before what a spreadsheet would run as a formula; numbers are none."""
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}" if cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
+    return cell
 
 
 def write_study(study: Study, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from math import ceil, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.drawn_figure import drawn
 from clacad.verification.tolerance.parameter_sweep import Sweep
 from clacad.verification.tolerance.study import RANKED, Study
 
@@ -44,17 +44,7 @@ def plot_sweep(found: Sweep) -> bytes:
 
 
 def _png(size: tuple[float, float], draw: Callable[[Figure], None]) -> bytes:
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context({"font.size": 8.5, "axes.titlesize": 9.0}):
-        figure = Figure(figsize=size, layout="constrained", dpi=100)
-        FigureCanvasAgg(figure)
-        draw(figure)
-        out = io.BytesIO()
-        figure.savefig(out, format="png", metadata={"Software": "clacad"})
-    return out.getvalue()
+    return drawn("png", size, draw, {"font.size": 8.5, "axes.titlesize": 9.0})
 
 
 def _draw_study(figure: Figure, study: Study) -> None:

@@ -1,0 +1,86 @@
+"""What each reader may take of a file from elsewhere: bytes, items and processor seconds, in one table.
+
+Readers hold themselves to it (`clacad.storage.spending`) and `clacad doctor` states it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from types import MappingProxyType
+
+MEGABYTE = 1_000_000
+GIGABYTE = 1000 * MEGABYTE
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What one reader may take.
+
+    Parameters
+    ----------
+    files : str
+        Files it reads, in words.
+    bytes : int
+        Size of the file; of a packed one also of what it unpacks to.
+    items : int or None
+        Most things of the kind `item` in one file; None where a library reads it, which counts nothing.
+    item : str
+        What is counted, in the plural.
+    seconds : float or None
+        Processor seconds of reading that any file may take; None where they follow from bytes and items, because the
+        file is read in one go or row by row as it is used.
+    seconds_per_megabyte : float
+        Processor seconds that each megabyte of the file adds.
+    memory : int or None, bytes
+        Address space of the process that reads, for a reader that has one of its own.
+    memory_per_byte : int
+        Bytes of address space that each byte of the file adds.
+    """
+
+    files: str
+    bytes: int
+    items: int | None
+    item: str
+    seconds: float | None = 60.0
+    seconds_per_megabyte: float = 2.0
+    memory: int | None = None
+    memory_per_byte: int = 0
+
+    def seconds_for(self, size: int) -> float:
+        """Processor seconds that a file of `size` bytes may take; infinite where nothing is said."""
+        if self.seconds is None:
+            return inf
+        return self.seconds + self.seconds_per_megabyte * size / MEGABYTE
+
+    def memory_for(self, size: int) -> int | None:
+        """Address space in bytes that reading a file of `size` bytes may take, None where nothing is said."""
+        return None if self.memory is None else self.memory + self.memory_per_byte * size
+
+
+BUDGETS: Mapping[str, Budget] = MappingProxyType({
+    "stl": Budget("binary STL", 20 * GIGABYTE, 400_000_000, "facets", seconds_per_megabyte=0.5),
+    "stl-ascii": Budget("ASCII STL", GIGABYTE, 20_000_000, "facets"),
+    "3mf": Budget("3MF, unpacked", GIGABYTE, 60_000_000, "vertices, triangles and components"),
+    "ply": Budget("binary PLY", 10 * GIGABYTE, 100_000_000, "vertices and facets", seconds_per_megabyte=0.5),
+    "ply-ascii": Budget("ASCII PLY", GIGABYTE, 100_000_000, "numbers"),
+    "glb": Budget("GLB", 4 * GIGABYTE, 60_000_000, "vertices, corners and places"),
+    "obj": Budget("OBJ", GIGABYTE, 20_000_000, "vertices, normals and triangles"),
+    "step": Budget("STEP, by the CAD kernel", 24 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
+    "step-text": Budget("STEP, by its text", 4 * GIGABYTE, 100_000_000, "statements", 120.0, 4.0, 3 * GIGABYTE, 20),
+    "brep": Budget("BREP, by the CAD kernel", 200 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
+    "tiff": Budget("height maps (TIFF)", 5 * GIGABYTE, 1 << 30, "pixels", None),
+    "png": Budget("height maps (PNG)", 2 * GIGABYTE, 1 << 29, "pixels"),
+    "points": Budget("points with normals (xyz)", 10 * GIGABYTE, 100_000_000, "points", seconds_per_megabyte=4.0),
+    "grid-sag": Budget("grid sag (dat)", 200 * MEGABYTE, 4_100_000, "nodes", seconds_per_megabyte=4.0),
+    "pose-table": Budget("tables of poses (CSV)", 4 * GIGABYTE, 40_000_000, "lines", seconds_per_megabyte=8.0),
+    "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),
+    "mask": Budget("masks (SVG, DXF)", GIGABYTE, 20_000_000, "places and points"),
+    "gds": Budget("masks of grey levels (GDSII)", GIGABYTE, 40_000_000, "records", 120.0, 20.0, 3 * GIGABYTE, 100),
+    "rays": Budget("rays (npz), unpacked", 80 * GIGABYTE, 1_000_000_000, "rays", None),
+    "picture": Budget("pictures (PNG, JPEG, WebP, TIFF, BMP, GIF)", 500 * MEGABYTE, 1 << 27, "pixels", None),
+    "design": Budget("designs and scenes (TOML, JSON)", 1 << 20, 200_000, "lines and keys", None),
+    "manifest": Budget("manifests (JSON)", 16 << 20, 20_000, "files", None),
+})  # fmt: skip
+"""Reader → its budget. Bytes and items refuse alike on every machine; seconds are many times what an honest file takes."""

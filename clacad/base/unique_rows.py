@@ -1,0 +1,32 @@
+"""Distinct rows of whole numbers, told apart as single numbers where they fit into one."""
+
+from __future__ import annotations
+
+from math import prod
+
+import numpy as np
+
+from clacad.base.types import Ints
+
+
+def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
+    """Distinct rows in ascending order (k, c), and the number of each row's own (n,).
+
+    What ``numpy.unique(rows, axis=0, return_inverse=True)`` gives, which compares rows as bytes and takes twenty times
+    as long.
+
+    Parameters
+    ----------
+    rows : (n, c) ints
+    """
+    if len(rows):
+        low, high = rows.min(axis=0), rows.max(axis=0)
+        sizes = [int(b) - int(a) + 1 for a, b in zip(low, high, strict=True)]
+        if prod(sizes) < 1 << 62:
+            key = np.zeros(len(rows), dtype=np.int64)
+            for column, least, size in zip(rows.T, low, sizes, strict=True):
+                key = key * size + (column.astype(np.int64) - int(least))
+            _, first, number = np.unique(key, return_index=True, return_inverse=True)
+            return rows[first], number.reshape(-1)
+    found, number = np.unique(rows, axis=0, return_inverse=True)
+    return found, number.reshape(-1)

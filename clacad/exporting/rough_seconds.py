@@ -1,0 +1,94 @@
+"""What an export will take, from the design's own numbers: said before anything is meshed to forecast it closely."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import TYPE_CHECKING
+
+from clacad.base.machine_rates import Rates, Span, total
+from clacad.exporting import costs
+from clacad.exporting.format_names import MESHES, REPEATING, SOLIDS, STL_FORMATS
+from clacad.exporting.limits import MOST_FACETS, QUADS
+from clacad.exporting.roles import Role
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.exporting.request import Request
+
+AUTOMATIC = 128
+"""Facet grid that "auto" is taken to choose; it is traced, and those below it."""
+
+ROUGH = 2.0
+"""Factor by which such a forecast may be off on a machine whose rates are known."""
+
+
+def rough_span(design: Design, request: Request) -> Span:
+    """Processor seconds of an export on this machine, as a wide range.
+
+    Parameters
+    ----------
+    design : Design
+        With the cells that will be written.
+    request : Request
+    """
+    rates = Rates.here()
+    grids = {name: _grid(design, request, name) for name in request.formats if name in MESHES}
+    before = costs.prepare_seconds(sorted(set(grids.values())))
+    if "auto" in request.quads.values():
+        before += costs.prepare_seconds([AUTOMATIC // 2, AUTOMATIC])
+    spans = [rates.span(costs.PREPARE, before)]
+    spans += [
+        rates.span(f"export {name}", _seconds(design, request, name, grids)) for name in request.formats
+    ]
+    found = total(spans)
+    wide = max(ROUGH, sqrt(found.high / found.low))
+    return Span(found.middle / wide, found.middle * wide, found.seen)
+
+
+def _cells(design: Design) -> int:
+    n1, n2 = design.lattice.count
+    return int(n1) * int(n2)
+
+
+def _bodies(design: Design) -> int:
+    return 1 if design.pair.form == "slab" else 2
+
+
+def _facets(design: Design, grid: int) -> int:
+    """Facets of one cell of all bodies, about: two triangles a square of the grid of each curved face."""
+    faces = 4 if design.pair.form == "biconvex" else 2
+    return faces * 2 * grid * grid * (3 if design.lattice.kind == "hexagonal" else 1)
+
+
+def _grid(design: Design, request: Request, name: str) -> int:
+    """Facet grid of a format: as asked, or about what will be chosen."""
+    asked = request.quads.get(name)
+    if asked == "auto":
+        return AUTOMATIC
+    if asked is not None:
+        return asked
+    if request.role.get(name) is Role.PREVIEW:
+        return QUADS[-1]
+    return next((q for q in QUADS if _facets(design, q) * _cells(design) <= MOST_FACETS), QUADS[-1])
+
+
+def _seconds(design: Design, request: Request, name: str, grids: dict[str, int]) -> float:
+    """Modelled seconds of one format."""
+    cells, bodies = _cells(design), _bodies(design)
+    if name == "step":
+        from clacad.formats.step.step_files import FUSED_CELLS
+
+        n1, n2 = design.lattice.count
+        fused = request.step == "fused" or (request.step == "auto" and cells <= FUSED_CELLS)
+        size = bodies * (cells * 7000 if fused else 20_000 + 500 * int(n1 + n2))
+        return costs.step_seconds(size, "fused" if fused else "instanced")
+    if name in SOLIDS:
+        return costs.solid_seconds(8000 * cells * bodies)
+    if name not in MESHES:
+        return costs.map_seconds(name, 100 * cells * bodies, 2 * bodies)
+    facets = _facets(design, grids[name])
+    if name in STL_FORMATS:
+        return costs.stl_seconds(facets * cells)
+    if name in REPEATING:
+        return costs.welded_seconds(name, facets, cells * bodies)
+    return costs.welded_seconds("ply", facets * cells, 0)

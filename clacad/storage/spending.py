@@ -1,0 +1,102 @@
+"""What reading one file has taken so far, held against its reader's budget."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from clacad.base.reading_budgets import BUDGETS, MEGABYTE
+from clacad.storage.errors import OverBudget, UnreadableFile
+
+LONGEST_LINE = 1 << 16
+LOOK = 4096
+"""Lines or items between two looks at the clock."""
+
+
+class Spending:
+    """Counts what a reader takes of one file; the file is refused as soon as that is more than its budget.
+
+    Parameters
+    ----------
+    reader : str
+        A key of `BUDGETS`.
+    path : path
+    size : int or None
+        Bytes of the file; None: as it lies on the disk.
+
+    Raises
+    ------
+    OverBudget
+        The file has more bytes than the reader takes.
+    OSError
+        The file is not there.
+    """
+
+    def __init__(self, reader: str, path: str | os.PathLike[str], size: int | None = None) -> None:
+        self.name = Path(path).name
+        self.budget = BUDGETS[reader]
+        self.items = 0
+        self._size = 0
+        self._began = time.thread_time()
+        self.unpacked(os.stat(path).st_size if size is None else size)
+
+    def unpacked(self, size: int, of: str = "") -> None:
+        """Note how many bytes the file is, or inflates to: more bytes, more seconds.
+
+        Raises
+        ------
+        OverBudget
+        """
+        self._size = max(self._size, size)
+        if size > self.budget.bytes:
+            raise self._refusal(f"{size:,} bytes{of} are more than the {self.budget.bytes:,} that are read")
+
+    def count(self, items: int, at: str = "") -> None:
+        """Note that so many more items were found; `at` says where in the file.
+
+        Raises
+        ------
+        OverBudget
+        """
+        self.items += items
+        most = self.budget.items
+        if most is not None and self.items > most:
+            raise self._refusal(f"more than {most:,} {self.budget.item}{at and ', ' + at}")
+
+    def look(self, at: str = "") -> None:
+        """Hold the processor seconds of this thread since the beginning against the budget.
+
+        Raises
+        ------
+        OverBudget
+        """
+        most = self.budget.seconds_for(self._size)
+        if time.thread_time() - self._began > most:
+            raise self._refusal(
+                f"reading its {self._size / MEGABYTE:.3g} MB took more than {most:.3g} s of processor time"
+                f"{at and ', ' + at}"
+            )
+
+    def lines(self, stream: IO[bytes]) -> Iterator[bytes]:
+        """Lines of a text file; the clock is looked at now and then.
+
+        Raises
+        ------
+        UnreadableFile
+            A line has more than 65,536 bytes.
+        OverBudget
+        """
+        number = 0
+        while line := stream.readline(LONGEST_LINE + 1):
+            number += 1
+            if len(line) > LONGEST_LINE:
+                raise UnreadableFile(f"{self.name}: line {number} has more than {LONGEST_LINE:,} bytes")
+            if number % LOOK == 0:
+                self.look(f"in line {number:,}")
+            yield line
+
+    def _refusal(self, why: str) -> OverBudget:
+        return OverBudget(f"{self.name}: {why} ('clacad doctor' lists what is read)")

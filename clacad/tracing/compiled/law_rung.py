@@ -1,0 +1,145 @@
+"""Rung "law" compiled: blocks of rays that cross the sheet well inside a cell; the rest is left to numpy.
+
+The twin of `clacad.tracing.reference.law_rung`. Directions are worked out in the order of `Law.refract`, so that they
+are the same to the last bit; without its scaling by powers of two, which only directions and laws of insane size need.
+"""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+
+import numpy as np
+
+from clacad.base.compiled import exact, least, multiply_add, owning
+from clacad.base.compiled_pairs import two_sum
+from clacad.base.types import Floats, Rows
+from clacad.optics.law import law_numbers
+from clacad.optics.rays import Rays
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.chunk import load_block, queue_undecided, store_block
+from clacad.tracing.compiled.launch import launch_block
+from clacad.tracing.compiled.packing import Packed, pack
+from clacad.tracing.compiled.plain_cases import (
+    FAR,
+    MISS,
+    NEAR,
+    arrive_well_inside,
+    miss,
+    rows_left,
+    surely_unmet,
+)
+from clacad.tracing.compiled.records import Outcome
+from clacad.tracing.compiled.straight_path import copy_row
+from clacad.tracing.compiled.straight_path_slots import (
+    BLOCK,
+    CI,
+    CI0,
+    CJ,
+    CJ0,
+    DX,
+    DY,
+    DZ,
+    GOOD,
+    GZ,
+    LEFT_X,
+    LEFT_Y,
+    PATH,
+    ROOT,
+    SCRATCH,
+    STEEP,
+    X,
+    Y,
+)
+from clacad.tracing.layout import Layout
+from clacad.tracing.ledger import Ledger
+
+ETA_X, ETA_Y, DELTA_X, DELTA_Y, R0 = range(5)
+"""Places in `law_numbers`."""
+
+SANE = STEEP
+"""Row of a block that is positive where a direction is of ordinary size and goes forwards."""
+
+LARGE = 2.0**100
+"""Laws with a number beyond this, or an η below its inverse, are left to numpy."""
+
+
+def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
+    """Write the rows of rays (n) that plainly cross a kept cell in z = 0; return the others (k,), not yet written."""
+    law = law_numbers(layout.window.law)
+    if not (np.abs(law[: ETA_Y + 1]).min() > 1.0 / LARGE and np.abs(law).max() < LARGE):
+        return np.arange(len(rays))
+    return rows_left(law_chunk, _sheet_plane(layout), law, rays, ledger, threads)
+
+
+def _sheet_plane(layout: Layout) -> Packed:
+    """The sheet plane z = 0 as a body of no thickness with one face."""
+    return pack(layout)._replace(
+        faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), indices=np.ones(1)
+    )
+
+
+@owning
+def law_chunk(
+    sheet: Packed, law: Floats, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
+) -> int:
+    """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows.
+
+    law : see `law_numbers`
+    left : (len(chosen),)
+        Takes the rows that are not decided here; returned is how many.
+    """
+    s, count = np.zeros((SCRATCH, BLOCK)), 0
+    for first in range(0, len(chosen), BLOCK):
+        block = chosen[first : first + BLOCK]
+        m = len(block)
+        load_block(block, start, ray, s)
+        _refract(law, s, m)
+        launch_block(sheet.lattice, sheet.bodies[0], s, m)
+        copy_row(s[GOOD], s[SANE], m)
+        arrive_well_inside(sheet, s, m)
+        _cross(sheet, s, m)
+        store_block(sheet, s, block, 0, out)
+        miss(s, block, start, ray, out)
+        count = queue_undecided(s, block, left, count)
+    return count
+
+
+@exact
+def _refract(law: Floats, s: Floats, m: int) -> None:
+    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and how surely there are any into GZ."""
+    dx, dy, dz, out_x, out_y, out_z, sure = s[DX], s[DY], s[DZ], s[LEFT_X], s[LEFT_Y], s[ROOT], s[GZ]
+    eta_x, eta_y, delta_x, delta_y = law[ETA_X], law[ETA_Y], law[DELTA_X], law[DELTA_Y]
+    a, b, c = law[R0], law[R0 + 1], law[R0 + 2]
+    d, e, f = law[R0 + 3], law[R0 + 4], law[R0 + 5]
+    g, h, k = law[R0 + 6], law[R0 + 7], law[R0 + 8]
+    for i in range(m):
+        u, v, w = dx[i], dy[i], dz[i]
+        x, y, z = (a * u + d * v) + g * w, (b * u + e * v) + h * w, (c * u + f * v) + k * w
+        sure[i] = z - NEAR * (abs(u) + abs(v) + abs(w))
+        product = delta_x * z
+        total, rest = two_sum(x, -product)
+        x = (total + (rest - multiply_add(delta_x, z, -product))) / eta_x
+        product = delta_y * z
+        total, rest = two_sum(y, -product)
+        y = (total + (rest - multiply_add(delta_y, z, -product))) / eta_y
+        u, v, w = (a * x + b * y) + c * z, (d * x + e * y) + f * z, (g * x + h * y) + k * z
+        length = sqrt(u * u + v * v + w * w)
+        out_x[i], out_y[i], out_z[i] = u / length, v / length, w / length
+
+
+@exact
+def _cross(sheet: Packed, s: Floats, m: int) -> None:
+    """Give rays that start before the plane their new directions; those that are turned back or nearly so are not good."""
+    x, y, dx, dy, dz, good, path = s[X], s[Y], s[DX], s[DY], s[DZ], s[GOOD], s[PATH]
+    out_x, out_y, out_z, sure = s[LEFT_X], s[LEFT_Y], s[ROOT], s[GZ]
+    copy_row(s[CI], s[CI0], m)
+    copy_row(s[CJ], s[CJ0], m)
+    far = FAR * sheet.lattice[slot.REACH]
+    for i in range(m):
+        dx[i], dy[i], dz[i] = out_x[i], out_y[i], out_z[i]
+        certain = least(least(good[i], sure[i]), out_z[i] - NEAR)
+        met = (path[i] >= 0.0) & (path[i] < far) & (abs(x[i]) + abs(y[i]) < inf)
+        good[i] = certain if met else 0.0
+    for i in range(m):
+        if not good[i] > 0.0:
+            s[MISS, i] = 1.0 if surely_unmet(sheet, s, i, s[SANE, i], path[i]) else 0.0

@@ -1,0 +1,254 @@
+"""A window made ready for rays: what is laid out once for all the calls that trace through it.
+
+Which implementation runs changes no fate and no cell, and directions by 1.4e-15 at most. A call with `path` "numpy",
+"numba" or "size" gives the same bits wherever and whenever it runs; what the package writes is traced so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from clacad.base.types import Rows, Rung
+from clacad.optics.rays import Rays, TraceResult
+from clacad.sheet.window import Window
+from clacad.tracing.layout import Layout, lay_out
+from clacad.tracing.ledger import Ledger
+from clacad.tracing.reference.law_rung import trace_law
+from clacad.tracing.reference.surfaces import trace_surfaces
+from clacad.tracing.reference.thin import trace_thin
+from clacad.tracing.triangles.ready_facets import Facets, facets_of
+
+if TYPE_CHECKING:
+    from clacad.effects.engine.passes import Effect
+    from clacad.tracing.triangles.facet_grid import Triangles
+    from clacad.tracing.triangles.ready_facets import AnyMesh
+    from clacad.tracing.triangles.tiles import Normals, Tiles
+
+Path = Literal["numpy", "numba", "size"]
+
+SMALL_JOB = 3_000_000
+"""Ray-surfaces below which numpy alone is faster than loading the compiled kernels."""
+
+IDEAL_FACES = 4
+"""Faces that a ray counts for on rungs law and thin, which have none: numpy takes about as long."""
+
+_LOADED: set[str] = set()
+"""Rungs whose compiled kernel has run in this process."""
+
+
+def worth_compiled(rays: int, faces: int) -> bool:
+    """Whether so many rays through so many faces are traced by the compiled kernels if nothing else is asked for."""
+    return rays * faces > SMALL_JOB
+
+
+@dataclass(frozen=True, eq=False)
+class Tracer:
+    """One window and rung, laid out once, called with rays as often as wanted, from any thread.
+
+    Parameters
+    ----------
+    window, rung, effects, mesh, normals, threads, path, precision
+        As of `clacad.trace`. A file of triangles is read here; what it becomes later is not seen.
+
+    Raises
+    ------
+    ValueError
+        As `clacad.trace`.
+
+    Notes
+    -----
+    A tracer can be pickled and sent to other processes, what was laid out with it.
+
+    >>> tracer = clacad.Tracer(window, rung="mesh", mesh="sheet.stl")  # doctest: +SKIP
+    >>> result = tracer(rays)                                          # doctest: +SKIP
+    """
+
+    window: Window
+    rung: Rung = "surfaces"
+    effects: Sequence[str | Effect] = ()
+    mesh: AnyMesh | None = None
+    normals: Normals = "facet"
+    threads: int | None = None
+    path: Path | None = None
+    precision: Literal["float64", "float32"] = "float64"
+    facets: Facets | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be traced, and lay out."""
+        self._refuse_words()
+        if self.rung == "mesh":
+            if self.mesh is None:
+                raise ValueError('rung "mesh" needs mesh=')
+            object.__setattr__(self, "facets", facets_of(self.window, self.mesh, self.normals))
+        else:
+            lay_out(self.window)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the mesh: what was laid out of it is kept."""
+        return {**self.__dict__, "mesh": None}
+
+    def __call__(self, rays: Rays, record: bool = False) -> TraceResult:
+        """Trace rays; see `clacad.trace`."""
+        if self.precision == "float32" and record:
+            raise ValueError('precision "float32" keeps no record')
+        if self.effects:
+            from clacad.effects import trace_with  # passes over the blocks of a trace without them
+
+            mesh = self.facets if self.facets is not None else self.mesh
+            result: TraceResult = trace_with(
+                self.window, rays, self.rung, self.effects, record, mesh=mesh, normals=self.normals,
+                threads=self.threads, path=self.path,
+            )  # fmt: skip
+            return result
+        ideal = {"law": 1, "thin": 2}.get(self.rung)
+        faces = 2 * len(self.window.bodies) if ideal is None else IDEAL_FACES
+        recorded = (ideal or faces) if record else 0
+        if self.facets is not None:
+            return _through_facets(self.facets, rays, recorded, self.threads)
+        layout, single = lay_out(self.window), self.precision == "float32"
+        if single or compiled_suits(self.rung, self.path, len(rays), faces):
+            if self.rung == "surfaces":
+                return _compiled(layout, rays, recorded, self.threads, single=single)
+            if not record:
+                return _ideal(layout, rays, self.rung, self.threads)
+        return _by_numpy(layout, rays, self.rung, recorded)
+
+    def _refuse_words(self) -> None:
+        """Refuse words that are not known, and a mesh or its normals where no facets are traced."""
+        known: dict[str, tuple[object, ...]] = {
+            "rung": ("law", "thin", "surfaces", "mesh"), "path": ("numpy", "numba", "size", None),
+            "precision": ("float64", "float32"), "normals": ("facet", "vertex"),
+        }  # fmt: skip
+        for name, words in known.items():
+            value = getattr(self, name)
+            if value not in words:
+                *most, last = (f'"{word}"' if word else "None" for word in words)
+                raise ValueError(f"{name} is {value!r}, not {', '.join(most)} or {last}")
+        if self.mesh is not None and self.rung != "mesh":
+            raise ValueError(f'mesh= is for rung "mesh", not {self.rung!r}')
+        facets = any(effect == "facets" or getattr(effect, "rung", None) == "mesh" for effect in self.effects)
+        if self.normals != "facet" and self.rung != "mesh" and not facets:
+            raise ValueError(f'normals="vertex" is for rung "mesh", not {self.rung!r}')
+        if self.precision == "float32" and (self.rung != "surfaces" or self.effects or self.path == "numpy"):
+            raise ValueError(
+                'precision "float32" is for rung "surfaces", compiled, with no effects and no record'
+            )
+
+
+def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int) -> bool:
+    """Whether compiled code traces so many rays through so many faces: as asked, or where it is done first."""
+    if path is None and rung in _LOADED:
+        return True
+    return path == "numba" or (path != "numpy" and worth_compiled(rays, faces))
+
+
+def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int) -> TraceResult:
+    """Rungs law, thin and surfaces in numpy, hits kept at so many faces."""
+    ledger = Ledger.opened(rays, recorded)
+    rows = ledger.launchable()
+    if rung == "law":
+        trace_law(layout, ledger, rows)
+    elif rung == "thin":
+        trace_thin(layout, ledger, rows)
+    else:
+        for same, indices in colours(layout, rays, rows):
+            trace_surfaces(layout, ledger, same, indices)
+    return ledger.closed()
+
+
+def _through_facets(facets: Facets, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
+    """Rung "mesh"; by Embree what goes straight through, where it shall search, the rest by the own trees."""
+    layout, found_in = facets.layout, facets.found_in
+    if not facets.embree or recorded or rays.wavelength is not None:
+        return _compiled(layout, rays, recorded, threads, found_in)
+    from clacad.tracing.triangles.embree import trace_straight
+
+    result, decided = trace_straight(layout, facets.embree, rays)
+    rest = np.flatnonzero(~decided)
+    if len(rest):
+        own = _compiled(layout, Rays(rays.position[rest], rays.direction[rest]), 0, threads, found_in)
+        _enter(result, rest, own)
+    return result
+
+
+def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:
+    """Write the rows (k,) of rays that were traced apart, with no effects."""
+    for name in ("position", "direction", "fate", "optical_path", "cell", "order", "surface"):
+        getattr(result, name)[rows] = getattr(own, name)
+
+
+def _ideal(layout: Layout, rays: Rays, rung: Rung, threads: int | None) -> TraceResult:
+    """Rungs law and thin: the plain rays by the compiled kernels, the rest in numpy."""
+    from clacad.tracing.compiled.law_rung import trace_law_plain
+    from clacad.tracing.compiled.thin import trace_thin_plain
+    from clacad.tracing.compiled.threads import thread_count
+
+    ledger, waves = Ledger.blank(len(rays), 0), rays.wavelength
+    trace_plain = trace_law_plain if rung == "law" else trace_thin_plain
+    rest, result = trace_plain(layout, rays, ledger, thread_count(threads)), ledger.closed()
+    _LOADED.add(rung)
+    if waves is not None:  # whatever the geometry says, what is no wavelength is INVALID
+        rest = np.union1d(rest, np.flatnonzero(~(np.isfinite(waves) & (waves > 0.0))))
+    if len(rest):
+        own = Rays(rays.position[rest], rays.direction[rest], None if waves is None else waves[rest])
+        _enter(result, rest, _by_numpy(layout, own, rung, 0))
+    return result
+
+
+def _compiled(
+    layout: Layout,
+    rays: Rays,
+    recorded: int,
+    threads: int | None,
+    facets: Tiles | Triangles | None = None,
+    single: bool = False,
+) -> TraceResult:
+    """Exact surfaces, or `facets`, by the compiled kernels."""
+    from clacad.tracing.compiled.surfaces import trace_compiled
+    from clacad.tracing.compiled.threads import thread_count
+
+    count = thread_count(threads)
+    line = common_line(rays)
+    if line is not False:  # the kernels write every row themselves
+        ledger = Ledger.blank(len(rays), recorded)
+        indices = tuple(body.index_at(line) for body in layout.window.bodies)
+        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets, single)
+    else:
+        ledger = Ledger.opened(rays, recorded)
+        for rows, indices in colours(layout, rays, ledger.launchable()):
+            trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
+    if facets is None and not single:
+        _LOADED.add("surfaces")
+    return ledger.closed()
+
+
+def common_line(rays: Rays) -> float | Literal[False] | None:
+    """Wavelength of all the rays, None for the design's; False if they differ or if some are no wavelengths."""
+    waves = rays.wavelength
+    if waves is None:
+        return None
+    if len(waves) == 0 or not 0.0 < waves[0] < np.inf or bool((waves != waves[0]).any()):
+        return False
+    return float(waves[0])
+
+
+def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
+    """Rows (k,) of rays of one wavelength at a time, with the refractive index of each body there."""
+    bodies = layout.window.bodies
+    if rays.wavelength is None:
+        yield rows, tuple(body.index for body in bodies)
+        return
+    each = rays.wavelength[rows]
+    if len(each) and bool((each == each[0]).all()):  # pictures come line by line: nothing to sort
+        yield rows, tuple(body.index_at(float(each[0])) for body in bodies)
+        return
+    waves, which = np.unique(each, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
+    for k, wave in enumerate(waves):
+        chosen = rows[order[bounds[k] : bounds[k + 1]]]
+        yield chosen, tuple(body.index_at(float(wave)) for body in bodies)

@@ -1,0 +1,136 @@
+"""Triangles from anywhere over a grid of bins in the sheet plane, so that a ray straight through tests a handful.
+
+A sheet is flat: between the lowest and the highest point of its lenses a ray crosses a bin or two. Each bin lists the
+facets over it that are no walls, and where walls stand is counted; what a ray meets along so short a stretch is
+then known beyond doubt, whatever the triangles are, or the ray is left to the trees of `hierarchy`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.facet_vectors import doubled_normals
+from clacad.base.types import Floats, Ints
+from clacad.sheet.window import WALL
+from clacad.tracing.triangles.hierarchy import Hierarchy
+from clacad.tracing.triangles.tiles import over_bins
+
+# Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and of the first
+# corner of bins, and the heights between which facets that look down, and those that look up, lie.
+LOW_X, LOW_Y, PER_X, PER_Y, BINS_X, BINS_Y, BIN, CORNER, DOWN_LOW, DOWN_HIGH, UP_LOW, UP_HIGH = range(12)
+GRID_NUMBERS = 12
+
+HAIR = 1e-4
+"""Share of a bin, along its borders, in which a ray is left to the trees: facets that reach no further are not listed."""
+
+FULLEST = 16
+"""Entries a triangle, on average, beyond which no grid is made."""
+
+
+class FacetGrid(NamedTuple):
+    """Bins of every body, one body after the other.
+
+    Attributes
+    ----------
+    table : (bodies, GRID_NUMBERS)
+        Lengths in the sheet frame.
+    start : (bins + 1,) ints, member : ints
+        Triangles of the hierarchy over bin b are member[start[b] : start[b + 1]].
+    walled : (corners of bins,) ints
+        For each corner of bins, how many bins to its left and below hold walls: four of them tell of any rectangle.
+    """
+
+    table: Floats
+    start: Ints
+    member: NDArray[np.int32]
+    walled: NDArray[np.int32]
+
+
+class Triangles(NamedTuple):
+    """Triangles from anywhere, in both of their orders.
+
+    trees : Hierarchy
+    grid : FacetGrid
+    """
+
+    trees: Hierarchy
+    grid: FacetGrid
+
+
+NO_GRID = FacetGrid(
+    np.zeros((0, GRID_NUMBERS)),
+    np.zeros(1, dtype=np.int64),
+    np.zeros(0, dtype=np.int32),
+    np.zeros(0, dtype=np.int32),
+)
+
+
+def facet_grid(trees: Hierarchy) -> FacetGrid:
+    """Sort a hierarchy's triangles into bins; `NO_GRID` where they are too unlike in size for that to help."""
+    walled: list[NDArray[np.int32]] = []
+    tables, starts, members, first = [], [np.zeros(1, dtype=np.int64)], [], 0
+    for begin, count in trees.tree[:, 1:3].tolist():
+        corners = trees.corner[begin : begin + count]
+        made = _body_grid(corners)
+        if made is None:
+            return NO_GRID
+        table, start, member, walls = made
+        table[BIN], table[CORNER] = first, sum(len(each) for each in walled)
+        tables.append(table)
+        starts.append(start[1:] + starts[-1][-1])
+        members.append((member + begin).astype(np.int32))
+        walled.append(walls)
+        first += len(start) - 1
+    return FacetGrid(
+        np.array(tables), np.concatenate(starts), np.concatenate(members), np.concatenate(walled)
+    )
+
+
+def _body_grid(corners: Floats) -> tuple[Floats, Ints, Ints, NDArray[np.int32]] | None:
+    """One body's row of the table, starts, members (numbers among `corners`), sums of walls."""
+    normal = doubled_normals(corners)
+    walls = normal[:, 2] ** 2 < WALL**2 * np.einsum("ij,ij->i", normal, normal)
+    lens = np.flatnonzero(~walls)
+    if not len(lens):
+        return None
+    low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
+    box_low, box_high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+    width = np.median(box_high[lens] - box_low[lens], axis=0)
+    limit = max(1.0, np.sqrt(4.0 * len(lens)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bins = np.clip(
+            np.nan_to_num(np.rint((high - low) / width), nan=1.0, posinf=limit), 1.0, limit
+        ).astype(np.int64)
+    per = bins / np.maximum(high - low, 1e-300)
+    begin, end = (box_low - low) * per, (box_high - low) * per
+    thin = end - begin < 4.0 * HAIR  # might lie along a border and be listed on neither side
+    margin = np.where(thin, 0.0, HAIR)
+    i0 = np.clip(np.floor(begin + margin), 0, bins - 1).astype(np.int64)
+    i1 = np.clip(np.floor(end - margin), 0, bins - 1).astype(np.int64)
+    across = np.maximum(i1 - i0 + 1, 1)
+    if int(across[lens].prod(axis=1).sum()) > FULLEST * len(corners) + int(bins.prod()):
+        return None
+    facet, where = over_bins(lens, i0, across, int(bins[0]))
+    order = np.argsort(where, kind="stable")
+    start = np.searchsorted(where[order], np.arange(int(bins.prod()) + 1)).astype(np.int64)
+    up = normal[lens, 2] > 0.0
+    heights = [_range(corners[lens[side], :, 2]) for side in (~up, up)]
+    table = np.array([*low, *per, *bins.astype(float), 0.0, 0.0, *heights[0], *heights[1]])
+    return table, start, facet[order], _sums_of_walls(np.flatnonzero(walls), i0, across, bins)
+
+
+def _range(heights: Floats) -> tuple[float, float]:
+    """Lowest and highest; an empty range where there are none."""
+    return (float(heights.min()), float(heights.max())) if heights.size else (np.inf, -np.inf)
+
+
+def _sums_of_walls(walls: Ints, first: Ints, across: Ints, bins: Ints) -> NDArray[np.int32]:
+    """Bins with walls to the left and below of every corner of bins, row by row."""
+    held = np.zeros((int(bins[1]) + 1, int(bins[0]) + 1), dtype=np.int32)
+    _, where = over_bins(walls, first, across, int(bins[0]))
+    j, i = np.divmod(where, int(bins[0]))
+    held[j + 1, i + 1] = 1
+    return np.ascontiguousarray(held.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)).ravel()

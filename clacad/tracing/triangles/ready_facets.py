@@ -1,0 +1,81 @@
+"""Triangles in place of a window's faces, read and laid out once and kept with the window."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from weakref import ref
+
+from clacad.sheet.window import Window
+from clacad.tracing.layout import Layout
+
+if TYPE_CHECKING:
+    from clacad.mesh import Mesh
+    from clacad.tracing.triangles.embree import BodyTree
+    from clacad.tracing.triangles.facet_grid import Triangles
+    from clacad.tracing.triangles.tiles import Normals, Tiles
+    from clacad.tracing.triangles.triangle_soup import TriangleSoup
+
+    AnyMesh = Mesh | TriangleSoup | str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """Triangles in place of a window's faces, ready for rays.
+
+    layout : Layout
+        The window, with the bounds of the triangles.
+    found_in : Tiles or Triangles
+    embree : tuple of BodyTree
+        Of each body, where Embree shall search; else empty.
+    """
+
+    layout: Layout
+    found_in: Tiles | Triangles
+    embree: tuple[BodyTree, ...] = ()
+
+
+def facets_of(window: Window, mesh: AnyMesh | Facets, normals: Normals) -> Facets:
+    """Triangles ready for rays through a window; the last ones are kept with the window.
+
+    Raises
+    ------
+    ValueError
+        The mesh has other bodies than the window, no normals where those are asked for, or no unit that fits.
+    """
+    if isinstance(mesh, Facets):
+        return mesh
+    key = _identity(mesh)
+    kept: tuple[Callable[[], object], Normals, Facets] | None = window.kept.get("facets")
+    if kept is not None and kept[0]() == key() and kept[1] == normals:
+        return kept[2]
+    facets = _laid_out(window, mesh, normals)
+    window.kept["facets"] = key, normals, facets
+    return facets
+
+
+def _identity(mesh: AnyMesh) -> Callable[[], object]:
+    """What tells a mesh from others when called: the object, None once it is gone; of a file, its place, time and size."""
+    if not isinstance(mesh, (str, os.PathLike)):
+        return ref(mesh)
+    facts = os.stat(mesh)
+    known = (os.path.realpath(mesh), facts.st_mtime_ns, facts.st_size, facts.st_ino)
+    return lambda: known
+
+
+def _laid_out(window: Window, mesh: AnyMesh, normals: Normals) -> Facets:
+    from clacad.tracing.triangles.tiles import lay_out_mesh
+    from clacad.tracing.triangles.triangle_soup import TriangleSoup, lay_out_soup, read_soup
+
+    if isinstance(mesh, (str, os.PathLike)):
+        mesh = read_soup(mesh, window)
+    if not isinstance(mesh, TriangleSoup):
+        return Facets(*lay_out_mesh(window, mesh, normals))
+    layout, triangles = lay_out_soup(window, mesh, normals)
+    if mesh.search != "embree" or normals == "vertex":
+        return Facets(layout, triangles)
+    from clacad.tracing.triangles.embree import body_trees
+
+    return Facets(layout, triangles, body_trees(triangles.trees))

@@ -1,0 +1,43 @@
+"""A worker that reads a stranger's file by a native library: memory and processor time as the file's size allows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from clacad.exporting.limits import worker_memory
+from clacad.formats.step.read_back import OCC_BYTES
+from clacad.storage.spending import Spending
+from clacad.storage.worker import Worker
+
+WAITS, START = 3, 60.0
+"""Seconds that are waited at most for each second of processor time, and in any case: other programs run, too."""
+
+
+def reading_worker(path: Path) -> Worker:
+    """Start a worker that may read one STEP, BREP or GDSII file and send light through its faces.
+
+    Raises
+    ------
+    OverBudget
+        The file is larger than any that is read.
+    OSError
+        It is not there.
+    """
+    spent, size = _spending(path)
+    most = worker_memory()
+    allowed = spent.budget.memory_for(size)
+    seconds = spent.budget.seconds_for(size)
+    return Worker(memory=most if allowed is None else min(most, allowed), cpu=max(1, int(seconds)))
+
+
+def longest_wait(path: Path) -> float:
+    """Seconds after which a worker that has not answered is ended."""
+    spent, size = _spending(path)
+    return START + WAITS * spent.budget.seconds_for(size)
+
+
+def _spending(path: Path) -> tuple[Spending, int]:
+    """Budget of a file, which is another one where only its text is read; and its size, bytes."""
+    size = path.stat().st_size
+    reader = {".brep": "brep", ".gds": "gds"}.get(path.suffix.lower(), "step")
+    return Spending("step-text" if reader == "step" and size > OCC_BYTES else reader, path, size), size

@@ -1,0 +1,171 @@
+"""Processor seconds and wall clock of what people call, each row in a process of its own.
+
+    python tests/benchmarks/calls.py [ROW ...] [--against OTHER_TREE]
+
+Without rows all of them run; `--list` names them. A row runs with PYTHONPATH set to the tree, after the kernels of that tree
+were compiled, and counts its whole process: starting Python, loading modules, and every process it starts itself. Of rows
+that take less than ten seconds the best of three is said. With `--against` each row runs once in this tree and once in the
+other, in turns, so that both meet the same neighbours on a shared machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SHORT, TIMES = 10.0, 3
+"""Seconds below which a row is measured so many times."""
+
+ENDED = (0, 1)
+"""Exit statuses of a run that did its work; 1: a check failed."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One call and what must be there before it.
+
+    command : tuple of str
+        Arguments of `clacad`, or a file to run with Python; {tree}, {out}, {given} and {empty} are filled in.
+    given : str
+        Row whose output it reads; "" for none.
+    """
+
+    command: tuple[str, ...]
+    given: str = ""
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """What a run took: processor seconds with those of its children, wall clock, peak memory (bytes), bytes written."""
+
+    processor: float
+    wall: float
+    memory: int
+    written: int
+
+
+def _export(design: str, *options: str) -> Row:
+    return Row(("export", f"designs/{design}.toml", "-o", "{out}", "-q", *options))
+
+
+def _verify(design: str, given: str, *options: str) -> Row:
+    return Row(("verify", f"designs/{design}.toml", "--files", "{given}", "-q", *options), given)
+
+
+def _step(cells: int) -> Row:
+    return _export(
+        "paper-base", "--cells", f"{cells}x{cells}", "--format", "step", "--step", "instanced", "--force"
+    )
+
+
+ROWS: Mapping[str, Row] = {
+    "check": Row(("check", "designs/baffled.toml", "-q")),
+    "export-step-10": _step(10),
+    "export-step-100": _step(100),
+    "export-step-200": _step(200),
+    "export-step-1000": _step(1000),
+    "verify-step-10": _verify("paper-base", "export-step-10", "--cells", "10x10"),
+    "verify-step-200": _verify("paper-base", "export-step-200", "--cells", "200x200"),
+    "verify-step-1000": _verify("paper-base", "export-step-1000", "--cells", "1000x1000"),
+    "export-3mf-200": _export("paper-base", "--format", "3mf", "--quads", "16"),
+    "verify-3mf-200": _verify("paper-base", "export-3mf-200"),
+    "export-3mf-200-64": _export("paper-base", "--format", "3mf", "--quads", "64"),
+    "verify-3mf-200-64": _verify("paper-base", "export-3mf-200-64"),
+    "export-stl-200": _export("paper-base", "--format", "stl", "--quads", "8"),
+    "verify-stl-200": _verify("paper-base", "export-stl-200"),
+    "export-main": _export("paper-a-covered", "--format", "step,3mf,stl", "--quads", "3mf=auto,stl=4", "--role", "stl=preview"),
+    "verify-main": _verify("paper-a-covered", "export-main", "-o", "{out}"),
+}  # fmt: skip
+"""Name → what is run. Rows of a few seconds to minutes; one whose name another row gives runs first."""
+
+
+def run(row: Row, tree: Path, out: Path, given: Path) -> Seconds:
+    """Run a row once in a process of its own.
+
+    Raises
+    ------
+    SystemExit
+        It ended with a status that says that it did not do its work.
+    """
+    words = [word.format(tree=tree, out=out, given=given) for word in row.command]
+    program = (
+        [sys.executable, *words] if words[0].endswith(".py") else [sys.executable, "-m", "clacad", *words]
+    )
+    shutil.rmtree(out, ignore_errors=True)
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | {
+        "PYTHONPATH": str(tree)
+    }
+    began = time.monotonic()
+    running = subprocess.Popen(
+        program, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=tree, env=environment
+    )
+    assert running.stderr is not None
+    words_said = running.stderr.read()
+    _, status, used = os.wait4(running.pid, 0)
+    running.returncode = os.waitstatus_to_exitcode(status)
+    if running.returncode not in ENDED:
+        raise SystemExit(f"{' '.join(words)} ended with {running.returncode}: {words_said.decode()[-500:]}")
+    written = sum(path.stat().st_size for path in out.glob("*")) if out.is_dir() else 0
+    # the peak is that of the largest process: a child of this one, or one that it started
+    return Seconds(used.ru_utime + used.ru_stime, time.monotonic() - began, used.ru_maxrss * 1024, written)
+
+
+def best(name: str, tree: Path, folder: Path) -> Seconds:
+    """The least of several runs of a short row, the one run of a long one; what it reads is made first, once a tree."""
+    row = ROWS[name]
+    given = folder / row.given
+    if row.given and not given.is_dir():
+        run(ROWS[row.given], tree, given, folder)
+    found = [run(row, tree, folder / name, given)]
+    while len(found) < TIMES and found[0].processor < SHORT:
+        found.append(run(row, tree, folder / name, given))
+    return min(found, key=lambda one: one.processor)
+
+
+def line(name: str, found: Seconds, other: Seconds | None) -> str:
+    """One row of the table."""
+    words = f"| {name} | {found.processor:.2f} | {found.wall:.2f} | {found.memory / 1e6:.0f} | {found.written / 1e6:.2f} |"
+    if other is not None:
+        words += f" {other.processor:.2f} | {other.wall:.2f} | {other.memory / 1e6:.0f} | {other.processor / found.processor:.1f} |"
+    return words
+
+
+def main() -> None:
+    """Run rows and print a table."""
+    parser = argparse.ArgumentParser(description="Processor seconds and wall clock of what people call.")
+    parser.add_argument("rows", nargs="*", metavar="ROW", help="default: all")
+    parser.add_argument(
+        "--against", type=Path, help="another tree of this program, measured in turns with this one"
+    )
+    parser.add_argument("--list", action="store_true", help="name the rows")
+    asked = parser.parse_args()
+    if asked.list:
+        print("\n".join(ROWS))
+        return
+    trees = [ROOT] if asked.against is None else [ROOT, asked.against.resolve()]
+    head = "| row | processor s | wall s | peak MB | MB written |"
+    head += " before: processor s | wall s | peak MB | ratio |" if len(trees) > 1 else ""
+    print(f"{head}\n|{'---|' * (head.count('|') - 1)}", flush=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in asked.rows or ROWS:
+            found = [best(name, tree, _folder(Path(scratch), number)) for number, tree in enumerate(trees)]
+            print(line(name, found[0], found[1] if len(found) > 1 else None), flush=True)
+
+
+def _folder(scratch: Path, number: int) -> Path:
+    folder = scratch / str(number)
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+if __name__ == "__main__":
+    main()

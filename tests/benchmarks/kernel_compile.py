@@ -1,0 +1,74 @@
+"""What compiling takes, kernel by kernel: python tests/benchmarks/kernel_compile.py [WORD].
+
+Each kernel in a process of its own with an empty cache, then again with the cache it left: seconds of processor of the
+first call, of loading, memory at the peak, and which calls of a user ask for it. WORD picks rows.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+PREPARE = """
+import resource, sys, time
+sys.path[:0] = [{tests!r}, {tests!r} + "/benchmarks"]
+import numpy as np
+from oracle.windows import biconvex
+from trace_speed import beam
+from viewscenes import view_scene
+from clacad import tessellate, trace
+from clacad.rendering import view_through
+from clacad.tracing.triangles.triangle_soup import TriangleSoup
+window = biconvex(count=(20, 20))
+rays = beam(window, 1000, 0.001, 0.4)
+mesh = tessellate(window, quads=4)
+soup = TriangleSoup(np.concatenate([rows for body in mesh.bodies for rows in body.rows()]))
+scene = view_scene("phi_45", 60, "surfaces")
+began = time.process_time()
+{call}
+spent = time.process_time() - began
+print(spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+TRACE = "trace(window, rays, threads=1, "
+KERNELS = {
+    "surfaces": (TRACE + 'path="numba")', "trace of 750,000 rays or more; accuracy; scenes with many rays"),
+    "mesh": (TRACE + 'rung="mesh", mesh=mesh)', "rung mesh with the sheet's own mesh; report, accuracy"),
+    "triangles": (TRACE + 'rung="mesh", mesh=soup)', "rung mesh with a file"),
+    "float32": (TRACE + 'precision="float32")', 'precision="float32"; accuracy'),
+    "law": (TRACE + 'rung="law", path="numba")', "rung law, many rays"),
+    "thin": (TRACE + 'rung="thin", path="numba")', "rung thin, many rays"),
+    "losses (with surfaces)": (
+        TRACE + 'effects=("fresnel", "absorption", "polarisation"), path="numba")', "effects, many rays"
+    ),
+    "picture": ("view_through(scene, threads=1, compiled=True)", "pictures of more than 250,000 rays"),
+}  # fmt: skip
+
+
+def measured(call: str, cache: str) -> tuple[float, float]:
+    """Seconds of processor of the first call of a process, and its peak of memory in MB."""
+    source = PREPARE.format(tests=str(ROOT / "tests"), call=call)
+    told = subprocess.run(
+        [sys.executable, "-c", source], env={**os.environ, "NUMBA_CACHE_DIR": cache, "PYTHONPATH": str(ROOT)},
+        check=True, capture_output=True, text=True,
+    ).stdout.split()  # fmt: skip
+    return float(told[-2]), float(told[-1]) / 1e3
+
+
+def main(word: str = "") -> None:
+    """Print the table."""
+    print("| kernel | compiling, s | loading, s | memory, MB | who asks for it |\n|---|---|---|---|---|")
+    for name, (call, who) in KERNELS.items():
+        if word in name:
+            with tempfile.TemporaryDirectory() as cache:
+                (first, memory), (loading, _) = measured(call, cache), measured(call, cache)
+            print(f"| {name} | {first:.1f} | {loading:.2f} | {memory:.0f} | {who} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,27 @@
+"""Panels of the report's figures stand where they are placed."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+from clacad.report.figures import svg
+from clacad.report.panels import Margins, panels
+
+
+def test_panels_keep_their_margins_and_nobody_complains():
+    placed = []
+
+    def draw(figure):
+        panel = panels(figure, margins=Margins(left=0.5, right=0.25, bottom=0.4, top=0.2))
+        panel.set_ylabel("a label that is longer than its margin has room for")
+        figure.canvas.draw()
+        placed.append(panel.get_position().bounds)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        text = svg(4.0, 2.0, "a figure", draw)
+    assert re.match(r'<svg role="img" aria-label="a figure" ', text)
+    left, bottom, width, height = placed[0]
+    assert abs(4.0 * left - 0.5) + abs(2.0 * bottom - 0.4) < 1e-12
+    assert abs(4.0 * width - 3.25) + abs(2.0 * height - 1.4) < 1e-12

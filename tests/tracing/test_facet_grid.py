@@ -1,0 +1,106 @@
+"""The grid of a stranger's triangles decides no ray otherwise than the trees do, and decides most of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracle.windows import biconvex, slab
+
+import clacad
+from clacad.tracing import tracer
+from clacad.tracing.triangles import triangle_soup as soups
+from clacad.tracing.triangles.facet_grid import NO_GRID, facet_grid
+from clacad.tracing.triangles.hierarchy import hierarchy
+from clacad.tracing.triangles.triangle_soup import TriangleSoup
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from fates import all_directions, windows
+
+sys.path.pop(0)
+WINDOWS = windows()
+
+
+def soup(window, quads):
+    """The sheet's own triangles as a file gives them: in float32, in no order."""
+    mesh = clacad.tessellate(window, quads=quads)
+    corners = np.concatenate([rows for body in mesh.bodies for rows in body.rows()])
+    return TriangleSoup(np.random.default_rng(1).permutation(corners).astype(np.float32).astype(float))
+
+
+def without_grid(window, triangles, rays):
+    """The same trace by the trees alone."""
+    facets = tracer.facets_of(window, triangles, "facet")
+    found_in = facets.found_in._replace(grid=NO_GRID)
+    return tracer._compiled(facets.layout, rays, 0, 1, found_in)
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_rays_end_as_they_do_in_the_trees(name):
+    window = WINDOWS[name]
+    triangles, rays = soup(window, 6), all_directions(window, 2000, 3)
+    found, wanted = clacad.trace(window, rays, "mesh", mesh=triangles), without_grid(window, triangles, rays)
+    for column in ("fate", "cell", "order", "surface"):
+        assert (getattr(found, column) == getattr(wanted, column)).all(), column
+    alive = wanted.fate <= 1
+    assert np.abs(found.direction - wanted.direction)[alive].max(initial=0.0) <= 1e-15
+    assert np.abs(found.position - wanted.position)[alive].max(initial=0.0) <= 1e-15
+    assert np.abs(found.optical_path - wanted.optical_path)[alive].max(initial=0.0) <= 1e-14
+
+
+def test_every_point_of_every_facet_is_over_a_bin_that_lists_it_or_in_the_hair_of_a_border():
+    trees = hierarchy([soup(slab(count=(3, 3)), 5).corners])[1]
+    grid = facet_grid(trees)
+    low, per, bins = grid.table[0, :2], grid.table[0, 2:4], grid.table[0, 4:6].astype(int)
+    rng = np.random.default_rng(2)
+    weights = rng.dirichlet((1.0, 1.0, 1.0), (len(trees.corner), 5))
+    normal = np.cross(trees.corner[:, 1] - trees.corner[:, 0], trees.corner[:, 2] - trees.corner[:, 0])
+    steep = np.abs(normal[:, 2]) < 0.05 * np.linalg.norm(normal, axis=1)
+    place = (np.einsum("kpc,kcd->kpd", weights, trees.corner)[..., :2] - low) * per
+    inner = (np.abs(place - np.rint(place)) > 1e-3).all(axis=2)
+    for facet, point in np.argwhere(inner & ~steep[:, None]):
+        i, j = place[facet, point].astype(int)
+        one = j * bins[0] + i
+        assert facet in grid.member[grid.start[one] : grid.start[one + 1]]
+
+
+def test_walls_are_counted_in_every_rectangle_of_bins():
+    trees = hierarchy([soup(biconvex(count=(3, 3), web=0.0006), 4).corners])[1]
+    grid = facet_grid(trees)
+    wide, high = grid.table[0, 4:6].astype(int)
+    held = grid.walled.reshape(high + 1, wide + 1)
+    single = held[1:, 1:] - held[:-1, 1:] - held[1:, :-1] + held[:-1, :-1]
+    assert set(np.unique(single)) <= {0, 1}
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        (i0, i1), (j0, j1) = np.sort(rng.integers(0, wide, 2)), np.sort(rng.integers(0, high, 2))
+        counted = held[j1 + 1, i1 + 1] - held[j1 + 1, i0] - held[j0, i1 + 1] + held[j0, i0]
+        assert counted == single[j0 : j1 + 1, i0 : i1 + 1].sum()
+
+
+def test_rays_of_a_view_are_decided_without_the_trees(monkeypatch):
+    """So that a trace through a file costs about what one through the mesh in memory does."""
+    from clacad.tracing.compiled.chunk import trace_chunk_of_triangles
+    from clacad.tracing.compiled.packing import pack
+    from clacad.tracing.compiled.records import Outcome
+    from clacad.tracing.ledger import Ledger
+
+    window = slab(count=(8, 8))
+    facets = soups.lay_out_soup(window, soup(window, 16), "facet")
+    rng = np.random.default_rng(4)
+    x0, x1, y0, y1 = window.lattice.extent()
+    direction = np.column_stack([rng.uniform(-0.005, 0.005, (4000, 2)), np.ones(4000)])
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    start = np.column_stack([rng.uniform((x0, y0), (x1, y1), (4000, 2)) * 0.7, np.full(4000, -0.001)])
+    book = Ledger.blank(4000, 0)
+    out = Outcome(
+        book.position, book.direction, book.fate, book.optical_path, book.cell, book.order, book.surface,
+        book.hits, book.directions,
+    )  # fmt: skip
+    layout, found_in = facets
+    left = trace_chunk_of_triangles(
+        found_in.trees, found_in.grid, pack(layout), np.arange(4000), start, direction, out
+    )
+    assert left < 0.04 * 4000

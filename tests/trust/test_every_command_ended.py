@@ -1,0 +1,157 @@
+"""Commands killed or told to end at any instant: what they write is whole or not there, and the next run is as if alone."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trust.running import ROOT, TINY, command, environment
+from trust.test_interruptions import until
+
+from clacad.cli.interrupts import SENTENCE
+
+
+@dataclass(frozen=True)
+class Line:
+    """A command: its words, `{}` the folder of what is given, and the files it writes under `out`.
+
+    resumes : names of files that a run which was ended may leave there to go on from
+    """
+
+    words: tuple[str, ...]
+    writes: tuple[str, ...] = ()
+    resumes: tuple[str, ...] = ()
+
+
+LINES = {
+    "trace": Line(("trace", "{}/t.toml", "{}/rays.npz", "-o", "out/traced.npz"), ("traced.npz",)),
+    "verify": Line(("verify", "{}/t.toml", "--rays", "256", "-o", "out"), ("report.html", "report.json")),
+    "accuracy": Line(("accuracy", "{}/t.toml", "--rays", "400", "-o", "out/plot.svg")),
+    "tolerance": Line(("tolerance", "{}/t.toml", "--samples", "6", "--rays", "64", "-o", "out"),
+                      ("tolerances.json", "tolerances.csv", "tolerances.png"), ("tolerances.checkpoint",)),
+    "sweep": Line(("sweep", "{}/t.toml", "--vary", "lattice.pitch=0.4:0.6:4", "--rays", "64", "-o", "out"),
+                  ("sweep.csv", "sweep.png"), ("sweep.checkpoint",)),
+    "render": Line(("render", "{}/t.toml", "{}/photo.png", "--preset", "eye", "--pixels", "48", "--samples", "4", "-o", "out/x.png"),
+                   ("x.png",)),
+    "atlas": Line(("atlas", "-o", "out", "--scenes", f"{ROOT}/designs/scenes", "--rows", "F2", "--size", "32", "--samples", "1",
+                   "--no-movies", "--no-measure")),
+    "new": Line(("new", "out/fresh"), ("fresh.toml",)),
+    "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
+    "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What commands are given: a design, rays, a picture."""
+    from PIL import Image
+
+    folder = tmp_path_factory.mktemp("given")
+    (folder / "t.toml").write_text(f'{TINY}\n[tolerances]\ndecentre = "5 um"\nradius = 0.005\n')
+    rays = np.random.default_rng(0).uniform(-0.4, 0.4, (20_000, 3)) * [1, 1, 0] - [0, 0, 1]
+    np.savez(folder / "rays.npz", position=rays, direction=np.tile([0.0, 0.0, 1.0], (len(rays), 1)))
+    Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3)).save(folder / "photo.png")
+    return folder
+
+
+def run(line: Line, given: Path, place: Path, *more: str) -> subprocess.Popen[str]:
+    (place / "out").mkdir(exist_ok=True)
+    words = [*(word.format(given) for word in line.words), *more]
+    return subprocess.Popen(
+        command([*words, *(["--overwrite"] if line.writes and line.words[0] not in ("tolerance", "sweep") else [])]),
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=place, env=environment(),
+    )  # fmt: skip
+
+
+def files(place: Path) -> dict[str, bytes]:
+    """What stands under the final names."""
+    found = (path for path in (place / "out").rglob("*") if path.is_file())
+    return {
+        path.relative_to(place / "out").as_posix(): path.read_bytes()
+        for path in found
+        if not any(part.startswith(".clacad-") for part in path.relative_to(place / "out").parts)
+    }
+
+
+CHANGING = ("run.json",)
+"""Names of files that tell of the run itself, and are others every time."""
+
+
+def held(made: dict[str, bytes], whole: dict[str, bytes], line: Line) -> None:
+    """Every file is, byte for byte, one of an undisturbed run; but for those that a run goes on from."""
+    for name, data in made.items():
+        if name in line.resumes or name.endswith(CHANGING):
+            continue
+        assert name in whole, f"{name} is no file of an undisturbed run"
+        assert data == whole[name], f"{name} is not what an undisturbed run writes"
+
+
+DEAR = ("verify", "accuracy")
+"""Half a minute each; how they are told to end, and kills of `verify`, are tested elsewhere, too."""
+
+CASES = [
+    *(
+        pytest.param(
+            name, 2, marks=pytest.mark.long if name == "atlas" else pytest.mark.slow, id=f"{name}, a few"
+        )
+        for name in LINES
+        if name not in DEAR
+    ),
+    *(
+        pytest.param(
+            name, 4 if name in DEAR else 18, marks=[pytest.mark.long, pytest.mark.timeout(1800)], id=name
+        )
+        for name in LINES
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "times"), CASES)
+def test_a_command_ended_at_any_instant_leaves_whole_files_and_the_next_run_no_trace(
+    given: Path, tmp_path: Path, name: str, times: int
+) -> None:
+    """Kills and signals in turn; the files of a command that says nothing of time are the same bytes every time."""
+    line = LINES[name]
+    began = time.monotonic()
+    undisturbed = run(line, given, tmp_path)
+    _, said = undisturbed.communicate(timeout=300)
+    span = time.monotonic() - began
+    assert undisturbed.returncode in (0, 1), said
+    whole = files(tmp_path)
+    assert set(line.writes) <= set(whole)
+    timed = name in ("accuracy",)
+    chance, kills, signals = np.random.default_rng(len(name)), 0, 0
+    for turn in range(times + times // 2):
+        if turn % 3 == 0:
+            shutil.rmtree(tmp_path / "out")
+        number = (signal.SIGKILL, signal.SIGKILL, signal.SIGINT if turn % 2 else signal.SIGTERM)[turn % 3]
+        if number == signal.SIGKILL:
+            running, wait = run(line, given, tmp_path), 1.05 * span
+        else:  # before it has begun the interpreter itself answers
+            running, wait = run(line, given, tmp_path, "-v"), 0.8 * span
+            until(running, '"start"')
+        time.sleep(float(chance.uniform(0.0, wait)))
+        running.send_signal(number)
+        _, said = running.communicate(timeout=120)
+        assert "Traceback" not in said
+        if number == signal.SIGKILL:
+            kills += 1
+        else:
+            signals += 1
+            ended = (running.returncode, said.count(SENTENCE))
+            late = '"event": "end"' in said  # nobody listens any more: the system ends what is left
+            assert ended in ((130, 1), (undisturbed.returncode, 0), *([(-number, 0)] if late else [])), said
+        if not timed:
+            held(files(tmp_path), whole, line)
+    print(f"{name}: {kills} kills, {signals} signals")  # noqa: T201
+    last = run(line, given, tmp_path)
+    last.communicate(timeout=300)
+    assert last.returncode == undisturbed.returncode
+    assert set(files(tmp_path)) - set(line.resumes) == set(whole) - set(line.resumes)
+    assert not [path.name for path in (tmp_path / "out").rglob(".clacad-*")]
