@@ -68,7 +68,7 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
 
     design = load_design(path, overrides)
     window = prescribe(design)
-    facts = feasibility(window)
+    facts = feasibility(window, *design.viewing_places)
     checks = design_checks(design, window, facts)
     forecast = outlook(window)
     failed = [check for check in checks if check.state == "fail"]

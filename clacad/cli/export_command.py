@@ -101,7 +101,7 @@ def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool
         show_json(dict(manifest.document))
         return 0
     window = prescribe(_cut(design, asked))
-    text = derived_text(describe(window, feasibility(window)))
+    text = derived_text(describe(window, feasibility(window, *design.viewing_places)))
     files = files_text(manifest.files, design.check.of_light[0])
     show_text(f"{design.name}\n{text}\nfiles in {manifest.folder}\n{files}", quiet=quiet)
     if not quiet:

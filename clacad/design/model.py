@@ -94,6 +94,18 @@ class Design:
         return Law(eta_x, eta_y, delta_x, delta_y, phi, theta, psi, axes=self.law_spec.euler_axes)
 
     @property
+    def viewing_places(self) -> tuple[float | None, float | None]:
+        """Distances of the eye before array 1 and of what it looks at behind the sheet, metres; None where not said."""
+        from clacad.base.units import design_unit
+
+        unit = design_unit(self.unit)
+        assert unit is not None  # it was read when the design was made
+        viewer, distance = (
+            None if v is None else v * unit.metres for v in (self.check.viewer, self.check.object)
+        )
+        return viewer, distance
+
+    @property
     def toml(self) -> str:
         """The file's text verbatim; the canonical text where there is no file or keys were overridden."""
         return self.canonical_toml() if self.source is None else self.source

@@ -198,6 +198,8 @@ class CheckSpec:
         Name of the process profile.
     confocality : float
         Afocal defect over the separation; default .002 for exact recipes, .02 for thin and best.
+    viewer, object : float, lengths
+        From the sheet to the eye before array 1, and to what it looks at behind array 2; for advice on the pitch.
     allow : tuple of Allowed
         Accepted warnings.
     """
@@ -233,6 +235,8 @@ class CheckSpec:
     pose: float
     scale: float
     fresnel_number: float
+    viewer: float | None
+    object: float | None
     allow: tuple[Allowed, ...]
 
     @property

@@ -27,7 +27,8 @@ WORDS: dict[str, tuple[str, str]] = {
     "shape only": ("The verdict on a file that is the design, but cut so coarsely that light through it misses the law: fit to look at. Exit status 1, or 0 where a preview was declared.", ""),
     "not judged": ("The verdict on a delivery in which nothing optical was judged: it holds only other files, or its manifest withholds the optical ones. Exit status 1.", ""),
     "diffraction": ("λ/w: w is √12 times the rms distance along a lens axis of what is lit of a lenslet from its middle, the width of a rectangle. The first zero is printed beside it.", ""),
-    "best pitch": ("√(λD/min(1, 1/|η|)): a pixel of this pitch looks as large as the diffraction of light that comes back through lens 1 to a viewer D away.", ""),
+    "sharpest pitch": ("√(2λz/|η(1 − η)|)·max(1, |η|): of smaller cells diffraction blurs what lies z behind the sheet more, of larger ones the defocus of each cell, which is then a quarter wave at the edge of the beam.", "check.object"),
+    "invisible pitch": ("Pitch that looks one minute of arc wide to the eye before the sheet.", "check.viewer"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""

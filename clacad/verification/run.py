@@ -102,7 +102,7 @@ def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
     """The report of a design without files, its warnings not yet accepted."""
     progress("building the window", 0.0)
     window = prescribe(design)
-    facts = feasibility(window)
+    facts = feasibility(window, *design.viewing_places)
     progress("tracing the exact surfaces", 0.0)
     checks, optics = judge_window(design, window, facts, rays)
     progress("tracing the field of view", 0.0)

@@ -87,7 +87,7 @@ def test_a_former_name_gives_the_check_and_says_what_it_is_called_now(old):
     ("role", "optical-master"), ("master", "made from"), ("optical-master", "made from"), ("shape-preview", "looking"),
     ("preview", "looking"), ("scan", "never called fit"), ("other", "no verdict"), ("verdict", "not judged"),
     ("shape only", "coarsely"), ("shape-only", "coarsely"), ("not judged", "nothing optical"), ("not-judged", "nothing optical"),
-    ("diffraction", "λ/w"), ("best pitch", "viewer"), ("F-number", "Focal length"),
+    ("diffraction", "λ/w"), ("sharpest pitch", "defocus"), ("invisible pitch", "one minute of arc"), ("F-number", "Focal length"),
 ])  # fmt: skip
 def test_the_words_of_roles_and_verdicts_are_explained(word, says):
     assert says in explain(word).means

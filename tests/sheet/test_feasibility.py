@@ -5,20 +5,25 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from math import acos, atan, degrees, hypot, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import clacad
 from clacad.base.sobol import sobol
 from clacad.design import Design
 from clacad.optics.rays import Fate, Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.sheet.feasibility.convex_extremes import least, share_covered
+from clacad.sheet.feasibility.pitch_for_eye import viewing
 from clacad.sheet.pieces_and_holes import connect
 from clacad.sheet.vignetting import clip, ghost_step, share, thin_cells
 from clacad.sheet.window import column
 from clacad.tracing.trace import trace
+
+DESIGNS = Path(__file__).parent.parent.parent / "designs"
 
 PAPER = {
     "format": 1, "name": "paper", "unit": "m", "law": {"eta": [-0.25, -1.0]},
@@ -216,12 +221,6 @@ def test_the_field_of_view_ghost_onset_and_blur_follow_the_closed_forms(paper):
     assert paper.first_zero == pytest.approx(paper.diffraction_blur)  # a rectangle along the axes is a slit
 
 
-@pytest.mark.parametrize(("eta", "width"), [((-0.25, -1.0), 1.0), ((-2.0, -1.0), 0.5), ((-4.0, -0.5), 0.25)])
-def test_the_best_pitch_is_that_of_the_beam_that_comes_back_to_the_viewer(eta, width):
-    """Light from the far side leaves lens 1 with p·min(1, 1/|η|): pitch and λD/beam balance at √(λD/min(1, 1/|η|))."""
-    assert feasibility(window_of({"law.eta": list(eta)})).pixel == pytest.approx(sqrt(550e-9 / width))
-
-
 def test_the_undeviated_direction_goes_through_both_lens_centres():
     facts = feasibility(window_of({"law.delta": [0.01, -0.02]}))
     assert facts.undeviated == pytest.approx((0.01 / 1.25, -0.02 / 2.0))
@@ -294,14 +293,62 @@ def test_derived_numbers_that_need_it_say_what_they_mean(paper, capsys):
     from clacad.cli import main
 
     rows = {row.name: row for row in describe(window_of(), paper)}
-    for name, words in (("F-number x, y", "focal length over"), ("best pitch seen from 1 m", "viewer before array 1"),
+    for name, words in (("F-number x, y", "focal length over"), ("sharpest pitch, lens x, y", "larger cells are out of focus"),
                         ("diffraction, lens x, y", "λ/w"), ("diffraction, first zero, lens x, y", "first dark line"),
                         ("Fresnel number", "(w/2)²/(λ f2)")):  # fmt: skip
         assert words in rows[name].means
     assert not [row for row in rows.values() if not row.means and row.name != "pieces, holes"]
     assert main(["check", "designs/paper-a-covered.toml", "--json"]) == 0
     told = {row[1]: row for row in json.loads(capsys.readouterr().out)["derived"]}
-    assert told["best pitch seen from 1 m"][2:4] == ["0.00074162", "m"]  # 0.742 mm: √(550 nm × 1 m)
+    assert told["invisible pitch"][2:4] == ["0.000290888", "m"]  # 1 m × π/10800
     assert told["F-number x, y"][4] == rows["F-number x, y"].means
     assert main(["check", "designs/paper-a-covered.toml"]) == 0
-    assert "viewer before array 1" in capsys.readouterr().out
+    assert "larger cells are out of focus" in capsys.readouterr().out
+
+
+GOLDEN = json.loads((Path(__file__).parent.parent / "data" / "best_pitch.json").read_text())["cases"]
+
+
+@pytest.mark.parametrize("case", GOLDEN, ids=lambda case: f"eta{case['eta']}-z{case['object_z']}")
+def test_the_sharpest_pitch_is_that_of_waves_worked_out_elsewhere(case):
+    eta, z, viewer, wave = (float(case[k]) for k in ("eta", "object_z", "viewer", "wavelength"))
+    advice = viewing((eta, -1.0), (np.inf, np.inf), viewer, z, wave)
+    assert advice.sharpest[0] == pytest.approx(float(case["best_pitch"]), rel=1e-12)
+    assert advice.blur[0] == pytest.approx(float(case["blur_half_energy"]), rel=0.08)
+    assert advice.invisible == pytest.approx(float(case["invisible_pitch"]), rel=1e-12)
+    assert advice.fine[0] == pytest.approx(float(case["diffraction_below_1_arcmin_pitch"]), rel=1e-12)
+
+
+def test_at_the_sharpest_pitch_a_cell_is_a_quarter_wave_out_of_focus_at_the_edge_of_its_beam():
+    """The cell's own image of a point at z lies at z/η², the sheet's at z/η: wavefronts of those two radii differ by λ/4."""
+    for eta, z in ((-1.0, 0.5), (-0.25, 0.1), (-2.0, 3.0), (0.5, 0.3)):
+        pitch = viewing((eta, eta), (np.inf, np.inf), 1.0, z, 550e-9).sharpest[0]
+        edge = 0.5 * pitch * min(1.0, 1.0 / abs(eta))
+        assert edge**2 / 2 * abs(eta**2 / z - eta / z) == pytest.approx(550e-9 / 4)
+
+
+def test_three_pitches_are_printed_and_the_conflict_between_them_is_said():
+    design = clacad.load(DESIGNS / "paper-a-covered.toml").replace({"check.object": "0.5 m"})
+    window = prescribe(design)
+    facts = feasibility(window, *design.viewing_places)
+    rows = {row.name: row for row in describe(window, facts) if row.about == "view"}
+    assert rows["sharpest pitch, lens x, y"].value == "0.00132665, 0.000524404"
+    assert rows["sharpest pitch"].value == "0.000524404"  # of y, which is blurred more
+    assert rows["invisible pitch"].value == "0.000290888"
+    assert "1.80277 times as large" in rows["invisible pitch"].means
+    assert rows["pitch with diffraction below 1′, lens x, y"].value == "0.00189076, 0.00189076"
+
+
+def test_an_eye_in_the_image_sees_nothing_sharp_and_a_law_without_change_asks_for_no_pitch():
+    advice = viewing((-1.0, 1.0), (np.inf, 100.0), 0.5, 0.5, 550e-9)
+    assert advice.blur == (np.inf, 0.0)
+    assert advice.sharpest[1] == np.inf
+    assert advice.lost == (0.0, pytest.approx(0.0164))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("check.viewer", "0 m"), ("check.object", "-1 m"), ("check.viewer", "1e400 m")]
+)
+def test_an_eye_is_somewhere_before_the_sheet(key, value):
+    with pytest.raises(clacad.DesignError, match=key):
+        clacad.load(DESIGNS / "paper-base.toml").replace({key: value})

@@ -13,7 +13,6 @@ from clacad.sheet.feasibility.as_rows import FactRow, describe
 from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness
 from clacad.sheet.feasibility.derived_numbers import (
     DEFAULT_WAVELENGTH,
-    VIEWING_DISTANCE,
     BodyFacts,
     BorderFacts,
     Feasibility,
@@ -21,6 +20,7 @@ from clacad.sheet.feasibility.derived_numbers import (
     two,
 )
 from clacad.sheet.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
+from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, lit_zone, thin_cells
 from clacad.sheet.window import Window
 
@@ -30,21 +30,30 @@ __all__ = [
 ]  # fmt: skip
 
 
-def feasibility(window: Window) -> Feasibility:
-    """Derive all numbers of a window (one cell of each array is enough: all cells are alike)."""
+def feasibility(window: Window, viewer: float | None = None, distance: float | None = None) -> Feasibility:
+    """Derive all numbers of a window (one cell of each array is enough: all cells are alike).
+
+    Parameters
+    ----------
+    viewer, distance : float, metres, optional
+        From the sheet to the eye before it (1 m), and to what is looked at behind it (ten separations).
+    """
     cells = thin_cells(window)
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
-    ratio = [abs(m) for m in focal_ratio(window.thin)]
     width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]
     zone = lit_zone(cells)
     lit = equivalent_widths(zone)
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
     second = window.thin.focal_length[1]
-    fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) for w, f in zip(lit, second, strict=True) if np.isfinite(f)]
-    back = min(
-        1.0, *(1.0 / m for m in ratio)
-    )  # light that comes back leaves lens 1 this much narrower than a cell
+    fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) for w, f in zip(lit, second, strict=True)]
+    eye = viewing(
+        focal_ratio(window.thin),
+        fresnel,
+        viewer or VIEWING_DISTANCE,
+        distance or SEPARATIONS * window.thin.separation * window.unit,
+        wave * window.unit,
+    )
     return Feasibility(
         lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width)),
         bodies=bodies,
@@ -57,8 +66,8 @@ def feasibility(window: Window) -> Feasibility:
         offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
         diffraction_blur=two(wave / lit),
         first_zero=two(wave * first_zeros(zone)),
-        fresnel_number=float(min(fresnel)),
-        pixel=float(np.sqrt(wave * VIEWING_DISTANCE / window.unit / back)),
+        fresnel_number=float(min(n for n in fresnel if n > 0.0)),
+        viewing=eye,
         wavelength=wave * window.unit,
     )
 

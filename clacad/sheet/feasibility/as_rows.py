@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.digits import digits
-from clacad.sheet.feasibility.derived_numbers import VIEWING_DISTANCE, BodyFacts, Feasibility, LensFacts, Two
+from clacad.sheet.feasibility.derived_numbers import BodyFacts, Feasibility, LensFacts, two
+from clacad.sheet.feasibility.pitch_for_eye import Two, Viewing
 from clacad.sheet.window import Window
 
 LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"))
@@ -51,7 +52,8 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
         rows.append(FactRow("assembly", "clearance", of_length(facts.clearance), name, means))
     means = "between the thin lenses that the pair stands for, f1 + f2"
     rows.append(FactRow("assembly", "separation (in air)", of_length(facts.separation), name, means))
-    return (*rows, *_view_rows(facts, of_length, name))
+    rows += _view_rows(facts, of_length, name)
+    return (*rows, *_pitch_rows(facts, of_length, name, window.unit))
 
 
 def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
@@ -74,10 +76,34 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name
             "first dark line of that pattern; more than λ/w where a corner of the zone points along the axis"),
         FactRow("view", "Fresnel number", digits(facts.fresnel_number), "",
             f"(w/2)²/(λ f2), the smaller of x and y, {wave}, the same w"),
-        FactRow("view", f"best pitch seen from {VIEWING_DISTANCE:g} m", of_length(facts.pixel), name,
-            f"√(λD/min(1, 1/|η|)), D = {VIEWING_DISTANCE:g} m, {wave}: a pixel of this pitch looks as large as the diffraction "
-            "of light that comes back from it to the viewer before array 1"),
+        FactRow("view", "lost to diffraction at most, lens x, y", ", ".join(digits(v) for v in facts.viewing.lost), "",
+            ".164/√N, N along that axis: light that reaches neighbours of the partner, where the beam fills its cell"),
     ]  # fmt: skip
+
+
+def _pitch_rows(
+    facts: Feasibility, of_length: Callable[[float | Two], str], name: str, unit: float
+) -> list[FactRow]:
+    """Rows of the pitches an eye asks for; `unit` is the window's, metres."""
+    eye = facts.viewing
+    place = f"{digits(eye.object)} m behind, seen from {digits(eye.viewer)} m"
+    return [
+        FactRow("view", "sharpest pitch, lens x, y", of_length(two(p / unit for p in eye.sharpest)), name,
+            f"√(2λz/|η(1 − η)|)·max(1, |η|) for what lies z = {place}: larger cells are out of focus, smaller ones diffract"),
+        FactRow("view", "least blur, lens x, y", _mrad(eye.blur), "mrad", f"half of the light of a point {place}, at those pitches"),
+        FactRow("view", "sharpest pitch", of_length(eye.advised / unit), name, "of the axis that is blurred more"),
+        FactRow("view", "invisible pitch", of_length(eye.invisible / unit), name,
+            f"one minute of arc from {digits(eye.viewer)} m: cells of this pitch are not seen; {_conflict(eye)}"),
+        FactRow("view", "pitch with diffraction below 1′, lens x, y", of_length(two(p / unit for p in eye.fine)), name,
+            "λ/w ≤ 1′ for light that comes back to the eye: what distant things need"),
+    ]  # fmt: skip
+
+
+def _conflict(eye: Viewing) -> str:
+    """Say what the choice between cells that are not seen and cells that are sharp costs."""
+    if eye.invisible >= eye.advised:
+        return "the sharpest pitch is among them"
+    return f"they blur more than the sharpest pitch, {digits(eye.advised / eye.invisible)} times as large"
 
 
 def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:

@@ -8,13 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from clacad.sheet.feasibility.pitch_for_eye import Two, Viewing
+
 DEFAULT_WAVELENGTH = 550e-9
 """Metres; for windows whose index was given bare."""
-
-VIEWING_DISTANCE = 1.0
-"""Metres; where pixel advice is given for."""
-
-Two = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -139,9 +136,8 @@ class Feasibility:
         Of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a rectangle along them.
     fresnel_number : float
         (w/2)²/(λ |f2|), the least over the lens axes, with the same widths.
-    pixel : float, length
-        Pitch that balances diffraction and pixel size seen from `VIEWING_DISTANCE` before array 1: the beam that comes
-        back is p·min(1, 1/|η|) wide where it leaves lens 1.
+    viewing : Viewing
+        Pitches that an eye before array 1 asks for.
     wavelength : float, metres
     """
 
@@ -157,7 +153,7 @@ class Feasibility:
     diffraction_blur: Two
     first_zero: Two
     fresnel_number: float
-    pixel: float
+    viewing: Viewing
     wavelength: float
 
 

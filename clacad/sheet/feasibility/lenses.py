@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.optics.surface import conic_constants, principal_radii
 from clacad.sheet.feasibility.convex_extremes import Heights, least, reach, share_covered
-from clacad.sheet.feasibility.derived_numbers import LensFacts, Two, two
+from clacad.sheet.feasibility.derived_numbers import LensFacts, two
+from clacad.sheet.feasibility.pitch_for_eye import Two
 from clacad.sheet.window import Body, Face, Window, lens_height, lens_height_and_normal, optical_tile
 
 

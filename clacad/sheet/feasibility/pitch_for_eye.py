@@ -1,0 +1,108 @@
+"""What an eye before array 1 sees sharp: the pitch that diffraction and the size of the cells ask for.
+
+Light that comes back to the viewer leaves a cell of array 1 in a beam w = p·min(1, 1/|η|) wide. Each cell is a
+telescope of its own, whose image of a point at z lies at z/η², while the sheet's lies at z/η: seen through the sheet
+the light of one cell is out of focus. A small cell blurs by diffraction, a large one by that defocus, and least where
+the defocus is a quarter wave at the beam's edge, (w/2)²/2 · |η(η − 1)/z| = λ/4. Waves through a row of cells that do
+not interfere put the least blur between .90 and 1.05 of that pitch, for η from −2 to 1/2 and z from .05 to 3 m; half
+that pitch blurs 1.55 times as much and twice that pitch 2.5 times.
+
+Lengths in metres, angles in radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, isfinite, pi, sqrt
+
+Two = tuple[float, float]
+
+VIEWING_DISTANCE = 1.0
+"""Metres from the sheet to the eye, where a design names none."""
+
+SEPARATIONS = 10.0
+"""Distance of what is looked at over the separation of the pair, where a design names none."""
+
+ARC_MINUTE = pi / 10800.0
+"""What an eye resolves, radians."""
+
+HALF_ENERGY = 0.72
+"""Width that holds half of the light at the sharpest pitch, over λ/w as the eye sees it (waves: .70 to .75)."""
+
+LOST = 0.164
+"""Share that diffraction takes to the neighbours of the partner, times √N, of a beam that fills its cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Viewing:
+    """Pitches for one place of the eye and one of what it looks at.
+
+    viewer, object : float, metres
+        From the sheet to the eye before array 1, and to what is looked at behind array 2.
+    sharpest : (x, y), metres
+        Pitch of least blur along each lens axis; infinite for η = 1, where no cell is out of focus.
+    blur : (x, y), radians
+        Width there that holds half of the light, as the eye sees it; infinite where the image lies in the eye.
+    invisible : float, metres
+        Pitch that subtends one minute of arc.
+    fine : (x, y), metres
+        Pitch whose diffraction is one minute of arc.
+    lost : (x, y)
+        Share of the light that diffraction may take to other cells than the partner, at most.
+    """
+
+    viewer: float
+    object: float
+    sharpest: Two
+    blur: Two
+    invisible: float
+    fine: Two
+    lost: Two
+
+    @property
+    def advised(self) -> float:
+        """The sharpest pitch of the axis that is blurred more."""
+        worse = 0 if self.blur[0] > self.blur[1] else 1
+        return self.sharpest[worse]
+
+
+def sharpest_pitch(eta: float, distance: float, wavelength: float) -> float:
+    """Pitch of least blur: √(2λz/|η(1 − η)|)·max(1, |η|), metres.
+
+    Parameters
+    ----------
+    eta : float
+    distance : float, metres
+        z, from the sheet to the object behind it.
+    wavelength : float, metres
+    """
+    defocus = abs(eta * (1.0 - eta))
+    return sqrt(2.0 * wavelength * distance / defocus) * max(1.0, abs(eta)) if defocus > 0.0 else inf
+
+
+def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float) -> float:
+    """Angle at the eye that holds half of the light of a point at the sharpest pitch: .72 λ|z/η|/(w |D + z/η|)."""
+    beam = sharpest_pitch(eta, distance, wavelength) * min(1.0, 1.0 / abs(eta))
+    image = distance / eta
+    if not isfinite(beam):
+        return 0.0
+    return HALF_ENERGY * wavelength * abs(image) / (beam * abs(viewer + image)) if viewer + image else inf
+
+
+def viewing(
+    etas: Sequence[float], fresnel: Sequence[float], viewer: float, distance: float, wavelength: float
+) -> Viewing:
+    """All advice for a pair of these η along lens x and y, and Fresnel numbers of what is lit (infinite: none)."""
+    x, y = etas
+    fine = tuple(wavelength / ARC_MINUTE * max(1.0, abs(eta)) for eta in (x, y))
+    lost = tuple(min(1.0, LOST / sqrt(n)) for n in fresnel)
+    return Viewing(
+        viewer=viewer,
+        object=distance,
+        sharpest=(sharpest_pitch(x, distance, wavelength), sharpest_pitch(y, distance, wavelength)),
+        blur=(sharpest_blur(x, distance, viewer, wavelength), sharpest_blur(y, distance, viewer, wavelength)),
+        invisible=viewer * ARC_MINUTE,
+        fine=(fine[0], fine[1]),
+        lost=(lost[0], lost[1]),
+    )
