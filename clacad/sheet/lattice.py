@@ -9,7 +9,7 @@ already lost.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Literal
 
@@ -178,6 +178,29 @@ class Lattice:
         if self.outline is None:
             return self.count[0] * self.count[1]
         return sum(len(self.row(j)) for j in range(self.count[1]))
+
+    @property
+    def holds_a_cell(self) -> bool:
+        """Whether any cell is kept."""
+        return bool(self.contains(self._middle_rows()).any())
+
+    def least_outline(self) -> Outline:
+        """Give the smallest outline, of the kind that the lattice has, round the cell nearest to the middle."""
+        corners = np.abs(self.centres(self._middle_rows())[:, None, :] + self.tile())
+        nearest = corners[np.argmin(np.hypot(corners[..., 0], corners[..., 1]).max(axis=1))]
+        if isinstance(self.outline, Rectangle):
+            return Rectangle(*(2.0 * nearest.max(axis=0)).tolist())
+        return Circle(2.0 * float(np.hypot(nearest[:, 0], nearest[:, 1]).max()))
+
+    def _middle_rows(self) -> Ints:
+        """List the cells, kept or not, of the rows next to the middle, (n, 2).
+
+        Rows further out stand like one of these, only farther from the axis about which every outline is its own mirror
+        image: if any cell is kept, one of these is.
+        """
+        middle, free = self.count[1] // 2, replace(self, outline=None)
+        near = range(max(middle - 1, 0), min(middle + 2, self.count[1]))
+        return np.concatenate([free.row(j) for j in near])
 
     def extent(self) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the kept cells' footprints (lengths)."""
