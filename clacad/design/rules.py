@@ -14,6 +14,9 @@ from clacad.config.value_kinds import shown
 SMALLEST_PITCH_M: Final = 1e-7
 """Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
 
+MOST_CUT: Final = 1_000_000
+"""Rows or columns that are gone through one by one for what an outline keeps of them: a second or two."""
+
 
 @dataclass(frozen=True, slots=True)
 class Asked:
@@ -209,6 +212,10 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
     """An outline that no whole cell fits into keeps nothing; where the cells stand depends on how many there are."""
     outline, pitch, kind, count = (a(f"lattice.{key}") for key in ("outline", "pitch", "kind", "count"))
     if outline is None or pitch is None or kind is None or count is None:
+        return
+    if max(count) > MOST_CUT:
+        yield Mistake("CL106", f"{a.says('lattice.count')} is out of range where an outline cuts", "lattice.count",
+                      allowed=f"up to {MOST_CUT} each way with lattice.outline, which keeps the cells within it alone")  # fmt: skip
         return
     from clacad.sheet.lattice import Circle, Lattice, Rectangle
 

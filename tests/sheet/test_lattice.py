@@ -109,6 +109,17 @@ def test_whether_an_outline_holds_a_cell_is_known_without_listing_them(name):
     assert Lattice(name, pitch, (3, 2)).holds_a_cell
 
 
+@pytest.mark.parametrize("name", ["square", "rectangular", "hexagonal"])
+def test_an_outline_keeps_the_same_cells_of_very_many_as_of_few_and_as_fast(name):
+    """Every number of cells of one parity puts the cells of a square lattice at the same places."""
+    for outline in (Circle(3.2), Rectangle(2.9, 0.7), Rectangle(0.3, 4.1)):
+        few, many = (Lattice(name, (0.25, 0.4), (n, n), outline) for n in (40, 1_000_000))
+        near, far = few.centres(few.cells()), many.centres(many.cells())
+        np.testing.assert_allclose(far, near, rtol=0.0, atol=1e-9)
+        assert many.cell_count == few.cell_count == len(near)
+        assert many.row(0).shape == (0, 2)
+
+
 def test_hexagons_are_centre_to_centre_and_flat_to_flat_one_pitch():
     lattice = Lattice("hexagonal", (0.5, 0.5), (3, 3))
     tile = lattice.tile()

@@ -67,7 +67,13 @@ FORMER = {
         {"lattice": {"outline": {"circle": 0.75}}},
         2,
     ),
-    "an outline that holds no cell whole in both arrays": ("tilted", {"lattice": {"count": 89}}, 2),
+    "an outline that holds no cell whole in both arrays": (
+        "tilted",
+        {"lattice": {"outline": {"circle": 1.5}}},
+        2,
+    ),
+    "cells without end round an outline": ("tilted", {"lattice": {"count": 2**53 + 1}}, 2),
+    "a thousand rows and columns round an outline": ("tilted", {"lattice": {"count": 1000}}, 0),
     "lenses a thousand kilometres apart": ("tilted", {"pair": {"separation": 1e9}}, 2),
 }
 """Designs that were once answered by an internal error, or not within minutes; what they are answered by."""
