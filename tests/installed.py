@@ -83,7 +83,7 @@ def works_anywhere(clacad: Path, place: Path) -> None:
     run(clacad, "export", "sheet.toml", "-o", "out", *formats, *small, cwd=place)
     run(clacad, "atlas", "-o", "atlas", "--rows", "F4", "--size", "32", "--samples", "1", "--no-movies", "--no-measure",
         "-q", cwd=place)  # fmt: skip
-    run(clacad, "verify", "sheet.toml", "--files", "out", "-o", "report", "--rays", "1024", *small, cwd=place)
+    run(clacad, "verify", "sheet.toml", "--files", "out", "-o", "report", "--rays", "4096", *small, cwd=place)
     for made in ("atlas/index.html", "atlas/fig4-delta-0-0.01.png", "report/report.html"):
         if not (place / made).stat().st_size:
             raise Failed(f"{made} is empty")

@@ -48,7 +48,7 @@ def garbage() -> None:
     from clacad.storage import worker
 
     worker._answer_stream.write(b"\x00\xffnonsense\n")
-    time.sleep(60)
+    time.sleep(600)
 
 
 def hang() -> None:
@@ -58,7 +58,7 @@ def hang() -> None:
 
 
 def hang_with_child() -> None:
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(120)"])
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     report_stage(f"child {child.pid}")
     hang()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping
 from decimal import Decimal
-from math import isfinite, isnan
+from math import ceil, floor, isfinite, isnan, log10
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -30,6 +30,12 @@ def digits(value: float, infinite: str = "unlimited", count: int = 6) -> str:
     if not isfinite(value):
         return infinite if value > 0.0 else "none"
     return f"{value:.{count}g}" if abs(value) > ROUNDING else "0"
+
+
+def rounded_up(length: float) -> str:
+    """Four digits that are no less than a positive length, and a millionth to spare."""
+    digit = 10.0 ** (floor(log10(length)) - 3)
+    return f"{ceil(length / digit * (1.0 + 1e-6)) * digit:.4g}"
 
 
 class Shown(NamedTuple):

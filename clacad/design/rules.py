@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 
 SMALLEST_PITCH_M: Final = 1e-7
 """Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
+
+MOST_CUT: Final = 1_000_000
+"""Rows or columns that are gone through one by one for what an outline keeps of them: a second or two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,20 +209,27 @@ def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
 
 
 def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
-    """An outline smaller than one cell keeps nothing."""
-    outline, pitch, kind = a("lattice.outline"), a("lattice.pitch"), a("lattice.kind")
-    if outline is None or pitch is None or kind is None:
+    """An outline that no whole cell fits into keeps nothing; where the cells stand depends on how many there are."""
+    outline, pitch, kind, count = (a(f"lattice.{key}") for key in ("outline", "pitch", "kind", "count"))
+    if outline is None or pitch is None or kind is None or count is None:
         return
+    if max(count) > MOST_CUT:
+        yield Mistake("CL106", f"{a.says('lattice.count')} is out of range where an outline cuts", "lattice.count",
+                      allowed=f"up to {MOST_CUT} each way with lattice.outline, which keeps the cells within it alone")  # fmt: skip
+        return
+    from clacad.sheet.lattice import Circle, Lattice, Rectangle
+
     shape, size = outline[0]
-    need = (pitch[0], pitch[1] * (2 / math.sqrt(3) if kind == "hexagonal" else 1.0))
-    if shape == "rectangle":
-        fits, least = size[0] >= need[0] and size[1] >= need[1], f"[{need[0]:g}, {need[1]:g}]"
-    else:
-        across = need[1] if kind == "hexagonal" else math.hypot(*need)
-        fits, least = size >= across, f"{across:g}"
-    if not fits:
-        yield Mistake("CL117", f"{a.says('lattice.outline')} holds no cell", "lattice.outline",
-                      allowed=f"{shape} of at least {least}, one cell")  # fmt: skip
+    lattice = Lattice(kind, pitch, count, Circle(size) if shape == "circle" else Rectangle(*size))
+    if lattice.holds_a_cell:
+        return
+    least = lattice.least_outline()
+    sides = (least.diameter,) if isinstance(least, Circle) else (least.width, least.height)
+    need = ", ".join(map(rounded_up, sides))
+    yield Mistake("CL117", f"{a.says('lattice.outline')} holds no cell of {count[0]} x {count[1]}", "lattice.outline",
+                  allowed=f"{shape} of at least {need if len(sides) == 1 else f'[{need}]'}, round the cell nearest to the middle",
+                  hint="" if kind == "hexagonal" or all(n % 2 for n in count) else
+                  "with an odd lattice.count a cell lies in the middle")  # fmt: skip
 
 
 def baffle_has_walls(a: Asked) -> Iterator[Mistake]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.digits import rounded_up
 from clacad.base.types import Floats
 from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
@@ -387,6 +388,7 @@ def _assemble_window(
         window = replace(
             window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved))
         )
+        _refuse_empty(window.lattice, moved)
     return window if design.pair.form == "biconvex" else _with_land(window, intent)
 
 
@@ -396,6 +398,24 @@ def _within(outline: Circle | Rectangle, moved: Pair2) -> Circle | Rectangle:
         return Circle(max(outline.diameter - 2.0 * hypot(*moved), 0.0))
     width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
     return Rectangle(max(width, 0.0), max(height, 0.0))
+
+
+def _refuse_empty(lattice: Lattice, moved: Pair2) -> None:
+    """A displaced slab whose outline holds no cell that is whole in both arrays is a sheet without lenses."""
+    if lattice.holds_a_cell:
+        return
+    least = lattice.least_outline()
+    if isinstance(least, Circle):
+        shape = f"circle = {rounded_up(least.diameter + 2.0 * hypot(*moved))}"
+    else:
+        sides = (least.width + 2.0 * abs(moved[0]), least.height + 2.0 * abs(moved[1]))
+        shape = f"rectangle = [{', '.join(map(rounded_up, sides))}]"
+    raise NoSuchLens(
+        f"lattice.outline holds no cell that is whole in both arrays: they stand {hypot(*moved):.4g} apart",
+        key="lattice.outline",
+        hint=f"outline = {{{shape}}} or larger; or smaller angles, delta or separation, which bring the arrays together",
+        code="CL117",
+    )
 
 
 def _triple(v: Floats) -> tuple[float, float, float]:

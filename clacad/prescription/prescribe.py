@@ -47,7 +47,7 @@ def prescribe(design: Design) -> Window:
     try:
         return build_window(design)
     except NoSuchLens as error:
-        raise DesignError.at(design, error.key, error.message, hint=error.hint) from error
+        raise DesignError.at(design, error.key, error.message, code=error.code, hint=error.hint) from error
     except ArithmeticError as error:  # a quotient of numbers that no sheet has
         message = f"the lengths of this design are too far apart in size to be computed with ({error})"
         raise DesignError.at(design, "pair.separation", message) from error

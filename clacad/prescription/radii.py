@@ -24,11 +24,15 @@ class NoSuchLens(ValueError):
         The design key to blame.
     hint : str
         Two ways out, with the numbers.
+    code : str
+        As in `clacad.config.mistakes.CODES`.
     """
 
-    def __init__(self, message: str, key: str = "pair.thickness", hint: str = "") -> None:
+    def __init__(
+        self, message: str, key: str = "pair.thickness", hint: str = "", code: str = "CL120"
+    ) -> None:
         super().__init__(message)
-        self.message, self.key, self.hint = message, key, hint
+        self.message, self.key, self.hint, self.code = message, key, hint, code
 
 
 @dataclass(frozen=True, slots=True)

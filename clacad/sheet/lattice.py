@@ -62,6 +62,13 @@ def _inside_outline(outline: Outline, points: Floats) -> Bools:
     return np.asarray((np.abs(x) <= room * outline.width) & (np.abs(y) <= room * outline.height))
 
 
+def _half_sizes(outline: Outline) -> tuple[float, float]:
+    """How far an outline reaches from the middle along x and y (lengths)."""
+    if isinstance(outline, Circle):
+        return 0.5 * outline.diameter, 0.5 * outline.diameter
+    return 0.5 * outline.width, 0.5 * outline.height
+
+
 @dataclass(frozen=True, slots=True)
 class Lattice:
     """A finite pattern of identical cells whose mean centre is the origin.
@@ -162,13 +169,18 @@ class Lattice:
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
-        rows = [row for j in range(self.count[1]) if len(row := self.row(j))]
+        rows = [row for j in self._rows() if len(row := self.row(j))]
         return np.concatenate(rows) if rows else np.empty((0, 2), dtype=np.int64)
 
     def row(self, j: int) -> Ints:
-        """List the kept cells of row j as (n, 2) indices; memory is that of one row."""
+        """List the kept cells of row j as (n, 2) indices; memory is that of one row, or of what the outline reaches of it."""
         first = -(j // 2) if self.hexagonal else 0
-        i = np.arange(first, first + self.count[0], dtype=np.int64)
+        last = first + self.count[0]
+        if self.outline is not None:
+            middle = -float(self.centres(np.array([[0, j]]))[0, 0]) / self.pitch[0]
+            reach = _half_sizes(self.outline)[0] / self.pitch[0] + 1.0
+            first, last = (int(max(first, min(last, end))) for end in (middle - reach, middle + reach + 1.0))
+        i = np.arange(first, last, dtype=np.int64)
         index = np.stack([i, np.full_like(i, j)], axis=-1)
         return index[self.contains(index)] if self.outline is not None else index
 
@@ -177,7 +189,42 @@ class Lattice:
         """Number of kept cells."""
         if self.outline is None:
             return self.count[0] * self.count[1]
-        return sum(len(self.row(j)) for j in range(self.count[1]))
+        return sum(len(self.row(j)) for j in self._rows())
+
+    def _rows(self) -> range:
+        """Rows that the outline reaches; all without one."""
+        if self.outline is None:
+            return range(self.count[1])
+        middle, reach = 0.5 * (self.count[1] - 1), _half_sizes(self.outline)[1] / self.a2[1] + 1.0
+        low, high = (int(max(0, min(self.count[1], end))) for end in (middle - reach, middle + reach + 1.0))
+        return range(low, high)
+
+    @property
+    def holds_a_cell(self) -> bool:
+        """Whether any cell is kept."""
+        return bool(self.contains(self._middle()).any())
+
+    def least_outline(self) -> Outline:
+        """Give the smallest outline, of the kind that the lattice has, round the cell nearest to the middle."""
+        corners = np.abs(self.centres(self._middle())[:, None, :] + self.tile())
+        nearest = corners[np.argmin(np.hypot(corners[..., 0], corners[..., 1]).max(axis=1))]
+        if isinstance(self.outline, Rectangle):
+            return Rectangle(*(2.0 * nearest.max(axis=0)).tolist())
+        return Circle(2.0 * float(np.hypot(nearest[:, 0], nearest[:, 1]).max()))
+
+    def _middle(self) -> Ints:
+        """List the cells, kept or not, that lie next to the middle, at most nine, (n, 2).
+
+        Every outline is its own mirror image about both axes. A cell farther out in its row, and a row farther out, stand
+        like one of these, only farther from an axis: if any cell is kept, one of these is.
+        """
+        (n1, n2), middle = self.count, self.count[1] // 2
+        found = []
+        for j in range(max(middle - 1, 0), min(middle + 2, n2)):
+            first = -(j // 2) if self.hexagonal else 0
+            near = round(-float(self.centres(np.array([[0, j]]))[0, 0]) / self.pitch[0])
+            found += [(min(max(i, first), first + n1 - 1), j) for i in (near - 1, near, near + 1)]
+        return np.unique(np.array(found, dtype=np.int64), axis=0)
 
     def extent(self) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the kept cells' footprints (lengths)."""

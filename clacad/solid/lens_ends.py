@@ -5,11 +5,10 @@ A plane cuts a quadric in a conic, whose arcs are exact; any other rim is fitted
 
 from __future__ import annotations
 
-from math import ceil, floor, log10
-
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.digits import rounded_up
 from clacad.base.types import Floats
 from clacad.sheet.window import Face
 from clacad.solid.face_pattern import Kind, Pattern, Proud, divided_pattern, plain_pattern
@@ -132,18 +131,12 @@ def _check_web(faces: tuple[Face, Face], rim: Rim, zone: Floats) -> None:
     buries = "" if proud.any() else ", and buries it: the lens is too thin for its tilt"
     raise CannotBuild(
         "CL131",
-        f"the rim of the tilted lens sticks out of its web; a web of at least {_rounded_up(2.0 * reach)} mm holds it"
+        f"the rim of the tilted lens sticks out of its web; a web of at least {rounded_up(2.0 * reach)} mm holds it"
         f'{buries} (or give the lens more thickness, so that its rim leaves the cell: pair.thickness = "auto")',
     )
 
 
 _ALONG = np.linspace(0.0, 1.0, 1025)  # the highest point of an arc is missed by 1e-7 of its height at most
-
-
-def _rounded_up(length: float) -> str:
-    """Four digits that are no less than a positive length."""
-    digit = 10.0 ** (floor(log10(length)) - 3)
-    return f"{ceil(length / digit * (1.0 + 1e-6)) * digit:.4g}"
 
 
 def zone_samples(zone: Floats) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ def test_check_loads_neither_tracer_nor_kernel_nor_network():
         "print(json.dumps([status, sorted(sys.modules)]))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
     )
     status, loaded = json.loads(done.stdout.splitlines()[-1])
     assert status in (0, 1)

@@ -28,7 +28,8 @@ TEXT = {
 def test_the_stage_at_work_is_said_though_it_tells_nothing_more(capsys):
     progress = Progress(after=0.05)
     progress("thinking")
-    time.sleep(0.5)
+    assert progress._first is not None
+    progress._first.join()
     assert capsys.readouterr().err == "thinking ...\n"
     progress("writing")
     progress.done()
@@ -36,10 +37,12 @@ def test_the_stage_at_work_is_said_though_it_tells_nothing_more(capsys):
 
 
 def test_nothing_is_said_of_what_is_over_before_the_silent_time(capsys):
-    progress = Progress(after=0.2)
+    progress = Progress(after=30.0)
     progress("thinking")
     progress.done()
-    time.sleep(0.4)
+    assert progress._first is not None
+    progress._first.join(20.0)
+    assert not progress._first.is_alive()  # long before its time: nothing is waited for that would say a word
     quiet = Progress(quiet=True, after=0.0)
     quiet("thinking")
     time.sleep(0.1)

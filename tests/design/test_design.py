@@ -328,15 +328,18 @@ def test_a_pitch_of_a_tenth_of_a_micrometre_is_taken():
 
 
 @pytest.mark.parametrize(
-    ("outline", "fits"),
-    [({"circle": 0.72}, True), ({"circle": 0.70}, False), ({"rectangle": [0.5, 0.5]}, True),
-     ({"rectangle": [0.5, 0.49]}, False)],
+    ("count", "outline", "fits"),
+    [([39, 31], {"circle": 0.72}, True), ([39, 31], {"circle": 0.70}, False), ([39, 31], {"rectangle": [0.5, 0.5]}, True),
+     ([39, 31], {"rectangle": [0.5, 0.49]}, False), (2, {"circle": 1.4}, False), (2, {"circle": 1.42}, True),
+     ([2, 3], {"circle": 1.11}, False), ([2, 3], {"circle": 1.12}, True), (2, {"rectangle": [1.0, 0.9]}, False)],
 )  # fmt: skip
-def test_an_outline_holds_at_least_one_cell(outline, fits):
+def test_an_outline_holds_at_least_one_cell_where_the_count_puts_it(count, outline, fits):
+    """Of an even number none lies in the middle: the nearest ones meet there."""
+    keys = {"count": count, "outline": outline}
     if fits:
-        assert design(lattice={"outline": outline}).lattice.outline is not None
+        assert design(lattice=keys).lattice.outline is not None
     else:
-        assert codes(lattice={"outline": outline}) == [("CL117", "lattice.outline")]
+        assert codes(lattice=keys) == [("CL117", "lattice.outline")]
 
 
 def test_a_material_is_known_and_its_index_reaches_the_wavelength():

@@ -424,21 +424,29 @@ def test_whichever_write_fails_only_complete_files_appear(tmp_path: Path) -> Non
 
 SLOW = textwrap.dedent(
     """
-    import sys, clacad
+    import os, sys, threading, clacad
     from clacad.exporting.export_design import export
     design = clacad.load(sys.argv[1])
+
+    def told(name, done):
+        "At a stage that was named the process is sent its signal a moment later, however busy the machine is."
+        print(name, flush=True)
+        if name in sys.argv[3:]:
+            threading.Timer(0.05, os.kill, (os.getpid(), int(sys.argv.pop()))).start()
+            sys.argv.pop()
+
     try:
-        export(design, sys.argv[2], formats=("step", "stl", "3mf"), quads=16, cells=(10, 10),
-               progress=lambda name, done: print(name, flush=True))
+        export(design, sys.argv[2], formats=("step", "stl", "3mf"), quads=16, cells=(10, 10), progress=told)
     except KeyboardInterrupt:
         sys.exit(130)
     """
 )
 
 
-def started(out: Path) -> subprocess.Popen[str]:
+def started(out: Path, *signalled: str) -> subprocess.Popen[str]:
+    """An export of some seconds; `signalled`: a stage, and the number of the signal that comes in it."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    command = [sys.executable, "-c", SLOW, str(DESIGNS / "tilted-seam.toml"), str(out)]
+    command = [sys.executable, "-c", SLOW, str(DESIGNS / "tilted-seam.toml"), str(out), *signalled]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
 
 
@@ -452,15 +460,10 @@ def started(out: Path) -> subprocess.Popen[str]:
     ],
 )
 def test_an_interrupted_export_ends_and_leaves_nothing(tmp_path: Path, stage: str, number: int) -> None:
-    caller = started(tmp_path / "out")
-    assert caller.stdout is not None
-    for line in caller.stdout:
-        if line.strip() == stage:
-            break
-    time.sleep(0.05)
-    caller.send_signal(number)
-    assert caller.wait(timeout=30) == 130
-    caller.stdout.close()
+    caller = started(tmp_path / "out", stage, str(int(number)))
+    said, _ = caller.communicate(timeout=200)
+    assert caller.returncode == 130
+    assert stage in said.splitlines()
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from itertools import pairwise
 
 import numpy as np
@@ -313,6 +314,22 @@ def test_a_round_displaced_slab_keeps_only_cells_whose_partners_lie_inside_too()
     for shift in window.shifts:
         corners = window.lattice.centres(cells)[:, None] + window.lattice.tile() + np.array(shift)
         assert np.hypot(*corners.reshape(-1, 2).T).max() <= 0.025 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("shape", "size"), [("circle", 0.0075), ("rectangle", [0.005, 0.03])])
+def test_a_displaced_slab_without_a_whole_cell_is_refused_with_an_outline_that_holds_one(shape, size):
+    changes = {
+        "pair__form": "slab",
+        "pair__thickness": None,
+        "law__delta": [0.05, 0.0],
+        "lattice__count": [11, 11],
+    }
+    with pytest.raises(DesignError) as caught:
+        window_of(**changes, lattice__outline={shape: size})
+    (mistake,) = caught.value.mistakes
+    assert (mistake.code, mistake.key) == ("CL117", "lattice.outline")
+    asked = tomllib.loads(mistake.hint.partition(" or larger")[0])["outline"]
+    assert window_of(**changes, lattice__outline=asked).lattice.cell_count == 1
 
 
 @pytest.mark.parametrize("recipe", ["exact", "thin", "best"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -85,6 +86,38 @@ def test_an_outline_keeps_exactly_the_cells_that_lie_wholly_inside(name, outline
         else:
             inside = (np.abs(corners) <= [0.85 + 1e-9, 0.55 + 1e-9]).all()
         assert (tuple(cell) in kept) == inside
+
+
+@pytest.mark.parametrize("name", ["square", "rectangular", "hexagonal"])
+def test_whether_an_outline_holds_a_cell_is_known_without_listing_them(name):
+    """By counting every kept cell; the least outline keeps one, one a little smaller round or lower keeps none."""
+    pitch = (0.25, 0.4 if name == "rectangular" else 0.25)
+    chance = np.random.default_rng(3)
+    for n1, n2 in np.ndindex(5, 7):
+        free = Lattice(name, pitch, (n1 + 1, n2 + 1))
+        sizes = chance.uniform(0.1, 1.5, (8, 2)).tolist()
+        for outline in [*(Circle(a) for a, _ in sizes), *(Rectangle(a, b) for a, b in sizes)]:
+            lattice = replace(free, outline=outline)
+            assert lattice.holds_a_cell == (lattice.cell_count > 0)
+            least = lattice.least_outline()
+            assert replace(lattice, outline=least).cell_count > 0
+            if isinstance(least, Circle):
+                less: Circle | Rectangle = Circle(least.diameter * (1.0 - 1e-9))
+            else:
+                less = Rectangle(least.width, least.height * (1.0 - 1e-9))
+            assert replace(lattice, outline=less).cell_count == 0
+    assert Lattice(name, pitch, (3, 2)).holds_a_cell
+
+
+@pytest.mark.parametrize("name", ["square", "rectangular", "hexagonal"])
+def test_an_outline_keeps_the_same_cells_of_very_many_as_of_few_and_as_fast(name):
+    """Every number of cells of one parity puts the cells of a square lattice at the same places."""
+    for outline in (Circle(3.2), Rectangle(2.9, 0.7), Rectangle(0.3, 4.1)):
+        few, many = (Lattice(name, (0.25, 0.4), (n, n), outline) for n in (40, 1_000_000))
+        near, far = few.centres(few.cells()), many.centres(many.cells())
+        np.testing.assert_allclose(far, near, rtol=0.0, atol=1e-9)
+        assert many.cell_count == few.cell_count == len(near)
+        assert many.row(0).shape == (0, 2)
 
 
 def test_hexagons_are_centre_to_centre_and_flat_to_flat_one_pitch():

@@ -37,7 +37,7 @@ def alive(pid: int) -> bool:
 
 def gone_soon(pid: int) -> bool:
     """Within what a busy machine may take to carry out a kill; it takes milliseconds."""
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 120.0
     while alive(pid):
         if time.monotonic() > end:
             return False
@@ -118,7 +118,8 @@ def test_errors_of_our_own_keep_their_kind(worker: Worker) -> None:
 def test_a_kernel_that_hears_nothing_is_ended_without_its_answer() -> None:
     """The parent waits on a pipe, so its own end needs no answer from the kernel."""
     pids: list[int | None] = []
-    with Worker() as worker:
+    with Worker(preload=["OCP.BRepMesh", "OCP.BRepPrimAPI"]) as worker:
+        worker.run("worker_tricks:add", 1, 1)  # the kernel is loaded: the 8 s are those of the meshing
         with pytest.raises(WorkerDied, match=r"did not finish within 8 s.*meshing"):
             worker.run(
                 "worker_tricks:stuck_in_the_kernel", timeout=8, progress=lambda *_: pids.append(worker.pid)
@@ -154,7 +155,7 @@ def test_a_signal_ends_the_child_and_what_it_started(number: int) -> None:
     caller.send_signal(number)
     assert gone_soon(int(child))
     if number != signal.SIGKILL:  # nobody is left to end the grandchild of a killed parent
-        assert caller.wait(timeout=20) == 130
+        assert caller.wait(timeout=120) == 130
         assert gone_soon(int(grandchild))
     else:
         os.kill(int(grandchild), signal.SIGKILL)
@@ -180,7 +181,7 @@ DROPPED = textwrap.dedent(
             thing = Thing()
             watched = weakref.ref(thing, told)
             del thing
-            time.sleep(20)
+            time.sleep(600)
     except KeyboardInterrupt:
         sys.exit(130)
     """
@@ -189,18 +190,17 @@ DROPPED = textwrap.dedent(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_that_comes_where_python_drops_exceptions_still_ends_the_block(number: int) -> None:
-    started = time.monotonic()
+    """Otherwise it sleeps until long after the time limit."""
     done = subprocess.run(
         [sys.executable, "-c", DROPPED, str(int(number))],
         capture_output=True,
         env=os.environ | {"PYTHONPATH": _path()},
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
     assert done.stdout == "dropped\n"
     assert (done.returncode, done.stderr) == (130, "")
-    assert time.monotonic() - started < 15
 
 
 def _path() -> str:

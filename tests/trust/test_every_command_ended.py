@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from trust.running import ROOT, TINY, command, environment
-from trust.test_interruptions import until
+from trust.test_interruptions import HANG, until
 
 from clacad.cli.interrupts import SENTENCE
 
@@ -92,6 +92,9 @@ def held(made: dict[str, bytes], whole: dict[str, bytes], line: Line) -> None:
         assert data == whole[name], f"{name} is not what an undisturbed run writes"
 
 
+PATIENCE = 1200.0
+"""Seconds that an undisturbed command may take on a machine that is busy with much else."""
+
 DEAR = ("verify", "accuracy")
 """Half a minute each; how they are told to end, and kills of `verify`, are tested elsewhere, too."""
 
@@ -118,15 +121,18 @@ def test_a_command_ended_at_any_instant_leaves_whole_files_and_the_next_run_no_t
 ) -> None:
     """Kills and signals in turn; the files of a command that says nothing of time are the same bytes every time."""
     line = LINES[name]
-    began = time.monotonic()
-    undisturbed = run(line, given, tmp_path)
-    _, said = undisturbed.communicate(timeout=300)
-    span = time.monotonic() - began
-    assert undisturbed.returncode in (0, 1), said
+    span = 0.0
+    for _ in range(2):  # the first may have kernels to compile: instants are drawn from what the second takes
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+        began = time.monotonic()
+        undisturbed = run(line, given, tmp_path)
+        _, said = undisturbed.communicate(timeout=PATIENCE)
+        span = time.monotonic() - began
+        assert undisturbed.returncode in (0, 1), said
     whole = files(tmp_path)
     assert set(line.writes) <= set(whole)
     timed = name in ("accuracy",)
-    chance, kills, signals = np.random.default_rng(len(name)), 0, 0
+    chance, kills, signals, early = np.random.default_rng(len(name)), 0, 0, 0
     for turn in range(times + times // 2):
         if turn % 3 == 0:
             shutil.rmtree(tmp_path / "out")
@@ -136,9 +142,12 @@ def test_a_command_ended_at_any_instant_leaves_whole_files_and_the_next_run_no_t
         else:  # before it has begun the interpreter itself answers
             running, wait = run(line, given, tmp_path, "-v"), 0.8 * span
             until(running, '"start"')
-        time.sleep(float(chance.uniform(0.0, wait)))
+        instant = time.monotonic() + float(chance.uniform(0.0, wait))
+        while running.poll() is None and time.monotonic() < instant:
+            time.sleep(0.002)
+        early += running.poll() is None
         running.send_signal(number)
-        _, said = running.communicate(timeout=120)
+        _, said = running.communicate(timeout=HANG)
         assert "Traceback" not in said
         if number == signal.SIGKILL:
             kills += 1
@@ -149,9 +158,9 @@ def test_a_command_ended_at_any_instant_leaves_whole_files_and_the_next_run_no_t
             assert ended in ((130, 1), (undisturbed.returncode, 0), *([(-number, 0)] if late else [])), said
         if not timed:
             held(files(tmp_path), whole, line)
-    print(f"{name}: {kills} kills, {signals} signals")  # noqa: T201
+    print(f"{name}: {kills} kills, {signals} signals, {early} of them before it had ended")  # noqa: T201
     last = run(line, given, tmp_path)
-    last.communicate(timeout=300)
+    last.communicate(timeout=PATIENCE)
     assert last.returncode == undisturbed.returncode
     assert set(files(tmp_path)) - set(line.resumes) == set(whole) - set(line.resumes)
     assert not [path.name for path in (tmp_path / "out").rglob(".clacad-*")]

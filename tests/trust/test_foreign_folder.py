@@ -135,7 +135,7 @@ def told_in(folder: Path, code: str) -> str:
     """What code prints that runs in a folder."""
     line = [sys.executable, "-P", "-c", code]
     done = subprocess.run(
-        line, cwd=folder, capture_output=True, text=True, env=environment(), check=True, timeout=60
+        line, cwd=folder, capture_output=True, text=True, env=environment(), check=True, timeout=240
     )
     return done.stdout
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 import textwrap
@@ -84,10 +85,18 @@ KILLED = textwrap.dedent(
                 print(json.dumps({"error": f"{type(error).__name__}: {error}"}), flush=True)
             os._exit(1)
         if turn % 2:  # every other one among the writing, which is short beside the work before it
-            while not staged() - before and time.perf_counter() - began < 60.0:
-                time.sleep(0.0005)
             instant = chance.uniform(0.0, 0.02)
-        time.sleep(float(instant))
+            while time.perf_counter() - began < 60.0:
+                if staged() - before:
+                    time.sleep(float(instant))
+                    os.kill(victim, signal.SIGSTOP)  # a busy machine may let it finish meanwhile: look once it stands still
+                    os.waitid(os.P_PID, victim, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+                    if staged() - before:
+                        break
+                    os.kill(victim, signal.SIGCONT)
+                time.sleep(0.0005)
+        else:
+            time.sleep(float(instant))
         os.kill(victim, signal.SIGKILL)
         os.waitpid(victim, 0)
         print(json.dumps({"killed": turn, "stale": bool(staged() - before)}), flush=True)
@@ -133,7 +142,7 @@ def test_kill_9_at_any_instant_leaves_no_partial_file_and_the_next_run_no_trace(
         running.stdin.flush()
     running.stdin.close()
     running.stdout.close()
-    assert running.wait(timeout=60) == 0
+    assert running.wait(timeout=120) == 0
     assert stale > times / 4, "most instants fell among the writing"
     whole(out)
     assert not [p.name for p in out.iterdir() if p.name.startswith(".clacad-")]
@@ -191,7 +200,12 @@ def test_a_whole_report_killed_at_any_instant(design: Path, tmp_path: Path) -> N
         if turn % 2:
             while running.poll() is None and not set(private(out)) - before:
                 time.sleep(0.0005)
-            time.sleep(float(chance.uniform(0.0, 0.015)))
+            running.send_signal(
+                signal.SIGSTOP
+            )  # half of them right there, whenever this process gets its turn
+            if turn % 4 == 1:
+                running.send_signal(signal.SIGCONT)
+                time.sleep(float(chance.uniform(0.0, 0.015)))
         else:
             time.sleep(float(chance.uniform(0.0, span)))
         running.kill()

@@ -19,7 +19,7 @@ from clacad.cli import main
 from clacad.storage.atomic import read_manifest
 from clacad.storage.errors import OverBudget
 
-PATIENCE = 20.0
+PATIENCE = 120.0
 """Seconds after which a command that waits for a pipe has waited for ever."""
 
 
@@ -123,7 +123,7 @@ def shell(words: str, streams: str, folder: Path, **changes: str) -> subprocess.
     (folder / "t.toml").write_text(TINY)
     return subprocess.run(
         ["sh", "-c", f"'{sys.executable}' -m clacad {words} {streams}"], cwd=folder, env=environment(**changes),
-        capture_output=True, encoding="latin-1", timeout=60,
+        capture_output=True, encoding="latin-1", timeout=120,
     )  # fmt: skip
 
 

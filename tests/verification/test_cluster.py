@@ -149,7 +149,7 @@ def test_a_lost_scheduler_is_one_sentence_and_the_study_goes_on_without_it(clust
     out = tmp_path / "out"
     process = begun(study, cluster, out)
     cluster.kill(0, 1)
-    _, told = process.communicate(timeout=60)
+    _, told = process.communicate(timeout=240)
     kept = records(out / f"{study}.checkpoint")
     assert process.returncode == 4, told
     assert told.count("\n") == 1

@@ -227,7 +227,7 @@ def _faithful_fit(asked: Inspection, evidence: MeshEvidence) -> list[Check]:
     law, exact, spec = evidence.law, evidence.law_design, asked.design.check
     names = ("faithful_eta", "faithful_delta")
     if law is None or exact is None:
-        why = "too few rays get through the file's triangles to fit a law"
+        why = "too few rays get through the file's triangles to fit a law: more of them (--rays) may do"
         return [not_run(name, why, **asked.common) for name in names]
     text = "through the file's triangles {0} = {1:.6g}, {2:.6g}; through the design cut into the same triangles {3:.6g}, {4:.6g}"
     checks = fit_checks(names, (law, exact), (spec.eta, spec.delta), text, **asked.common)

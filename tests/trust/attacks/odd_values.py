@@ -45,7 +45,7 @@ BASES: dict[str, dict[str, Any]] = {
     "tilted": {
         "format": 1, "name": "tiny", "unit": "mm", "law": {"eta": [-0.5, -0.8], "euler": [30, 3, 10]},
         "pair": {"form": "slab", "separation": 10.0, "material": "PMMA"},
-        "lattice": {"kind": "hexagonal", "pitch": 0.5, "count": [3, 3], "seam": 0.02, "outline": {"circle": 1.5}},
+        "lattice": {"kind": "hexagonal", "pitch": 0.5, "count": [7, 7], "seam": 0.02, "outline": {"circle": 3.0}},
         "body": {"border": 0.3},
     },
 }  # fmt: skip

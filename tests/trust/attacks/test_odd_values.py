@@ -62,6 +62,18 @@ FORMER = {
     "the least depth of all, with a unit": ("slab", {"pair": {"depth": "5e-324 mm"}}, 2),
     "a length beyond every number": ("slab", {"body": {"roughness": "1e308 m"}}, 2),
     "an angle beyond every number": ("slab", {"check": {"field": "1e308 deg"}}, 2),
+    "an outline of one cell in the middle, where none is": (
+        "slab",
+        {"lattice": {"outline": {"circle": 0.75}}},
+        2,
+    ),
+    "an outline that holds no cell whole in both arrays": (
+        "tilted",
+        {"lattice": {"outline": {"circle": 1.5}}},
+        2,
+    ),
+    "cells without end round an outline": ("tilted", {"lattice": {"count": 2**53 + 1}}, 2),
+    "a thousand rows and columns round an outline": ("tilted", {"lattice": {"count": 1000}}, 0),
     "lenses a thousand kilometres apart": ("tilted", {"pair": {"separation": 1e9}}, 2),
 }
 """Designs that were once answered by an internal error, or not within minutes; what they are answered by."""
