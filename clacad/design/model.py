@@ -67,6 +67,13 @@ class Design:
     source: str | None = field(default=None, repr=False, compare=False)
     path: str = field(default="", compare=False)
 
+    def __repr__(self) -> str:
+        eta, cells, pair = self.law_spec.eta, self.lattice.count, self.pair
+        return (
+            f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, separation {pair.separation:g} {self.unit}, "
+            f"{cells[0]} x {cells[1]} cells)"
+        )
+
     @staticmethod
     def from_dict(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Design:
         """Read a design from nested dictionaries with the keys of a design file.

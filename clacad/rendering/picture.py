@@ -61,6 +61,10 @@ class Picture:
     passage: Passage
     window: Window
 
+    def __repr__(self) -> str:
+        height, width = self.samples.shape
+        return f"Picture({self.scene.name!r}, {width} x {height} pixels)"
+
 
 def render(scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None,
            compiled: bool | None = None) -> Floats:  # fmt: skip
