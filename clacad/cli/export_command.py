@@ -55,7 +55,7 @@ def export_design(path: Path, overrides: list[str], words: ExportWords, *, json:
     design = load_design(path, overrides)
     asked = _asked(design, formats, words.options)
     if not asked.force:
-        _refuse_early(design, asked)
+        _refuse_uncountable(design, asked)
     if words.target is not None:
         asked = _within_target(design, words, asked, quiet=quiet)
     if words.dry_run:
@@ -136,16 +136,16 @@ def _cut(design: Design, asked: Request) -> Design:
     return design if asked.cells is None else design.with_cells(asked.cells)
 
 
-def _refuse_early(design: Design, asked: Request) -> None:
-    """Refuse what is too much by its mere count, before anything is loaded that could make it.
+def _refuse_uncountable(design: Design, asked: Request) -> None:
+    """Refuse more lenslets than are ever gone through, before anything is loaded that could.
 
     Raises
     ------
     LimitRefused
     """
-    from clacad.exporting.limits import refuse_early
+    from clacad.exporting.limits import refuse_uncountable
 
-    refuse_early(_cut(design, asked), asked.formats, asked.quads)
+    refuse_uncountable(_cut(design, asked))
 
 
 def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet: bool) -> Request:
@@ -157,6 +157,7 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
     """
     from clacad.exporting.format_names import known_formats
     from clacad.exporting.roles import Role
+    from clacad.exporting.run import refuse_impossible
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import facets_for
 
@@ -170,6 +171,7 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
         )
     if words.normals not in ("facet", "vertex"):
         raise BadOption(f"--normals {words.normals}: it is facet or vertex")
+    refuse_impossible(design, asked)
     made = _cut(design, asked)
     chosen = facets_for(
         made, prescribe(made), target, masters, "facet" if words.normals == "facet" else "vertex"
