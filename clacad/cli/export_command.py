@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -180,7 +180,20 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
         say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose", quiet=quiet)
         return asked
     say(f"target {1e3 * target:g} mrad: {chosen}", quiet=quiet)
+    _name_cheapest(made, target, chosen.formats, quiet=quiet)
     return replace(asked, quads={**asked.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
+
+
+def _name_cheapest(design: Design, target: float, asked: Sequence[str], *, quiet: bool) -> None:
+    """Say which file is within the target for the fewest bytes, where it is another than those asked for."""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.verification.accuracy.cheapest_file import WHOLE, files_within
+    from clacad.verification.accuracy.choose_setting import mesh_floors
+
+    window = prescribe(design)
+    best = files_within(design, window, mesh_floors(design, window, WHOLE), target)[0]
+    if best.format not in asked:
+        say(f"cheapest file within it: {best}: {best.options}", quiet=quiet)
 
 
 def _forecast(design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:
