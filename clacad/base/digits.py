@@ -12,6 +12,9 @@ from typing import Any, NamedTuple
 ROUNDING = 1e-12
 """Below this a number of a design, in a unit near its sizes, is what rounding leaves of an exact 0."""
 
+NOTHING = 1e-8
+"""Part of its limit below which a value beside it is shown as 0; what it is exactly stands in JSON."""
+
 SHOWN_IN = {"rad": (1000, "mrad")}
 """Units that are shown in another one: factor and name."""
 
@@ -75,6 +78,8 @@ def shown(
     if holds is None or not (_finite(value) and _finite(limit)):
         return Shown(_text(value, factor, DIGITS), _text(limit, factor, DIGITS), name)
     truth = holds(value, limit)
+    if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[operator, arg-type]
+        return shown(0, limit, relation, unit, state)
     texts = next(
         (found for count in range(DIGITS, MOST + 1)
          if holds(*map(Decimal, found := (_text(value, factor, count), _text(limit, factor, count)))) == truth),

@@ -13,6 +13,7 @@ from clacad.cli.option_values import parse_angle
 
 if TYPE_CHECKING:
     from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable
+    from clacad.verification.accuracy.cheapest_file import FileWithin
     from clacad.verification.accuracy.file_floors import Floor
 
 
@@ -20,36 +21,46 @@ def measure_accuracy(
     path: Path, overrides: list[str], rays: int, target: str | None, out: Path | None, *, overwrite: bool, json: bool,
     quiet: bool,
 ) -> int:  # fmt: skip
-    """Print the table (or JSON), write the plot, name the cheapest setting for a target."""
+    """Print the table (or JSON), write the plot, name the cheapest file within a target."""
     design = load_counted(path, overrides)
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
+    from clacad.verification.accuracy.cheapest_file import files_within
 
     limit = None if target is None else parse_angle("--target", target)
-    progress = Progress(quiet=quiet)
+    progress, window = Progress(quiet=quiet), prescribe(design)
     try:
-        with forecast(TASK, accuracy_seconds(rays, prescribe(design)), quiet=quiet) as span:
+        with forecast(TASK, accuracy_seconds(rays, window), quiet=quiet) as span:
             progress.expect(span.middle)
             measured = accuracy(design, rays=rays, progress=progress)
     finally:
         progress.done()
     if out is not None:
         _write(out, measured, limit, overwrite)
-    chosen = None if limit is None else measured.cheapest(limit, rays)
+    files = [] if limit is None else files_within(design, window, measured.floors, limit)
     if json:
         document = measured.to_dict()
-        if chosen is not None:
-            document["target"] = {"radians": limit, "chosen": chosen.to_dict()}
+        if limit is not None:
+            chosen = measured.cheapest(limit, rays)
+            document["target"] = {
+                "radians": limit, "files": [one.to_dict() for one in files], "chosen": chosen.to_dict(),
+            }  # fmt: skip
         show_json(document)
         return 0
     show_text(accuracy_text(measured), quiet=quiet)
-    if chosen is not None and limit is not None:
-        show_text(
-            f"target {1e3 * limit:g} mrad: {chosen.rung} {chosen.setting}".rstrip()
-            + f", {1e3 * chosen.model_rms:.3g} mrad in {chosen.predicted_seconds(rays):.3g} s for {rays:,} rays",
-            quiet=quiet,
-        )
+    if limit is not None:
+        show_text(target_text(path, limit, files), quiet=quiet)
     return 0
+
+
+def target_text(path: Path, target: float, files: Sequence[FileWithin]) -> str:
+    """The cheapest file within a target (radians), how to write it, and the others."""
+    first, *rest = files
+    lines = [
+        f"cheapest file within {1e3 * target:g} mrad: {first}",
+        f"  clacad export {path} -o DIR {first.options}",
+    ]
+    return "\n".join(lines + [f"also within it: {one}" for one in rest])
 
 
 def _write(out: Path, measured: AccuracyTable, target: float | None, overwrite: bool) -> None:

@@ -189,7 +189,7 @@ def accuracy(
     design: Annotated[Path | None, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON); not needed with "
                                                   "--hard.", show_default=False)] = None,
     rays: Annotated[int, typer.Option("--rays", min=100, max=100_000_000, help="Rays sent up every rung.")] = 100_000,
-    target: Annotated[str | None, typer.Option("--target", metavar="E", help="Name the cheapest setting within this rms "
+    target: Annotated[str | None, typer.Option("--target", metavar="E", help="Name the cheapest file within this rms "
                                                "direction error, e.g. '0.5 mrad'.")] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write the plot here, .svg or .png.")]
     = None,
@@ -201,7 +201,7 @@ def accuracy(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> int:  # fmt: skip
-    """Error against seconds over the rungs: table, plot, the cheapest setting for a target."""
+    """Error against seconds over the rungs: table, plot, the cheapest file for a target."""
     if hard:
         from clacad.cli.stability_command import show_hard
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,7 +55,7 @@ def export_design(path: Path, overrides: list[str], words: ExportWords, *, json:
     design = load_design(path, overrides)
     asked = _asked(design, formats, words.options)
     if not asked.force:
-        _refuse_early(design, asked)
+        _refuse_uncountable(design, asked)
     if words.target is not None:
         asked = _within_target(design, words, asked, quiet=quiet)
     if words.dry_run:
@@ -136,16 +136,16 @@ def _cut(design: Design, asked: Request) -> Design:
     return design if asked.cells is None else design.with_cells(asked.cells)
 
 
-def _refuse_early(design: Design, asked: Request) -> None:
-    """Refuse what is too much by its mere count, before anything is loaded that could make it.
+def _refuse_uncountable(design: Design, asked: Request) -> None:
+    """Refuse more lenslets than are ever gone through, before anything is loaded that could.
 
     Raises
     ------
     LimitRefused
     """
-    from clacad.exporting.limits import refuse_early
+    from clacad.exporting.limits import refuse_uncountable
 
-    refuse_early(_cut(design, asked), asked.formats, asked.quads)
+    refuse_uncountable(_cut(design, asked))
 
 
 def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet: bool) -> Request:
@@ -157,6 +157,7 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
     """
     from clacad.exporting.format_names import known_formats
     from clacad.exporting.roles import Role
+    from clacad.exporting.run import refuse_impossible
     from clacad.prescription.prescribe import prescribe
     from clacad.verification.accuracy.choose_setting import facets_for
 
@@ -170,6 +171,7 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
         )
     if words.normals not in ("facet", "vertex"):
         raise BadOption(f"--normals {words.normals}: it is facet or vertex")
+    refuse_impossible(design, asked)
     made = _cut(design, asked)
     chosen = facets_for(
         made, prescribe(made), target, masters, "facet" if words.normals == "facet" else "vertex"
@@ -178,7 +180,20 @@ def _within_target(design: Design, words: ExportWords, asked: Request, *, quiet:
         say(f"target {1e3 * target:g} mrad: none of {', '.join(masters)} has facets to choose", quiet=quiet)
         return asked
     say(f"target {1e3 * target:g} mrad: {chosen}", quiet=quiet)
+    _name_cheapest(made, target, chosen.formats, quiet=quiet)
     return replace(asked, quads={**asked.quads, **dict.fromkeys(chosen.formats, chosen.quads)})
+
+
+def _name_cheapest(design: Design, target: float, asked: Sequence[str], *, quiet: bool) -> None:
+    """Say which file is within the target for the fewest bytes, where it is another than those asked for."""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.verification.accuracy.cheapest_file import WHOLE, files_within
+    from clacad.verification.accuracy.choose_setting import mesh_floors
+
+    window = prescribe(design)
+    best = files_within(design, window, mesh_floors(design, window, WHOLE), target)[0]
+    if best.format not in asked:
+        say(f"cheapest file within it: {best}: {best.options}", quiet=quiet)
 
 
 def _forecast(design: Design, out: Path, asked: Request, *, json: bool, quiet: bool) -> int:

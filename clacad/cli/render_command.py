@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text, table
 from clacad.cli.option_values import parse_angle
+from clacad.storage.atomic import require_writable
 from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
+    from clacad.rendering.coarse_first import CoarseView
     from clacad.rendering.picture import Picture
     from clacad.rendering.sheet_passage import Passage
     from clacad.scene import Scene
@@ -42,6 +44,7 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
     from clacad.scene import load_scene
 
     scene = _adjusted(load_scene(path, tuple(overrides)), request)
+    require_writable(request.out, overwrite=request.overwrite)
     progress = Progress(quiet=quiet)
     if scene.animation is not None and request.frame is None and request.out.suffix.lower() in MOVIE_ENDINGS:
         return _movie(scene, request, progress, json=json, quiet=quiet)
@@ -150,7 +153,8 @@ def render_eye(
     *, json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Render a photograph behind the sheet, seen by an eye, with and without the sheet."""
-    from clacad.rendering.photograph_view import EyeRequest, before_and_after, eye_scene
+    from clacad.rendering.coarse_first import BLOCK
+    from clacad.rendering.photograph_view import EyeRequest, eye_scene, without_sheet
     from clacad.rendering.picture_files import write_picture
 
     if not photo.is_file():
@@ -161,14 +165,42 @@ def render_eye(
     )  # fmt: skip
     progress = Progress(quiet=quiet)
     scene = _adjusted(eye_scene(asked, tuple(overrides)), replace(request, pixels=None, samples=None))
-    before, after = before_and_after(scene, progress)
-    progress.done()
     out = request.out
     bare = out.with_name(f"{out.stem}-without{out.suffix}")
-    write_picture(after, out, overwrite=request.overwrite)
+    for path in (out, bare):
+        require_writable(path, overwrite=request.overwrite)
+    coarse = _seen_coarsely(scene, progress)
+    before = without_sheet(scene, coarse.passage)
     write_picture(before, bare, overwrite=request.overwrite)
+    write_picture(coarse.enlarged(), out, overwrite=request.overwrite)
+    progress.say(f"wrote {bare}; {out} is coarse as yet, in blocks of {BLOCK} pixels, and is refined now")
+    after = _refined(coarse, progress, quiet=quiet)
+    progress.done()
+    write_picture(after, out, overwrite=True)  # what was coarse
     _told([before, after], [bare, out], json=json, quiet=quiet)
     return 0
+
+
+def _seen_coarsely(scene: Scene, progress: Progress) -> CoarseView:
+    """Plan what an eye sees, and draw it small."""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.coarse_first import view_coarsely
+    from clacad.rendering.sheet_passage import plan_passage
+
+    progress("planning the effects")
+    passage = plan_passage(scene, prescribe(scene.design()))
+    return view_coarsely(scene, passage, progress=lambda _, share: progress("drawing it coarsely", share))
+
+
+def _refined(coarse: CoarseView, progress: Progress, *, quiet: bool) -> Picture:
+    """Draw it fine; what that takes is forecast by some of its pixels."""
+    from clacad.rendering.picture_cost import picture_seconds, task
+
+    progress("trying some pixels")
+    modelled = picture_seconds(coarse.scene, coarse.fine_passage)
+    with forecast(task(coarse.scene), modelled, quiet=quiet, measured=True) as span:
+        progress.expect(span.middle)
+        return coarse.refined(progress=progress)
 
 
 def _length(design: Path, overrides: list[str], option: str, text: str | None) -> float | None:

@@ -60,8 +60,10 @@ def run_sweep(
     """Build, judge and trace every point of a grid, print the table, write it."""
     design = load_counted(path, overrides)
     from clacad.verification.tolerance import Farm, parse_vary, sweep, write_sweep
-    from clacad.verification.tolerance.study_files import SWEEP
+    from clacad.verification.tolerance.study_files import SWEEP, require_writable
 
+    names = tuple(name.strip() for name in formats.split(",") if name.strip())
+    require_writable(names)
     axes = [parse_vary(text) for text in vary]
     kept = _kept(where, SWEEP)
     again = kept is not None and kept.exists()
@@ -70,7 +72,6 @@ def run_sweep(
         found = sweep(design, axes, rays, Farm(where.workers, where.scheduler), kept, progress)
     finally:
         progress.done()
-    names = tuple(name.strip() for name in formats.split(",") if name.strip())
     written = (
         [] if where.out is None else write_sweep(found, where.out, names, overwrite=where.overwrite or again)
     )

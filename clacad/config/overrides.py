@@ -68,6 +68,21 @@ def apply(
     return made, places, mistakes
 
 
+def changed_keys(changes: Mapping[str, Any] | str, value: Any) -> Mapping[str, Any]:
+    """Changes of keys as a mapping, given as one already or as one dotted key and its value.
+
+    Raises
+    ------
+    TypeError
+        Neither.
+    """
+    if isinstance(changes, str):
+        return {changes: value}
+    if not isinstance(changes, Mapping) or value is not None:
+        raise TypeError('replace takes "pair.separation", 12 or {"pair.separation": 12, …}')
+    return changes
+
+
 def put(data: Any, path: KeyPath, value: Any, done: KeyPath = ()) -> Any:
     """Return the data with one value replaced; missing tables are made, lists are never extended.
 

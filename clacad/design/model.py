@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from clacad.config.overrides import changed_keys
 from clacad.design.canonical_text import to_dict, to_toml
 from clacad.design.read import read_changed, read_dict, read_file
 from clacad.design.sections import (
@@ -65,6 +66,13 @@ class Design:
     given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     source: str | None = field(default=None, repr=False, compare=False)
     path: str = field(default="", compare=False)
+
+    def __repr__(self) -> str:
+        eta, cells, pair = self.law_spec.eta, self.lattice.count, self.pair
+        return (
+            f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, separation {pair.separation:g} {self.unit}, "
+            f"{cells[0]} x {cells[1]} cells)"
+        )
 
     @staticmethod
     def from_dict(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Design:
@@ -125,20 +133,24 @@ class Design:
         """Return the design as TOML in one fixed form: every key, fixed order, shortest numbers."""
         return to_toml(self.to_dict())
 
-    def replace(self, changes: Mapping[str, Any]) -> Design:
+    def replace(self, changes: Mapping[str, Any] | str, value: Any = None) -> Design:
         """Return the design with some keys changed, checked as a file would be.
 
         Parameters
         ----------
-        changes : mapping
-            Dotted key, with an index for one element of a list, to value: {"law.eta.0": -0.5}.
+        changes : mapping, or str
+            Dotted key, with an index for one element of a list, to value: {"law.eta.0": -0.5}; or one such key.
+        value : any
+            Of the one key: ``design.replace("pair.separation", 12)``.
 
         Raises
         ------
         DesignError
             If the result is no design.
+        TypeError
+            A value beside a mapping, or neither a mapping nor a key.
         """
-        return Design(**read_changed(self.given, self.path, changes))
+        return Design(**read_changed(self.given, self.path, changed_keys(changes, value)))
 
     def with_cells(self, cells: tuple[int, int]) -> Design:
         """Return the same design with another number of cells, centred on the origin, without an outline.

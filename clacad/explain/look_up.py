@@ -1,4 +1,4 @@
-"""`explain`: what a code, a check or a word means, why it matters, what is computed, what to do."""
+"""`explain`: what a code, a check, a word, a process, an effect or a material is, why it matters, what to do."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from clacad.explain.check_explanations import CHECKS
 from clacad.explain.design_mistakes import MISTAKES
 from clacad.explain.entry import Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
+from clacad.explain.named_things import materials_text, named_things
 from clacad.topology.cannot_build import CODES as BODIES
 from clacad.verification.checks import CODES as JUDGED
 from clacad.verification.checks import FORMER
@@ -30,7 +31,10 @@ class Unexplained(KeyError):
 
 
 def entries() -> dict[str, Entry]:
-    """Every explanation: codes first, in order, then words."""
+    """Every explanation: codes first, in order, then words, processes, effects and materials.
+
+    What has the name of a word or a check (diffraction) is an entry of its own: "effect diffraction".
+    """
     found = {}
     for code, title in sorted({**DESIGN, **BODIES}.items()):
         means, why, formula, do = MISTAKES[code]
@@ -40,6 +44,10 @@ def entries() -> dict[str, Entry]:
         found[code] = Entry(code, name, f"check {name}", means, why, formula, do)
     for word, (means, key) in WORDS.items():
         found[word] = Entry("", word, word, means, "", "", _see(key))
+    taken = {entry.name for entry in found.values()}
+    for entry in named_things():
+        name = entry.name if entry.name not in taken else f"{entry.title.split()[0]} {entry.name}"
+        found[name] = replace(entry, name=name)
     return found
 
 
@@ -51,7 +59,7 @@ def _see(key: str) -> str:
 
 
 def explain(asked: str) -> Entry:
-    """Look up a code ("CL337", "cl337", "337"), a check ("wall"), a word ("moire") or a key ("pair.web").
+    """Look up a code ("CL337", "337"), a check ("wall"), a word ("moire"), a process, effect or material, a key ("pair.web").
 
     The former name of a check gives the check, and says what it is called now.
 
@@ -74,6 +82,9 @@ def explain(asked: str) -> Entry:
     for name in () if "." in folded else (folded, folded.replace("_", " "), folded.replace("_", "-")):
         if name in by_name:
             return by_name[name]
+    same = [entry for name, entry in by_name.items() if _bare(name) == _bare(word)]
+    if same and "." not in folded:
+        return same[0]
     key = _key(folded)
     if key is not None:
         return key
@@ -93,7 +104,14 @@ def _key(name: str) -> Entry | None:
         )
     key = (SECTIONS[section] if section else ROOT)[last]
     allowed = key.kind.allowed(Unit("the design's unit", LENGTHS["m"]))
+    if place == "pair.material":
+        allowed = f"one of the names of the table ({materials_text()}), or a page of the refractiveindex.info database (ri:…)"
     return Entry("", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}")
+
+
+def _bare(name: str) -> str:
+    """A name without case, spaces and hyphens, as materials are looked up."""
+    return "".join(sign for sign in name.casefold() if sign.isalnum())
 
 
 def _nearest(word: str, known: dict[str, Entry], names: list[str]) -> str:

@@ -39,16 +39,10 @@ def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
     ------
     UnknownFormat
         With the nearest word and the list.
-    NotPossible
-        A format needs an extra that is not installed.
     """
     unknown = [name for name in asked if name not in FORMATS]
     if unknown or not asked:
         hint = did_you_mean(near(unknown[0], FORMATS), before="; ") if unknown else ""
         what = f"unknown format {unknown[0]!r}{hint}" if unknown else "no format was asked for"
         raise UnknownFormat(f"{what}\n  allowed: {', '.join(FORMATS)}")
-    if "gds" in asked:
-        from clacad.formats.maps.gds import require_gdstk
-
-        require_gdstk()
     return tuple(dict.fromkeys(asked))

@@ -79,6 +79,9 @@ class Manifest:
     document: Mapping[str, Any]
     run: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"Manifest({str(self.folder)!r}: {', '.join(str(one['name']) for one in self.files)})"
+
     @property
     def files(self) -> tuple[Mapping[str, Any], ...]:
         """Entries of the files, each a mapping with name, sha256, bytes, format and what was found."""

@@ -13,11 +13,12 @@ from clacad.base.machine_rates import Rates, Span, seconds_of, total
 from clacad.base.types import Progress, silent
 from clacad.exporting import costs, limits
 from clacad.exporting.forecast import Forecast, forecast
-from clacad.exporting.format_names import known_formats
+from clacad.exporting.format_names import MESHES, known_formats
 from clacad.exporting.format_table import WRITERS, Job
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.manifest import FileRecord, Manifest, carried_over, document
 from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
+from clacad.exporting.refusals import Refusals, require_possible
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
 from clacad.storage.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
@@ -38,7 +39,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     formats = known_formats(request.formats)
     made = design if request.cells is None else design.with_cells(request.cells)
     if not request.force:
-        limits.refuse_early(made, formats, request.quads)
+        limits.refuse_uncountable(made)
     began, used = time.monotonic(), time.process_time()
     with ended_by_signals(), Worker(memory=limits.worker_memory(), preload=CAD_MODULES) as worker:
         if "step" in formats:
@@ -46,7 +47,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         report("forecast", 0.0)
         window = _prescribed(made)
         meshes = Meshes(window, request.saddle_bevel)
-        rows = _forecast(made, meshes, formats, request, Path(out))
+        rows = _forecast(made, meshes, formats, request, (Path(out), worker))
         quads = {row.quads for row in rows if row.quads is not None}
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
@@ -81,30 +82,86 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     design : Design
     request : Request
     out : Path or None
-        The folder it would write to: what `export` would refuse is refused here too, unless forced. None: rows of any
-        size are told.
+        The folder it would write to: what `export` would refuse is refused here too, sizes unless forced. None: rows of
+        any size, and of files that the design cannot have, are told.
 
     Raises
     ------
-    DesignError, LimitRefused
+    DesignError, NotPossible, LimitRefused, CannotBuild
+        The refusals of all formats together.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = known_formats(request.formats)
     if not request.force:
-        limits.refuse_early(made, formats, request.quads)
-    return _forecast(made, Meshes(_prescribed(made), request.saddle_bevel), formats, request, out)
+        limits.refuse_uncountable(made)
+    meshes = Meshes(_prescribed(made), request.saddle_bevel)
+    if out is None:
+        return _forecast(made, meshes, formats, request, None)
+    with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:
+        return _forecast(made, meshes, formats, request, (out, worker))
+
+
+def refuse_impossible(design: Design, request: Request) -> None:
+    """Refuse formats that a design cannot have, and a mere count beyond the limits, before anything else is worked out.
+
+    Raises
+    ------
+    DesignError, NotPossible, LimitRefused, CannotBuild
+        The refusals of all formats together.
+    """
+    made = design if request.cells is None else design.with_cells(request.cells)
+    formats = known_formats(request.formats)
+    if not request.force:
+        limits.refuse_uncountable(made)
+    with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:
+        _impossible(made, _prescribed(made), formats, request, worker).complete()
+
+
+def _impossible(
+    design: Design, window: Window, formats: tuple[str, ...], request: Request, worker: Worker
+) -> Refusals:
+    """What the design, or the number of its lenslets, makes impossible."""
+    refused = Refusals()
+    for name in formats:
+        with refused.of(name):
+            require_possible(window, name, request, worker)
+            if not request.force:
+                limits.refuse_early(design, (name,), request.quads)
+    return refused
 
 
 def _forecast(
-    design: Design, meshes: Meshes, formats: tuple[str, ...], request: Request, out: Path | None
-) -> list[Forecast]:
-    """Rows of all formats, held against the limits before the light through the meshes is forecast."""
+    design: Design, meshes: Meshes, formats: tuple[str, ...], request: Request, where: tuple[Path, Worker] | None
+) -> list[Forecast]:  # fmt: skip
+    """Rows of all formats; what is refused is refused, all at once, before the light through the meshes is forecast.
+
+    where : folder that is written to, and what draws letters there is hardly room for; None: nothing is refused
+    """
     grader = Grader.of(meshes, design)
-    quads = chosen_quads(grader, request, formats)
-    rows = forecast(meshes, formats, quads, request)
-    if not request.force and out is not None:
-        limits.refuse_over_limits(meshes, rows, out)
+    refused = Refusals() if where is None else _impossible(design, meshes.window, formats, request, where[1])
+    rows = _priced(grader, tuple(name for name in formats if name not in refused), request, refused)
+    if where is not None and not request.force:
+        for row in rows:
+            with refused.of(row.format):
+                limits.refuse_over_limits(meshes, [row], where[0])
+        if not refused:
+            limits.refuse_over_limits(meshes, rows, where[0])  # the disk holds all of them
+    refused.complete()
     return with_prospects(grader, rows, request.role)
+
+
+def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused: Refusals) -> list[Forecast]:
+    """Rows of the formats whose bodies can be made; the others are refused."""
+    quads: dict[str, int] = {}
+    cut = [name for name in formats if name in MESHES]
+    with refused.of(*cut):
+        quads = chosen_quads(grader, request, cut)
+    rows: list[Forecast] = []
+    for name in formats:
+        if name not in refused:
+            with refused.of(name):
+                rows += forecast(grader.meshes, [name], quads, request)
+    return rows
 
 
 def prepare_seconds(quads: Iterable[int]) -> float:

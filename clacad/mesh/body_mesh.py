@@ -240,6 +240,9 @@ class Mesh:
     bodies: tuple[BodyMesh, ...]
     quads: int
 
+    def __repr__(self) -> str:
+        return f"Mesh({self.window.name!r}, {self.quads} quads a cell side, {self.facet_count} facets)"
+
     @property
     def slope_error(self) -> float:
         """Rms angle between facet and exact normal over optical facets, worst face (radians)."""

@@ -11,6 +11,7 @@ from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
 from clacad.mesh.prototile import Prototile, make_prototile
+from clacad.sheet.need_window import need_window
 from clacad.sheet.window import Body, Window
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
@@ -47,10 +48,13 @@ def tessellate(
 
     Raises
     ------
+    TypeError
+        A design in place of the window.
     ValueError
         Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's surface ends
         inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
+    need_window(window, "tessellate", ", quads=16")
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
     if quads is None:

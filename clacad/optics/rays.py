@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.types import Floats
 
+OneRay = tuple[ArrayLike, ArrayLike]
+"""Origin (3,) and direction (3,) of a single ray."""
+
 NO_CELL = -(2**31)
 """Stands in integer columns where no cell, or no surface, was met."""
 
@@ -34,16 +37,16 @@ class Rays:
 
     Parameters
     ----------
-    position : (n, 3) array, design units
-    direction : (n, 3) array
+    position : (n, 3) array, or (3,) for one point that all start at, design units
+    direction : (n, 3) array, or (3,) for one that all have
         Any length but zero; a zero or non-finite row becomes fate INVALID, never an error.
-    wavelength : (n,) array or None, metres
+    wavelength : (n,) array, one number for all, or None, metres
         None is the design wavelength.
 
     Raises
     ------
     ValueError
-        The shapes are not (n, 3), (n, 3), (n,).
+        The shapes are not (n, 3), (n, 3), (n,), nor those of one for all.
     """
 
     position: Floats
@@ -53,11 +56,16 @@ class Rays:
     def __init__(
         self, position: ArrayLike, direction: ArrayLike, wavelength: ArrayLike | None = None
     ) -> None:
-        object.__setattr__(self, "position", _rows("position", position))
-        object.__setattr__(self, "direction", _rows("direction", direction))
-        if len(self.position) != len(self.direction):
-            raise ValueError(f"{len(self.position)} positions but {len(self.direction)} directions")
+        places, ways = _rows("position", position), _rows("direction", direction)
+        count = len(places if ways.ndim == 1 else ways)
+        count = 1 if places.ndim == ways.ndim == 1 else count
+        places, ways = (np.tile(one, (count, 1)) if one.ndim == 1 else one for one in (places, ways))
+        object.__setattr__(self, "position", places)
+        object.__setattr__(self, "direction", ways)
+        if len(places) != len(ways):
+            raise ValueError(f"{len(places)} positions but {len(ways)} directions")
         waves = None if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        waves = np.full(count, waves) if waves is not None and waves.ndim == 0 else waves
         if waves is not None and waves.shape != (len(self.position),):
             raise ValueError(
                 f"wavelength has shape {waves.shape}; {len(self.position)} rays need ({len(self.position)},)"
@@ -66,6 +74,9 @@ class Rays:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def __repr__(self) -> str:
+        return f"Rays({len(self)}{'' if self.wavelength is None else ', with wavelengths'})"
 
     def valid(self) -> NDArray[np.bool_]:
         """(n,) mask of the rows that can be traced: finite, direction not zero, wavelength positive."""
@@ -115,15 +126,36 @@ class TraceResult:
     def __len__(self) -> int:
         return len(self.fate)
 
+    def __repr__(self) -> str:
+        fates = ", ".join(f"{count} {name}" for name, count in self.counts().items() if count)
+        return f"TraceResult({fates or 'no rays'})"
+
     def counts(self) -> dict[str, int]:
         """Number of rays of each fate, by name; every fate is listed and the numbers add up to n."""
         number = np.bincount(self.fate, minlength=len(Fate))
         return {fate.name: int(number[fate]) for fate in Fate}
 
 
+def as_rays(rays: Rays | OneRay) -> Rays:
+    """Rays as they are, or the one ray of a pair (origin, direction).
+
+    Raises
+    ------
+    TypeError
+        Neither rays nor a pair of points.
+    """
+    if isinstance(rays, Rays):
+        return rays
+    if isinstance(rays, tuple) and len(rays) == 2 and all(np.shape(one) == (3,) for one in rays):
+        return Rays(*rays)
+    raise TypeError(
+        f"rays are a {type(rays).__name__}, not clacad.Rays(positions, directions) or one ray ((x, y, z), (dx, dy, dz))"
+    )
+
+
 def _rows(name: str, value: ArrayLike) -> Floats:
-    """The value as an (n, 3) float64 array, or a ValueError that names it."""
+    """The value as an (n, 3) or (3,) float64 array, or a ValueError that names it."""
     rows = np.asarray(value, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 3:
-        raise ValueError(f"{name} has shape {rows.shape}; rays need (n, 3), a single ray (1, 3)")
+    if rows.ndim not in (1, 2) or rows.shape[-1] != 3:
+        raise ValueError(f"{name} has shape {rows.shape}; rays need (n, 3), or (3,) for one that all share")
     return rows

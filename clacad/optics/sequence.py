@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats
-from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.optics.rays import NO_CELL, Fate, OneRay, Rays, TraceResult, as_rays
 from clacad.optics.surface import ULP, Surface, meet_at, refract
 
 Aperture = tuple[Literal["ellipse", "rectangle"], float, float]
@@ -109,13 +109,13 @@ class SurfaceCrossing:
     fate: NDArray[np.uint8]
 
 
-def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -> TraceResult:
+def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool = False) -> TraceResult:
     """Trace rays through surfaces in the given order.
 
     Parameters
     ----------
     seq : sequence of Interface, in the order of the light
-    rays : Rays
+    rays : Rays, or one ray as (origin, direction)
         In the sheet frame. Indices come with the interfaces, so `rays.wavelength` is only checked.
     record : bool
         Keep `hits` and `directions` at every surface.
@@ -132,6 +132,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays, record: bool = False) -
     ValueError
         The sequence is empty.
     """
+    rays = as_rays(rays)
     if not (seq := list(seq)):
         raise ValueError("the sequence holds no surface")
     ledger = _Ledger.opened(rays, len(seq) if record else 0)

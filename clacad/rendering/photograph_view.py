@@ -12,7 +12,8 @@ from clacad.config.mistakes import Mistake
 from clacad.design import load
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.photographs import picture_size
-from clacad.rendering.picture import Picture, Progress, view_through
+from clacad.rendering.picture import Picture, view_through
+from clacad.rendering.sheet_passage import Passage
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 
@@ -114,7 +115,6 @@ def _read(text: str) -> tuple[str, Any]:
     return found
 
 
-def before_and_after(scene: Scene, progress: Progress | None = None) -> tuple[Picture, Picture]:
-    """Pictures without and with the sheet."""
-    after = view_through(scene, progress=progress)
-    return view_through(scene, sheet=False), after
+def without_sheet(scene: Scene, passage: Passage) -> Picture:
+    """The picture without the sheet; nothing of the passage but its words is used."""
+    return view_through(scene, sheet=False, passage=passage)

@@ -52,6 +52,8 @@ class Picture:
     passage : Passage
         Rung, effects and why.
     window : Window
+    blockwise : tuple of (effect, pixels)
+        Effects that were added by their means over blocks of so many pixels a side; see `coarse_first`.
     """
 
     light: Floats
@@ -60,6 +62,11 @@ class Picture:
     scene: Scene
     passage: Passage
     window: Window
+    blockwise: tuple[tuple[str, int], ...] = ()
+
+    def __repr__(self) -> str:
+        height, width = self.samples.shape
+        return f"Picture({self.scene.name!r}, {width} x {height} pixels)"
 
 
 def render(scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None,
@@ -150,8 +157,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     still = scene.at(0) if scene.animation is not None else scene
     window = prescribe(still.design())
     view = aim(still.camera)
-    count = view.width * view.height * still.camera.samples
-    fast = count > SMALL_PICTURE if compiled is None else compiled
+    fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)
     shape = view.height, view.width
     single = still.camera.samples == 1 and not still.camera.noise > 0.0
@@ -175,6 +181,12 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
 
     _each(one, corners, thread_count(threads), progress)
     return Picture(light, samples, error, still, viewing.passage, window)
+
+
+def worth_compiling(scene: Scene) -> bool:
+    """Whether a still has rays enough to load compiled code for them."""
+    width, height = scene.camera.pixels
+    return int(width * height * scene.camera.samples) > SMALL_PICTURE
 
 
 def _tile_shape(view: View, samples: int, single: bool) -> tuple[int, int]:

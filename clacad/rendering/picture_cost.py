@@ -14,7 +14,7 @@ import numpy as np
 from clacad.base.types import Ints
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, aim
-from clacad.rendering.picture import SMALL_PICTURE, tried
+from clacad.rendering.picture import tried, worth_compiling
 from clacad.rendering.view import Viewing, set_up
 from clacad.scene import Scene
 
@@ -50,7 +50,7 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
     frames : int
     """
     view = aim(scene.camera)
-    viewing = set_up(scene, prescribe(scene.design()), _rays(scene) > SMALL_PICTURE, passage)
+    viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene), passage)
     each = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
     return frames * (FIXED + each * view.width * view.height)
 
@@ -122,4 +122,4 @@ def _rays(scene: Scene) -> int:
 
 
 def _path(scene: Scene) -> str:
-    return "compiled" if _rays(scene) > SMALL_PICTURE else "numpy"
+    return "compiled" if worth_compiling(scene) else "numpy"

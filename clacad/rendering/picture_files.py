@@ -50,7 +50,8 @@ def metadata_of(picture: Picture) -> dict[str, str]:
         "clacad:handedness": MIRRORED if scene.camera.mirror else "as seen by a camera before the part",
         "clacad:left-out": NOT_SIMULATED,
     }
-    return found
+    blocks = [f"{name} in blocks of {side} x {side} pixels" for name, side in picture.blockwise]
+    return {**found, "clacad:coarse": ", ".join(blocks)} if blocks else found
 
 
 def _effect_text(picture: Picture) -> str:

@@ -50,7 +50,7 @@ def pane_of(
         )
     else:
         kind = kernel.SURFACES
-        numbers[:6] = _first_box(window) / scale
+        numbers[:6] = first_box(window) / scale
     numbers[kernel.SCALE], numbers[kernel.FRONT] = scale, front
     shining = np.zeros(256, dtype=np.uint8)
     shining[list(passage.shining)] = 1
@@ -60,7 +60,7 @@ def pane_of(
     return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
 
 
-def _first_box(window: Window) -> Floats:
+def first_box(window: Window) -> Floats:
     """Low and high corner of the first body, window units: a ray that misses it misses the sheet."""
     from clacad.tracing.layout import lay_out
 

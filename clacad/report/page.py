@@ -60,7 +60,8 @@ def _parts(content: Content) -> dict[str, str]:
 
 
 def _asked(content: Content) -> dict[str, str]:
-    return {"convergence": figures.convergence(content.report)}
+    report = content.report
+    return {"convergence": figures.convergence(report), "caption": figures.convergence_caption(report)}
 
 
 def _look(content: Content) -> dict[str, str]:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from clacad.config.overrides import changed_keys
 from clacad.scene.animation import still
 from clacad.scene.named_files import design_of, file_of, folder_of
 from clacad.scene.read import read_changed, read_dict, read_file
@@ -108,20 +109,25 @@ class Scene:
         """
         return file_of(self, name)
 
-    def replace(self, changes: Mapping[str, Any]) -> Scene:
+    def replace(self, changes: Mapping[str, Any] | str, value: Any = None) -> Scene:
         """Return the scene with some keys changed, checked as a file would be.
 
         Parameters
         ----------
-        changes : mapping
-            Dotted key to value, as in animations: {"object.knight.at.2": 5.0, "sheet.set.law.euler.0": 45}.
+        changes : mapping, or str
+            Dotted key to value, as in animations: {"object.knight.at.2": 5.0, "sheet.set.law.euler.0": 45}; or one such
+            key.
+        value : any
+            Of the one key.
 
         Raises
         ------
         SceneError
             If the result is no scene.
+        TypeError
+            A value beside a mapping, or neither a mapping nor a key.
         """
-        return Scene(**read_changed(self.given, self.path, changes))
+        return Scene(**read_changed(self.given, self.path, changed_keys(changes, value)))
 
     def at(self, frame: int) -> Scene:
         """Return the still of one frame of the animation, 0 ≤ frame < frames.

@@ -215,6 +215,14 @@ class Window:
     residual: Mapping[str, float] = field(default_factory=dict)
     name: str = "sheet"
 
+    def __repr__(self) -> str:
+        lattice, count = self.lattice, len(self.bodies)
+        pitch = 1e3 * self.unit * lattice.pitch[0]
+        return (
+            f"Window({self.name!r}, {self.form}, {lattice.count[0]} x {lattice.count[1]} {lattice.kind} cells of "
+            f"{pitch:g} mm, {count} {'body' if count == 1 else 'bodies'})"
+        )
+
     @cached_property
     def kept(self) -> dict[str, Any]:
         """What others worked out from this window, kept as long as it lives; neither copied nor pickled with it."""

@@ -28,6 +28,12 @@ DEEPEST = 0.1
 """Largest depth of the letters (mm)."""
 DEPTH_SHARE = 0.2
 """Depth over the border's thickness, at most."""
+FONT = 0.7
+"""Size of the font over the height of the line."""
+WIDEST = 1.2
+"""Width of the widest letter over the size of its font, and more."""
+TALL = 1.1
+"""Height of a line with its deepest letters over what it is given, and more."""
 VIEWER = "VIEWER SIDE"
 
 
@@ -178,16 +184,9 @@ def line_sketch(text: str, width: float, height: float) -> Any:
     """
     from build123d import Polygon, Pos, scale
 
-    letters = lettering(text, 0.7 * height)
+    letters, shrink = _drawn(text, width, height)
     box = letters.bounding_box()
-    arrow_width = 0.7 * height
-    shrink = min(1.0, width / (box.size.X + 2.0 * arrow_width), height / max(box.size.Y, height))
-    if shrink * 0.7 * height < 0.5 * SMALLEST:
-        raise NoFixture(
-            f"{text!r} is {box.size.X:.3g} mm long in letters of {height:.2g} mm; {width:.3g} mm are there: "
-            "a wider border, a shorter name, or more cells"
-        )
-    half = 0.5 * height
+    arrow_width, half = FONT * height, 0.5 * height
     arrow: Any = Polygon(
         (0.0, half), (-0.5 * arrow_width, 0.0), (-0.2 * arrow_width, 0.0), (-0.2 * arrow_width, -half),
         (0.2 * arrow_width, -half), (0.2 * arrow_width, 0.0), (0.5 * arrow_width, 0.0), align=None,
@@ -197,6 +196,36 @@ def line_sketch(text: str, width: float, height: float) -> Any:
     middle = box.center()
     line += Pos(0.5 * whole - 0.5 * box.size.X - middle.X, -middle.Y) * letters
     return scale(line, shrink)
+
+
+def _drawn(text: str, width: float, height: float) -> tuple[Any, float]:
+    """Letters as a build123d sketch, and the factor by which they and their arrow are made smaller to fit."""
+    letters = lettering(text, FONT * height)
+    box = letters.bounding_box()
+    shrink = min(1.0, width / (box.size.X + 2.0 * FONT * height), height / max(box.size.Y, height))
+    if shrink * FONT * height < 0.5 * SMALLEST:
+        raise NoFixture(
+            f"{text!r} is {box.size.X:.3g} mm long in letters of {height:.2g} mm; {width:.3g} mm are there: "
+            "a wider border, a shorter name, or more cells"
+        )
+    return letters, shrink
+
+
+def require_room(text: str, width: float, height: float) -> None:
+    """Draw a line of text to see whether it fits (mm).
+
+    Raises
+    ------
+    NoFixture
+        The line is too long for letters of the least height.
+    """
+    _drawn(text, width, height)
+
+
+def surely_fits(text: str, width: float, height: float) -> bool:
+    """Whether a line of text fits even if all its letters are the widest there are (mm); nothing is drawn."""
+    longest = (WIDEST * len(text) + 2.0) * FONT * height
+    return min(1.0, width / longest, 1.0 / TALL) * FONT * height >= 0.5 * SMALLEST
 
 
 def marked_solids(window: Window, name: str) -> dict[str, Any]:

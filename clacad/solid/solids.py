@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from clacad.sheet.need_window import need_window
 from clacad.solid.describe_body import describe_body
 from clacad.solid.shells import MERGE
 
@@ -32,11 +33,14 @@ def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = 
 
     Raises
     ------
+    TypeError
+        A design in place of the window.
     ValueError
         A body cannot be built as a solid.
     """
     from clacad.solid.occ_writer import OccWriter, without_garbage_collection
 
+    need_window(window, "solids")
     if cells is not None:
         window = window.with_cells(cells)
     made = []

@@ -248,6 +248,27 @@ def canonical_json(value: Mapping[str, Any]) -> str:
     return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def require_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Refuse before long work what could not be written after it; nothing is left behind.
+
+    Raises
+    ------
+    CannotWrite, ExportRefused
+        As `write_file` would.
+    """
+    path = Path(path)
+    place = path.parent.absolute()
+    while not os.path.lexists(place):
+        place = place.parent
+    with translated(path.parent):
+        if not place.is_dir():
+            raise CannotWrite(f"{place} is a file; a folder is needed there")
+        probe = place / f".clacad-{secrets.token_hex(6)}"
+        probe.mkdir(mode=0o700)
+        probe.rmdir()
+    Stage(path.parent, overwrite=overwrite)._may_replace(path.name)
+
+
 def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, overwrite: bool = False,
                check: Callable[[Path], None] | None = None) -> None:  # fmt: skip
     """Write one file atomically.

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from clacad.base.types import Rung
-from clacad.optics.rays import Rays, TraceResult
+from clacad.optics.rays import OneRay, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.window import Window
 from clacad.tracing.tracer import Path, Tracer
@@ -24,8 +24,8 @@ __all__ = ["Interface", "trace", "trace_sequence"]
 
 
 def trace(
-    window: Window, rays: Rays, rung: Rung = "surfaces", effects: Sequence[str | Effect] = (), record: bool = False,
-    mesh: AnyMesh | None = None, normals: Normals = "facet", threads: int | None = None, path: Path | None = None,
+    window: Window, rays: Rays | OneRay, rung: Rung = "surfaces", effects: Sequence[str | Effect] = (), record: bool = False,
+    mesh: AnyMesh | int | None = None, normals: Normals = "facet", threads: int | None = None, path: Path | None = None,
     precision: Literal["float64", "float32"] = "float64",
 ) -> TraceResult:  # fmt: skip
     """Trace rays through a window.
@@ -36,16 +36,17 @@ def trace(
     Parameters
     ----------
     window : Window
-    rays : Rays
-        Sheet frame, window units, in front of the sheet.
+    rays : Rays, or one ray as (origin, direction)
+        Sheet frame, window units, in front of the sheet; ``((0, 0, -1), (0.01, 0, 1))`` is one ray.
     rung : "law", "thin", "surfaces" or "mesh"
         Homogeneous sheet; ideal lenslets; exact Snell at the surfaces; Snell at the facets.
     effects : sequence of names or `clacad.effects.Effect`
         Physics added to the geometry; none costs nothing.
     record : bool
         Keep `hits` and `directions` at every face.
-    mesh : Mesh, TriangleSoup or path
-        For rung "mesh" only: the sheet's own, triangles from anywhere, or a file of them (STL, 3MF, PLY, OBJ, GLB).
+    mesh : Mesh, int, TriangleSoup, path or None
+        For rung "mesh" only: the sheet's own, so many quads a cell side of it, triangles from anywhere, or a file of
+        them (STL, 3MF, PLY, OBJ, GLB). None: the sheet's own of 16 quads a cell side, as scenes have it.
     normals : "facet" or "vertex"
         Rung "mesh" only: the facets' own, or the exact ones at the vertices, interpolated.
     threads : int or None
@@ -65,8 +66,10 @@ def trace(
 
     Raises
     ------
+    TypeError
+        A design in place of the window, or rays that are none; the message says what to call.
     ValueError
-        An unknown word, a precision or a mesh the rung does not have, a mesh missing or of other bodies, or a
-        wavelength outside a material's data.
+        An unknown word, a precision or a mesh the rung does not have, a mesh of other bodies, a sheet that cannot be
+        meshed, or a wavelength outside a material's data.
     """
     return Tracer(window, rung, effects, mesh, normals, threads, path, precision)(rays, record)

@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from clacad.base.types import Rows, Rung
-from clacad.optics.rays import Rays, TraceResult
+from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
+from clacad.sheet.need_window import need_window
 from clacad.sheet.window import Window
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.law_rung import trace_law
 from clacad.tracing.reference.surfaces import trace_surfaces
 from clacad.tracing.reference.thin import trace_thin
-from clacad.tracing.triangles.ready_facets import Facets, facets_of
+from clacad.tracing.triangles.ready_facets import OWN_QUADS, Facets, facets_of
 
 if TYPE_CHECKING:
     from clacad.effects.engine.passes import Effect
@@ -56,7 +57,7 @@ class Tracer:
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         As `clacad.trace`.
 
     Notes
@@ -70,7 +71,7 @@ class Tracer:
     window: Window
     rung: Rung = "surfaces"
     effects: Sequence[str | Effect] = ()
-    mesh: AnyMesh | None = None
+    mesh: AnyMesh | int | None = None
     normals: Normals = "facet"
     threads: int | None = None
     path: Path | None = None
@@ -79,11 +80,11 @@ class Tracer:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be traced, and lay out."""
+        need_window(self.window, "trace", ", rays")
         self._refuse_words()
         if self.rung == "mesh":
-            if self.mesh is None:
-                raise ValueError('rung "mesh" needs mesh=')
-            object.__setattr__(self, "facets", facets_of(self.window, self.mesh, self.normals))
+            mesh = OWN_QUADS if self.mesh is None else self.mesh
+            object.__setattr__(self, "facets", facets_of(self.window, mesh, self.normals))
         else:
             lay_out(self.window)
 
@@ -91,8 +92,9 @@ class Tracer:
         """All but the mesh: what was laid out of it is kept."""
         return {**self.__dict__, "mesh": None}
 
-    def __call__(self, rays: Rays, record: bool = False) -> TraceResult:
+    def __call__(self, rays: Rays | OneRay, record: bool = False) -> TraceResult:
         """Trace rays; see `clacad.trace`."""
+        rays = as_rays(rays)
         if self.precision == "float32" and record:
             raise ValueError('precision "float32" keeps no record')
         if self.effects:

@@ -93,6 +93,9 @@ class Report:
     evidence: Evidence | None = None
     delivered: bool = False
 
+    def __repr__(self) -> str:
+        return f"Report({self.design.name!r}, {self.verdict()})"
+
     def with_evidence(self, progress: Progress | None = None) -> Report:
         """The same report with what its page shows beside the checks; itself where it has that."""
         if self.evidence is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from fractions import Fraction
+from pathlib import Path
 
 import pytest
 from hypothesis import example, given, settings
@@ -17,6 +18,10 @@ from clacad.report.content import row
 from clacad.report.fabrication import FabricationLine
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.verification.checks import Check, judge
+from clacad.verification.design.design_rules import design_checks
+from clacad.verification.light.law_checks import confocality_check
+
+ROOT = Path(__file__).parents[2]
 
 SENSE = {"<=": operator.le, "<": operator.lt, ">=": operator.ge, ">": operator.gt}
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -106,3 +111,25 @@ def test_a_gap_of_nothing_is_not_told_that_nothing_would_do():
     assert "FAIL" in checks_text([check])
     assert ">= 0" not in checks_text([check])
     assert _at_least("edge", 0.1, 0.0, "default", "mm", "least thickness").state == "pass"
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "relation", "unit", "text"),
+    [
+        (2.2e-16, 0.002, "<=", "of separation", "0"), (-2.2e-16, 0.002, "<=", "", "0"), (1e-16, 3e-3, "<=", "rad", "0"),
+        (3.7e-10, 5e-10, "<=", "mm", "3.7e-10"), (2.2e-16, 0.002, ">=", "", "0"), (2.2e-16, 0.0, "<=", "", "2.2e-16"),
+        (2e-16, -1.0, ">", "", "0"),
+    ],
+)  # fmt: skip
+def test_what_is_nothing_beside_its_limit_is_shown_as_0(value, limit, relation, unit, text):
+    assert shown(value, limit, relation, unit).value == text
+
+
+def test_no_rounding_is_told_of_a_sheet_that_is_confocal():
+    design = load(ROOT / "designs" / "slab.toml")
+    window = prescribe(design)
+    checks = [*design_checks(design, window, feasibility(window)), confocality_check(design, window)]
+    told = checks_text([check for check in checks if check.id in ("residual", "confocality")])
+    assert "along the axis ray the recipe leaves 0 mrad" in told
+    assert "would have to move by 0 of the distance" in told
+    assert "e-1" not in told

@@ -219,6 +219,18 @@ def test_replace_changes_one_element_and_checks_the_result():
         made.replace({"law.eta.0": 0.0})
 
 
+def test_replace_takes_one_key_and_its_value():
+    made = design()
+    assert made.replace("pair.separation", 12) == made.replace({"pair.separation": 12})
+    assert made.replace("law.eta.0", -2.0).law_spec.eta == (-2.0, -1.0)
+    with pytest.raises(DesignError, match=r"pair.separation"):
+        made.replace("pair.separation")
+    with pytest.raises(TypeError, match=r'"pair.separation", 12 or'):
+        made.replace({"pair.separation": 12}, 12)
+    with pytest.raises(TypeError, match=r'"pair.separation", 12 or'):
+        made.replace([("pair.separation", 12)])
+
+
 def test_replace_takes_numpy_numbers():
     assert design().replace({"law.eta": np.array([-1.5, -2.0])}).law_spec.eta == (-1.5, -2.0)
 

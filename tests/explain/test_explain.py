@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 from clacad.cli import main
+from clacad.design.process_profiles import profiles
+from clacad.effects import NAMES
 from clacad.explain.look_up import Unexplained, entries, explain
+from clacad.optics.material.catalogue import names as materials
 from clacad.verification.checks import CODES, Check
 
 PACKAGE = Path(__file__).parents[2] / "clacad"
@@ -98,3 +101,38 @@ def test_tilt_says_what_it_measures():
     assert "turn" in entry.means
     assert "acts on light as δ does" in entry.means
     assert "tells them apart" not in entry.why
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("moulding", ("draft at least 1°", "radii at least 20 µm", 'check.process = "moulding"')),
+        ("diamond-turning", ("tool nose 25 µm", "no undercut")),
+        ("none", ("no limit of a process is checked",)),
+        ("walls", ("fate WALL", "when the share of WALL light exceeds the radiance")),
+        ("effect diffraction", ("sinc²",)),
+        (
+            "fused silica",
+            ("n = 1.4599 at 550 nm", "Malitson", 'pair.material = "Fused silica"'),
+        ),  # Malitson 1965
+        ("pmma", ("1190 kg/m³",)),
+        ("pair.material", ("PMMA, PS, PC", "Fused silica", "SU-8")),
+        ("verdict", ("passed as optical master, shape only, failed, or not judged",)),
+    ],
+)
+def test_processes_effects_and_materials_are_explained_too(asked, words, capsys):
+    assert main(["explain", asked]) == 0
+    said = capsys.readouterr().out
+    assert all(word in said for word in words)
+
+
+def test_every_process_effect_and_material_is_listed(capsys):
+    assert main(["explain"]) == 0
+    listed = capsys.readouterr().out
+    for kind, names in (
+        ("process", [p.name for p in profiles()]),
+        ("effect", NAMES),
+        ("material", materials()),
+    ):
+        assert all(f"{kind} {name}" in listed for name in names)
+    assert explain("diffraction").title == "diffraction", "a word keeps its name where an effect has it, too"

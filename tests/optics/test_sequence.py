@@ -187,8 +187,8 @@ def test_an_interface_that_cannot_be_is_refused_by_name(arguments, word):
 
 
 def test_shapes_that_are_no_rays_are_refused():
-    with pytest.raises(ValueError, match=r"position has shape \(3,\)"):
-        Rays([0, 0, 0], [[0, 0, 1]])
+    with pytest.raises(ValueError, match=r"position has shape \(2,\)"):
+        Rays([0, 0], [[0, 0, 1]])
     with pytest.raises(ValueError, match="2 positions but 1 directions"):
         Rays([[0, 0, 0]] * 2, [[0, 0, 1]])
     with pytest.raises(ValueError, match="wavelength"):

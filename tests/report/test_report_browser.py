@@ -175,3 +175,24 @@ def test_without_webgl_there_is_a_picture_and_no_complaint(address):
         assert [c for c in plain.complaints() if "exception" in c.lower()] == []
     finally:
         plain.close()
+
+
+def test_on_a_telephone_nothing_is_wider_than_the_screen(chromium, address):
+    chromium.ask(
+        "Emulation.setDeviceMetricsOverride", width=400, height=900, deviceScaleFactor=1, mobile=True
+    )
+    try:
+        chromium.open(address)
+        assert chromium.run("document.documentElement.scrollWidth") == 400
+        wider = chromium.run(
+            "[...document.querySelectorAll('main *')].filter(e => e.getBoundingClientRect().right > 400.5)"
+            ".map(e => e.tagName + ' ' + e.textContent.slice(0, 40))"
+        )
+        assert wider == []
+        # a number that stands apart from its column's head says what it is
+        told = chromium.run(
+            "getComputedStyle(document.querySelector('td[data-label=limit]'), '::before').content"
+        )
+        assert told.startswith('"limit')
+    finally:
+        chromium.ask("Emulation.clearDeviceMetricsOverride")

@@ -155,6 +155,7 @@ def test_frames_move_what_they_say_and_nothing_else():
     assert z == [-2.0, 8.0, 18.0, 28.0, 38.0]
     assert scene.at(0).animation is None
     again = scene.at(3).replace({"object.ball.at.0": 1.0})
+    assert scene.at(3).replace("object.ball.at.0", 1.0) == again
     assert again.animation is None
     assert again.objects[0].at == (1.0, 0.02, 28.0)
     with pytest.raises(ValueError, match="frame 5 of 5"):

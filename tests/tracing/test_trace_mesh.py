@@ -10,6 +10,7 @@ from oracle.windows import PITCH, beam, biconvex, collection
 
 from clacad.mesh import tessellate
 from clacad.optics.rays import Fate, Rays
+from clacad.scene.keys import SHEET
 from clacad.tracing.trace import trace
 from clacad.tracing.triangles.triangle_soup import TriangleSoup
 
@@ -169,10 +170,21 @@ def test_a_mesh_of_another_window_is_refused():
     rays = Rays([[0, 0, -1]], [[0, 0, 1]])
     with pytest.raises(ValueError, match="other bodies"):
         trace(biconvex(), rays, rung="mesh", mesh=tessellate(WINDOWS["biconic slab"], quads=4))
-    with pytest.raises(ValueError, match="needs mesh="):
-        trace(biconvex(), rays, rung="mesh")
     with pytest.raises(ValueError, match="normals is 'smooth'"):
         trace(biconvex(), rays, rung="mesh", mesh=tessellate(biconvex(), quads=4), normals="smooth")
+
+
+def test_the_sheets_own_mesh_is_traced_where_none_is_given_or_only_how_fine():
+    window = WINDOWS["web"].with_cells((5, 4))
+    rays = Rays(*beam(window, 500, 3))
+    for given, quads in ((None, 16), (5, 5)):
+        found = trace(window, rays, rung="mesh", mesh=given)
+        own = trace(window, rays, rung="mesh", mesh=tessellate(window, quads=quads))
+        assert found.direction.tobytes() == own.direction.tobytes()
+        assert (found.fate == own.fate).all()
+    assert SHEET["quads"].default == 16, "a scene and a trace of the same sheet have the same mesh"
+    with pytest.raises(ValueError, match="quads = 0"):
+        trace(window, rays, rung="mesh", mesh=0)
 
 
 def soup_of(mesh):

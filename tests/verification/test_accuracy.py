@@ -165,6 +165,7 @@ def test_the_command_prints_one_json_document_without_nan(capsys):
     document = json.loads(told.out, parse_constant=refuse)
     assert (status, told.err) == (0, "")
     assert document["target"]["chosen"]["model_rms"] <= 5e-4
+    assert document["target"]["files"][0]["error"] <= 5e-4
     needed = {
         "model_rms", "model_p95", "model_max", "law_rms", "law_max", "disagree", "seconds", "prepare_s", "rays_per_s",
         "bytes", "file_bytes", "memory", "triangles", "quads", "normals", "float",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ import clacad
 from clacad.cli import main
 from clacad.rendering.picture_target import within_target
 from clacad.scene import load_scene
-from clacad.verification.accuracy.accuracy_table import TargetOutOfReach
+from clacad.verification.accuracy.accuracy_table import AccuracyTable, TargetOutOfReach
+from clacad.verification.accuracy.cheapest_file import files_within
 from clacad.verification.accuracy.file_floors import Floor
 from clacad.verification.checks import Check
 from clacad.verification.error_target import rays_for, target_checks
@@ -149,3 +151,53 @@ def test_a_picture_through_facets_takes_the_coarsest_within_its_target():
     assert coarse < fine
     with pytest.raises(TargetOutOfReach, match="use"):
         within_target(scene, 1e-6)
+
+
+def hand_made_floors(a: float) -> list[Floor]:
+    """Facets of m quads a cell side that err by a/m radians; rounding that does not count."""
+    kinds = (("stl, stl-parts", "facet"), ("glb", "facet"), ("3mf, ply", "facet"), ("ply", "vertex"))
+    return [Floor(names, normals, "f64", "", a, 1e-12, 1e6, None, 1e-9) for names, normals in kinds]
+
+
+def test_the_cheapest_file_is_one_that_can_be_written_not_a_rung():
+    design = clacad.load(DESIGNS / "window-100mm.toml", ["lattice.count=[40, 40]"])
+    window = clacad.prescribe(design)
+    found = files_within(design, window, hand_made_floors(0.05), 2e-3)
+    assert {one.format for one in found} >= {"3mf", "step", "stl"}
+    assert [one.bytes for one in found] == sorted(one.bytes for one in found)
+    by = {one.format: one for one in found}
+    assert by["stl"].quads == np.ceil(0.05 / (0.95 * 2e-3))  # by hand
+    assert by["stl"].options == "--format stl --quads 27"
+    assert all(one.error <= 2e-3 for one in found)
+    # finer than facets are ever made: only the exact faces are left, and they have an end, too
+    assert [one.format for one in files_within(design, window, hand_made_floors(0.05), 1e-8)] == ["step"]
+    with pytest.raises(TargetOutOfReach, match="no file is within"):
+        files_within(design, window, hand_made_floors(0.05), 1e-15)
+
+
+@pytest.mark.slow
+def test_the_cheapest_file_is_the_smallest_of_those_written(tmp_path):
+    design = clacad.load(DESIGNS / "window-100mm.toml", ["lattice.count=[6, 6]"])
+    found = files_within(design, clacad.prescribe(design), hand_made_floors(0.05), 4e-3)
+    sizes = []
+    for one in found:
+        written = clacad.export(design, tmp_path / one.format, (one.format,), quads=one.quads)
+        sizes.append(written.files[0]["bytes"])
+        assert one.bytes == pytest.approx(sizes[-1], rel=0.25)
+    assert len(found) == 5
+    assert sizes[0] == min(sizes)
+
+
+def test_the_command_names_the_file_and_how_to_write_it(capsys, monkeypatch):
+    # the measured table has tests of its own
+    made = AccuracyTable(
+        "x", (), {"rms": 0.0, "max": 0.0, "digits": 50, "rays": 1}, tuple(hand_made_floors(0.05))
+    )
+    monkeypatch.setattr(
+        import_module("clacad.verification.accuracy.accuracy_table"), "accuracy", lambda *_a, **_k: made
+    )
+    status, out, _ = answered(capsys, "accuracy", SLAB, "--target", "2 mrad")
+    assert status == 0
+    assert "cheapest file within 2 mrad: 3mf (27 quads a cell side, " in out
+    assert f"clacad export {SLAB} -o DIR --format 3mf --quads 27" in out
+    assert "also within it: step (exact faces)" in out

@@ -89,6 +89,9 @@ class Plan:
     radiance: float
     setting: Setting
 
+    def __repr__(self) -> str:
+        return f"Plan(rung {self.rung!r}, {', '.join(self.names) or 'no effects'})"
+
     @property
     def names(self) -> tuple[str, ...]:
         """Effects that are simulated."""

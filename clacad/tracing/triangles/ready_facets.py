@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     AnyMesh = Mesh | TriangleSoup | str | os.PathLike[str]
 
 
+OWN_QUADS = 16
+"""Quads a cell side of the sheet's own mesh where none is given; scenes have as many."""
+
+
 @dataclass(frozen=True, eq=False)
 class Facets:
     """Triangles in place of a window's faces, ready for rays.
@@ -37,13 +41,14 @@ class Facets:
     embree: tuple[BodyTree, ...] = ()
 
 
-def facets_of(window: Window, mesh: AnyMesh | Facets, normals: Normals) -> Facets:
+def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
     """Triangles ready for rays through a window; the last ones are kept with the window.
 
     Raises
     ------
     ValueError
-        The mesh has other bodies than the window, no normals where those are asked for, or no unit that fits.
+        The mesh has other bodies than the window, no normals where those are asked for, or no unit that fits; so many
+        quads cannot be made.
     """
     if isinstance(mesh, Facets):
         return mesh
@@ -56,8 +61,10 @@ def facets_of(window: Window, mesh: AnyMesh | Facets, normals: Normals) -> Facet
     return facets
 
 
-def _identity(mesh: AnyMesh) -> Callable[[], object]:
+def _identity(mesh: AnyMesh | int) -> Callable[[], object]:
     """What tells a mesh from others when called: the object, None once it is gone; of a file, its place, time and size."""
+    if isinstance(mesh, int):
+        return lambda: mesh
     if not isinstance(mesh, (str, os.PathLike)):
         return ref(mesh)
     facts = os.stat(mesh)
@@ -65,11 +72,15 @@ def _identity(mesh: AnyMesh) -> Callable[[], object]:
     return lambda: known
 
 
-def _laid_out(window: Window, mesh: AnyMesh, normals: Normals) -> Facets:
+def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
     from clacad.tracing.triangles.tiles import lay_out_mesh
     from clacad.tracing.triangles.triangle_soup import TriangleSoup, lay_out_soup, read_soup
 
-    if isinstance(mesh, (str, os.PathLike)):
+    if isinstance(mesh, int):
+        from clacad.mesh import tessellate
+
+        mesh = tessellate(window, quads=mesh)
+    elif isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
     if not isinstance(mesh, TriangleSoup):
         return Facets(*lay_out_mesh(window, mesh, normals))

@@ -101,6 +101,14 @@ def facets_for(
     return ChosenFacets(quads, max(floor.error(quads) for _, floor in chosen), normals, asked)
 
 
+def mesh_floors(design: Design, window: Window, formats: Sequence[str]) -> list[Floor]:
+    """Measure the least error of some formats of facets, read by their facets."""
+    seen = _probe(design, window)
+    smooth = _constants(seen, ("facet",))
+    families = {_family(name, "facet"): name for name in formats}
+    return [_floor(seen, name, "facet", smooth) for name in families.values()]
+
+
 def floor_of(design: Design, window: Window, format: str, normals: Normals = "facet") -> Floor:
     """Measure the least error a format with facets can reach."""
     seen = _probe(design, window)

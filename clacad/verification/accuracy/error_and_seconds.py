@@ -122,6 +122,9 @@ class AccuracyTable:
     target: float | None = None
     rays: int = field(default=0)
 
+    def __repr__(self) -> str:
+        return f"AccuracyTable({self.design!r}, {len(self.rows)} settings, {self.rays} rays each)"
+
     def cheapest(
         self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
     ) -> AccuracyRow:

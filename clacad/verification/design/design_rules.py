@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.digits import digits
 from clacad.design.process_profiles import profile
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, least_thickness
 from clacad.sheet.window import Window
@@ -297,7 +298,7 @@ def _residual(design: Design, window: Window) -> Check:
             "residual", "the window does not say what its recipe leaves", unit="rad", required=False
         )
     value, limit = max(left, default=inf), design.check.law_rms
-    sentence = f"along the axis ray the recipe leaves {1e3 * value:.3g} mrad"
+    sentence = f"along the axis ray the recipe leaves {digits(1e3 * value, count=3)} mrad"
     if value == inf:
         sentence = (
             "the ray along the lens axis does not get through: it misses a lens or is totally reflected"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.digits import digits
 from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, TraceResult
@@ -308,7 +309,7 @@ def fit_checks(design: Design, seen: Optics, where: str, names: tuple[str, str, 
         ),
         judge(
             names[1], float(np.abs(delta).max()), spec.delta,
-            f"measured delta = {law.delta_x:.6g}, {law.delta_y:.6g}; asked {asked.delta_x:.6g}, {asked.delta_y:.6g}",
+            f"measured delta = {digits(law.delta_x)}, {digits(law.delta_y)}; asked {asked.delta_x:.6g}, {asked.delta_y:.6g}",
             unit="slope",
             detail={"measured": (law.delta_x, law.delta_y), "asked": (asked.delta_x, asked.delta_y)}, **common,
         ),
@@ -393,8 +394,8 @@ def confocality_check(design: Design, window: Window) -> Check:
         return not_run("confocality", str(error), limit=limit, where="surfaces, parabasal")
     value, between = found.defect, found.astigmatism
     sentence = (
-        f"lens 2 would have to move by {value:.4g} of the distance between the lenses to share a focal plane with "
-        f"lens 1 (x {found.shift[0] / found.distance:+.4g}, y {found.shift[1] / found.distance:+.4g})"
+        f"lens 2 would have to move by {digits(value, count=4)} of the distance between the lenses to share a focal plane with "
+        f"lens 1 (x {digits(found.shift[0] / found.distance, count=4)}, y {digits(found.shift[1] / found.distance, count=4)})"
     )
     if value > limit and design.pair.confocal != "exact":
         sentence += '; pair.confocal = "exact" would make it 0'

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import nan, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -121,6 +121,8 @@ class DeviationMap:
         One design unit in metres.
     dents : tuple of Dent
         Where cells are damaged, the deepest first.
+    steps : (2,) lengths
+        From cell to cell across, and from row to row.
     """
 
     unit: str
@@ -130,6 +132,7 @@ class DeviationMap:
     first: Ints
     unit_m: float
     dents: tuple[Dent, ...] = ()
+    steps: tuple[float, float] = (nan, nan)
 
     def damaged(self, limit: float) -> list[tuple[int, tuple[int, int]]]:
         """Number of the face and cell (as the window numbers it) wherever a face of a cell stands out."""
@@ -142,7 +145,7 @@ class DeviationMap:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content: numbers with seven digits, null in empty bins."""
         return {
-            "unit": self.unit, "low": self.low.tolist(), "high": self.high.tolist(),
+            "unit": self.unit, "unit_mm": millimetres(self.unit_m), "low": self.low.tolist(), "high": self.high.tolist(),
             "faces": [
                 {"name": f.name, "noise": f.noise, "rms": f.rms, "systematic": f.systematic,
                  "folded": _grid(f.folded), "count": f.count.tolist(), "cells": _grid(f.cells)}
@@ -215,7 +218,11 @@ class Mapper:
             for side, face in enumerate((body.front, body.back)):
                 if face.array is not None and body.name in self.present:
                     found.append(self._face(2 * number + side, f"{body.name} {('front', 'back')[side]}"))
-        return DeviationMap(self.unit, self._low, self._high, tuple(found), self._first, self.window.unit)
+        lattice = self.window.lattice
+        steps = lattice.a1[0], lattice.a2[1]
+        return DeviationMap(
+            self.unit, self._low, self._high, tuple(found), self._first, self.window.unit, steps=steps
+        )
 
     def _face(self, number: int, name: str) -> FaceMap:
         """The map of one lens face from what was added up."""
@@ -273,7 +280,7 @@ def _draw_cell(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -
     )
     axes.set_title(f"{face.name}: mean over all cells,\nnoise {face.noise * microns:.2g} µm", fontsize=8)
     axes.set(xlabel="x in the cell / mm", ylabel="y in the cell / mm")
-    figure.colorbar(image, ax=axes, label="µm")
+    figure.colorbar(image, ax=axes, label="mean deviation / µm")
 
 
 def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) -> None:
@@ -290,8 +297,9 @@ def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) 
                  edgecolors="red") if mine else None  # fmt: skip
     worst = f"\n{mine[0].words(found.unit_m).split(' is ', 1)[1]}" if mine else ""
     axes.set_title(f"rms of each cell{worst}", fontsize=8)
-    axes.set(xlabel="cell i", ylabel="cell j")
-    figure.colorbar(image, ax=axes, label="µm")
+    across, along = (step * millimetres(found.unit_m) for step in found.steps)
+    axes.set(xlabel=f"cell i (every {across:.4g} mm)", ylabel=f"cell j (rows every {along:.4g} mm)")
+    figure.colorbar(image, ax=axes, label="rms deviation / µm")
 
 
 def write_deviation(

@@ -7,6 +7,7 @@ import io
 import json
 import os
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -144,12 +145,25 @@ def write_sweep(
     """
     from clacad.verification.tolerance.study_plots import plot_sweep
 
+    require_writable(formats)
     writers = {"csv": sweep_table, "parquet": sweep_parquet}
-    unknown = [name for name in formats if name not in writers]
-    if unknown or not formats:
-        raise CannotVary(f"--format {','.join(unknown) or 'nothing'}: a table is written as csv or parquet")
     files = {f"{SWEEP}.{name}": writers[name](found) for name in formats}
     return _published(Path(folder), {**files, f"{SWEEP}.png": plot_sweep(found)}, overwrite)
+
+
+def require_writable(formats: Sequence[str]) -> None:
+    """Refuse formats of a table that are not written, or not here: said before a sweep, not after it.
+
+    Raises
+    ------
+    CannotVary
+        An unknown format, or Parquet without the package that writes it.
+    """
+    unknown = [name for name in formats if name not in ("csv", "parquet")]
+    if unknown or not formats:
+        raise CannotVary(f"--format {','.join(unknown) or 'nothing'}: a table is written as csv or parquet")
+    if "parquet" in formats and find_spec("pyarrow") is None:
+        raise CannotVary("--format parquet needs the package pyarrow: pip install 'clacad[parquet]'")
 
 
 def sweep_table(found: Sweep) -> bytes:
@@ -160,13 +174,9 @@ def sweep_table(found: Sweep) -> bytes:
 
 def sweep_parquet(found: Sweep) -> bytes:
     """The table as Parquet: numbers as float64, the rest as text."""
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise CannotVary(
-            "--format parquet needs the package pyarrow: pip install 'clacad[parquet]'"
-        ) from error
+    import pyarrow
+    from pyarrow import parquet
+
     columns = {}
     for name in found.columns():
         values = [row[name] for row in found.rows]

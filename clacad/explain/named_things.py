@@ -1,0 +1,99 @@
+"""What processes, effects and materials are, told from their own tables and docstrings: nothing is written twice."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from math import inf, pi
+from pathlib import Path
+
+import clacad.effects
+from clacad.design.process_profiles import ProcessProfile, profiles
+from clacad.effects.engine.passes import NAMES
+from clacad.explain.entry import Entry
+from clacad.optics.material.catalogue import find, names
+from clacad.optics.material.material import Material
+
+GREEN = 550e-9
+"""Wavelength at which an index is told, metres; the middle of the data where they do not reach it."""
+
+
+def named_things() -> Iterator[Entry]:
+    """Entries of all processes, effects and materials."""
+    yield from map(_process, profiles())
+    yield from map(_effect, NAMES)
+    yield from (_material(find(name)) for name in names())
+
+
+def materials_text() -> str:
+    """Names of all materials, by kind."""
+    kinds: dict[str, list[str]] = {}
+    for name in names():
+        kinds.setdefault(find(name).kind, []).append(name)
+    return "; ".join(f"{kind}: {', '.join(those)}" for kind, those in kinds.items())
+
+
+# --- processes ----------------------------------------------------------------------------------------------
+
+_LIMITS = (
+    ("edge", "edge at least {}"), ("neck", "between lenslets at least {}"), ("radius", "radii at least {}"),
+    ("pitch", "pitch at least {}"), ("sag", "structures up to {} high"), ("wall", "walls up to {} high"),
+    ("clearance", "gap between bodies at least {}"), ("tool", "tool nose {}"), ("voxel", "voxels of {}"), ("layer", "layers of {}"),
+)  # fmt: skip
+"""Limits in metres, and how they are told; 0 and infinity set none."""
+
+
+def _process(one: ProcessProfile) -> Entry:
+    told = [
+        words.format(_length(value)) for name, words in _LIMITS if 0.0 < (value := getattr(one, name)) < inf
+    ]
+    told += [f"draft at least {one.draft * 180 / pi:g}°"] if one.draft > 0.0 else []
+    told += [f"slopes up to {one.slope * 180 / pi:g}°"] if one.slope < 0.5 * pi else []
+    told += [] if one.undercut else ["no undercut"]
+    limits = ", ".join(told) or "A part must exist, nothing more: no limit of a process is checked"
+    return Entry(
+        "", one.name, f"process {one.name}", f"{limits[0].upper()}{limits[1:]}.", f"Limits from: {one.source}.", "",
+        f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason (check.allow).',
+    )  # fmt: skip
+
+
+def _length(metres: float) -> str:
+    return f"{1e3 * metres:g} mm" if metres >= 1e-4 else f"{1e6 * metres:g} µm"
+
+
+# --- effects ------------------------------------------------------------------------------------------------
+
+
+def _effect(name: str) -> Entry:
+    """An effect by the docstring of its module: title, *Model*, *Law*, *On when*."""
+    text = (Path(clacad.effects.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+    title, _, body = (ast.get_docstring(ast.parse(text)) or "").partition("\n")
+    parts = re.split(r"\n\*(Model|Law|On)\b([^*]*)\*", f"\n{body.strip()}")
+    found = {
+        word: " ".join(f"{more.strip(' .')} {said}".split())
+        for word, more, said in zip(parts[1::3], parts[2::3], parts[3::3])
+    }
+    return Entry(
+        "", name, f"effect {name}: {title.rstrip('.')}", found["Model"], f"Its law: {found['Law']}", "",
+        f"It is simulated {found['On']} A scene asks for it or leaves it out by effects.force and effects.without; `clacad effects "
+        "SCENE` shows the plan.",
+    )  # fmt: skip
+
+
+# --- materials ----------------------------------------------------------------------------------------------
+
+
+def _material(one: Material) -> Entry:
+    short, long = one.range_m
+    wave = GREEN if short <= GREEN <= long else 0.5 * (short + long)
+    told = [
+        f"n = {float(one.index(wave)):.4f} at {1e9 * wave:.0f} nm",
+        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
+    ]
+    told += [] if one.density_kg_m3 is None else [f"{one.density_kg_m3:g} kg/m³"]
+    told += ["absorption known"] if one.extinction else []
+    return Entry(
+        "", one.name, f"material {one.name} ({one.kind})", f"{', '.join(told)}.", f"From: {one.source}", "",
+        f'pair.material = "{one.name}" in the design file.',
+    )  # fmt: skip

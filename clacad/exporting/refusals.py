@@ -1,0 +1,166 @@
+"""What cannot be made is refused before the first byte: the reasons of all formats at once.
+
+Each format that asks more of a design than a shape says here what stands against it: an extra that is not installed, a
+gap, a border, a line of text that has no room. Limits of size, and bodies that cannot be built, are met while the price
+is worked out; they are gathered here too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from clacad.base.units import millimetres
+from clacad.sheet.gap import NoFixture
+from clacad.storage.errors import ExportError, NotPossible
+
+if TYPE_CHECKING:
+    from clacad.exporting.request import Request
+    from clacad.sheet.window import Window
+    from clacad.storage.worker import Worker
+
+
+class Refusals:
+    """Why formats are refused, gathered until all have been asked."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, Exception] = {}
+
+    def __contains__(self, format: object) -> bool:
+        return format in self._found
+
+    def __bool__(self) -> bool:
+        return bool(self._found)
+
+    @contextmanager
+    def of(self, *formats: str) -> Iterator[None]:
+        """Keep the refusal that is met within, as that of some formats; a mistake of our own goes on up."""
+        try:
+            yield
+        except (ExportError, ValueError) as error:
+            if getattr(error, "exit_status", None) is None:
+                raise
+            refusal = NotPossible(str(error)) if isinstance(error, NoFixture) else error
+            self._found |= dict.fromkeys(formats, refusal)
+
+    def complete(self) -> None:
+        """Refuse the export if any format was.
+
+        Raises
+        ------
+        ExportError, ValueError
+            The refusal, if there is one only; else `NotPossible` with all of them, or what all of them are.
+        """
+        by_text: dict[str, list[str]] = {}
+        for name, error in self._found.items():
+            by_text.setdefault(str(error), []).append(name)
+        if not by_text:
+            return
+        errors = list(self._found.values())
+        if len(by_text) == 1:
+            raise errors[0]
+        kinds = {type(error) for error in errors}
+        kind = kinds.pop() if len(kinds) == 1 and issubclass(type(errors[0]), ExportError) else NotPossible
+        raise kind("\n".join(_line(names, text) for text, names in by_text.items()))
+
+
+def _line(formats: list[str], text: str) -> str:
+    """A refusal with the formats it is of, where it does not begin with them."""
+    named = ", ".join(formats)
+    return text if text.startswith((f"{named}:", f"format {named}")) else f"{named}: {text}"
+
+
+def require_possible(window: Window, format: str, asked: Request, worker: Worker) -> None:
+    """Refuse a format that a design cannot have; only a long line of text on little room needs the worker.
+
+    Raises
+    ------
+    NotPossible, NoFixture, LimitRefused, CannotBuild
+    WorkerDied
+        The letters could not be drawn.
+    """
+    if format in _NEEDS:
+        _NEEDS[format](window, asked, worker)
+
+
+# --- what each format needs -------------------------------------------------------------------------------
+
+
+def _gds(window: Window, asked: Request, _worker: Worker) -> None:
+    """The package that writes it, and levels that its layers tell apart."""
+    from clacad.formats.maps.gds import grey_cell, require_gdstk
+    from clacad.formats.maps.sag import structured_faces
+
+    require_gdstk()
+    for body, face, label in structured_faces(window):
+        grey_cell(window, body, face, label, asked.grey_levels, millimetres(window.unit))
+
+
+def _baffle(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Walls, and a gap for them."""
+    from clacad.exporting.fixtures import baffle_mesh
+
+    baffle_mesh(window)
+
+
+def _frame(window: Window, _asked: Request, worker: Worker) -> None:
+    """Two plates with flat borders, a gap, and room for the name."""
+    from clacad.exporting.fixtures.frame import frame_spec, mark_lines
+    from clacad.solid.marks import mark_text
+
+    for width, height in mark_lines(frame_spec(window, window.land.border)):
+        _require_room(mark_text(window.name), width, height, worker)
+
+
+def _marks(window: Window, _asked: Request, worker: Worker) -> None:
+    """A border with room for the name."""
+    from clacad.solid.marks import mark_place, mark_text
+
+    for place, body in [(mark_place(window, body), body) for body in window.bodies]:
+        _require_room(mark_text(f"{window.name} {body.name}"), place.width, place.height, worker)
+
+
+def _marked(window: Window, asked: Request, worker: Worker) -> None:
+    """A border with room for the name, and bodies that the kernel takes."""
+    _marks(window, asked, worker)
+    _solids(window, "marked")
+
+
+def _brep(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Bodies that the kernel takes."""
+    _solids(window, "BREP")
+
+
+def _coupon(window: Window, _asked: Request, _worker: Worker) -> None:
+    """A patch of a few cells that is a solid."""
+    from clacad.exporting.fixtures.coupon import PATCH_CELLS
+
+    _solids(window.with_cells(PATCH_CELLS), "coupon")
+
+
+def _solids(window: Window, what: str) -> None:
+    """Bodies of no more cells than OCC takes, of faces that can be described."""
+    from clacad.exporting.file_sizes import step_bytes
+    from clacad.exporting.fixtures.fixture_files import refuse_many
+
+    refuse_many(window, what)
+    step_bytes(window, "fused")  # describes the faces of small sheets, as the solids are described
+
+
+def _require_room(text: str, width: float, height: float, worker: Worker) -> None:
+    """Room for a line of text (mm): as a rule its number of letters tells; where it does not, they are drawn."""
+    from clacad.solid.marks import surely_fits
+
+    if not surely_fits(text, width, height):
+        worker.run("clacad.solid.marks:require_room", text, width, height, timeout=DRAWING_SECONDS)
+
+
+DRAWING_SECONDS = 300.0
+"""Time for OCC to draw a line of text."""
+
+_NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
+    "gds": _gds, "baffle": _baffle, "frame": _frame, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
+    "brep": _brep, "coupon": _coupon,
+}  # fmt: skip
+"""Format → what refuses it; formats of a mere shape are refused by their price alone."""

@@ -1,0 +1,147 @@
+"""Which file carries a design's light within an asked error for the fewest bytes.
+
+Facets are sized by the measured floors of the formats (`clacad.verification.accuracy.file_floors`), bytes as an export
+forecasts them; STEP holds the faces themselves. Readers are taken to refract at the facets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.machine_rates import Span
+from clacad.base.text import plain
+from clacad.exporting.limits import MOST_BYTES, size_text
+from clacad.storage.errors import ExportError
+from clacad.verification.accuracy.choose_setting import MOST_QUADS, SAFE
+from clacad.verification.accuracy.error_and_seconds import TargetOutOfReach
+from clacad.verification.accuracy.file_floors import Floor
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet.window import Window
+
+WHOLE = ("stl", "3mf", "ply", "glb")
+"""Mesh formats of the whole sheet as one file."""
+
+STEP_ERROR = 1e-11
+"""Error of the faces of a STEP file (radians), and more: its numbers have 16 digits (see `step_rung`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileWithin:
+    """A file that is within a target.
+
+    Parameters
+    ----------
+    format : str
+        Word of `--format`.
+    quads : int or None
+        Facets a cell side; None: the exact faces.
+    error : float, radians
+        Forecast rms direction error to the exact surfaces.
+    bytes : int
+        About.
+    seconds : Span
+        Processor seconds of the export on this machine, a wide range.
+    """
+
+    format: str
+    quads: int | None
+    error: float
+    bytes: int
+    seconds: Span
+
+    def __str__(self) -> str:
+        """Say what it is, what it gives and what it costs."""
+        how = (
+            "exact faces"
+            if self.quads is None
+            else f"{self.quads} quads a cell side, {1e3 * self.error:.3g} mrad rms"
+        )
+        return f"{self.format} ({how}), about {size_text(self.bytes)}, {self.seconds} of processor time"
+
+    @property
+    def options(self) -> str:
+        """Options of `clacad export` that write it."""
+        return f"--format {self.format}" + ("" if self.quads is None else f" --quads {self.quads}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        return dict(plain({
+            "format": self.format, "quads": self.quads, "error": self.error, "bytes": self.bytes,
+            "seconds": [self.seconds.low, self.seconds.high], "options": self.options,
+        }))  # fmt: skip
+
+
+def files_within(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:
+    """Files whose light is within a target, those of the fewest bytes first.
+
+    Parameters
+    ----------
+    design, window
+        With the cells that will be written.
+    floors : sequence of Floor
+        Of this design; see `file_floors.floors`.
+    target : float, radians
+        Rms direction error to the exact surfaces.
+
+    Raises
+    ------
+    TargetOutOfReach
+        No file of this design is within it.
+    """
+    found = [*_meshes(design, window, floors, target), *_step(design, window, target)]
+    if not found:
+        raise TargetOutOfReach(
+            f"no file is within {1e3 * target:.4g} mrad: facets cannot be made so fine, and STEP is within "
+            f"{1e3 * STEP_ERROR:g} mrad where the body can be a solid"
+        )
+    return sorted(found, key=lambda one: (one.bytes, one.error))
+
+
+def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:
+    """Meshes of the coarsest facets within the target that stay within the limits of size."""
+    from clacad.exporting.quads_and_roles import Sizes
+    from clacad.exporting.tessellations import Meshes
+
+    sizes, found = Sizes(Meshes(window)), []
+    for floor in floors:
+        quads = floor.quads_for(SAFE * target) if floor.normals == "facet" else None
+        for name in WHOLE:
+            if (
+                name in floor.formats.split(", ")
+                and quads is not None
+                and quads <= MOST_QUADS
+                and sizes.fits(name, quads)
+            ):
+                seconds = _seconds(design, name, quads)
+                found.append(FileWithin(name, quads, floor.error(quads), sizes.bytes(name, quads), seconds))
+    return found
+
+
+def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
+    """The STEP file, where the bodies can be solids and a file of that size is written."""
+    from clacad.exporting.file_sizes import step_bytes
+    from clacad.formats.step.step_files import chosen_mode
+    from clacad.topology.cannot_build import CannotBuild
+
+    if target < STEP_ERROR:
+        return []
+    try:
+        size = step_bytes(window, chosen_mode(window, "auto"))
+    except (CannotBuild, ExportError):
+        return []
+    return (
+        []
+        if size > MOST_BYTES
+        else [FileWithin("step", None, STEP_ERROR, size, _seconds(design, "step", None))]
+    )
+
+
+def _seconds(design: Design, format: str, quads: int | None) -> Span:
+    from clacad.exporting.request import Request
+    from clacad.exporting.rough_seconds import rough_span
+
+    return rough_span(design, Request((format,), quads={} if quads is None else {format: quads}))
