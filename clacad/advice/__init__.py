@@ -10,11 +10,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from clacad.advice.hints import Advice, Hint, advise
+    from clacad.advice.fewest_keys import Fixed, fix
     from clacad.advice.judged import Judged, judge
 
-__all__ = ["Judged", "judge"]
+__all__ = ["Advice", "Fixed", "Hint", "Judged", "advise", "fix", "judge"]
 
-_HOME = {"Judged": "judged", "judge": "judged"}
+_HOME = {
+    "Advice": "hints", "Fixed": "fewest_keys", "Hint": "hints", "Judged": "judged", "advise": "hints",
+    "fix": "fewest_keys",
+    "judge": "judged",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
