@@ -54,6 +54,8 @@ _HOME = {
     "export": "clacad.exporting.export_design",
     "solids": "clacad.solid.solids",
     "verify": "clacad.verification",
+    "advise": "clacad.advice",
+    "fix": "clacad.advice",
     "accuracy": "clacad.verification.accuracy.accuracy_table",
     "render": "clacad.rendering",
     "render_movie": "clacad.rendering",

@@ -78,14 +78,23 @@ def schema(
 @app.command()
 def check(
     design: Design,
+    fix: Annotated[bool, typer.Option("--fix", help="Find the fewest keys that make it pass; the law, the material and all "
+                                      "limits stay.")] = False,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="With --fix, write the design that passes "
+                                             "here, comments kept.")] = None,
+    overwrite: Replace = False,
     set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
-) -> int:
-    """Read the design, derive what would be made, judge it by the design rules; writes nothing."""
-    from clacad.cli.design_commands import check_design
+) -> int:  # fmt: skip
+    """Derive what would be made, say whether verify will pass, and which keys would make it."""
+    from clacad.cli.check_command import check_design, fix_design
 
+    if fix:
+        return fix_design(design, set or [], out, overwrite=overwrite, json=json, quiet=quiet)
+    if out is not None:
+        raise typer.BadParameter("-o is where --fix writes the design that passes: give --fix, too")
     return check_design(design, set or [], json=json, quiet=quiet)
 
 

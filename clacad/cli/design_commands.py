@@ -1,4 +1,4 @@
-"""`clacad new`, `clacad schema`, `clacad check`."""
+"""`clacad new`, `clacad schema`, and how commands read a design."""
 
 from __future__ import annotations
 
@@ -56,38 +56,3 @@ def load_counted(path: Path, overrides: list[str]) -> Design:
     design = load_design(path, overrides)
     refuse_uncountable(design)
     return design
-
-
-def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
-    """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails, 3 when nothing could be written."""
-    from clacad.exporting.forecast import outlook
-    from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.feasibility import describe, feasibility
-    from clacad.storage.errors import LimitRefused
-    from clacad.verification import design_checks
-
-    design = load_design(path, overrides)
-    window = prescribe(design)
-    facts = feasibility(window, *design.viewing_places)
-    checks = design_checks(design, window, facts)
-    forecast = outlook(window)
-    failed = [check for check in checks if check.state == "fail"]
-    if json:
-        show_json(
-            {
-                "design": design.name,
-                "derived": [list(row) for row in describe(window, facts)],
-                "recipe": dict(window.recipe),
-                "residual": dict(window.residual),
-                "checks": [check.to_dict() for check in checks],
-                "forecast": forecast,
-                "passed": not failed,
-            }
-        )
-    else:
-        from clacad.cli.tables import check_text
-
-        show_text(check_text(design.name, describe(window, facts), checks, forecast), quiet=quiet)
-    if not failed and all(row["refused"] for row in forecast):
-        raise LimitRefused(str(forecast[0]["refused"]))
-    return 1 if failed else 0

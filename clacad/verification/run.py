@@ -20,13 +20,8 @@ from clacad.verification.files.find_files import Delivery, declared_roles, list_
 from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
-from clacad.verification.light.law_checks import (
-    Optics,
-    confocality_check,
-    law_checks,
-    measure,
-    throughput_check,
-)
+from clacad.verification.light.law_checks import Optics
+from clacad.verification.light.through_window import judge_light
 from clacad.verification.verification_report import Report
 
 if TYPE_CHECKING:
@@ -129,9 +124,7 @@ def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) 
 
     The window need not come from that design; what it does is measured, not believed.
     """
-    optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays)
-    found = law_checks(design, optics)
-    found += [throughput_check(design, window, optics), confocality_check(design, window)]
+    found, optics = judge_light(design, window, rays)
     return [*found, *design_checks(design, window, facts)], optics
 
 

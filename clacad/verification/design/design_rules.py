@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 
-def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[Check, ...]:
+def design_checks(
+    design: Design, window: Window, facts: Feasibility, *, solved: bool = True
+) -> tuple[Check, ...]:
     """Judge a window by the design rules.
 
     Parameters
@@ -33,9 +35,11 @@ def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[C
     window : Window
     facts : Feasibility
         Of this window.
+    solved : bool
+        Whether a lens that does not cover its cell is said which thickness, index or pitch would: a second's work.
     """
     found: list[Check] = [_one_piece(body) for body in facts.bodies]
-    found += [_cover(design, window, lens) for lens in facts.lenses]
+    found += [_cover(design, window, lens, solved=solved) for lens in facts.lenses]
     found += [_graph(design, lens) for lens in facts.lenses]
     found += _process_checks(design, facts)
     found += making_checks(design, window, facts)
@@ -67,7 +71,7 @@ def _one_piece(body: BodyFacts) -> Check:
     )  # fmt: skip
 
 
-def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
+def _cover(design: Design, window: Window, lens: LensFacts, *, solved: bool) -> Check:
     name = f"lens {lens.array + 1}"
     limit = design.check.cover
     if lens.cover >= limit:
@@ -76,8 +80,10 @@ def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
         x, y = lens.rim_at
         sentence = (
             f"{name} fills {lens.cover:.3f} of its cell: its rim ends at {lens.rim[0]:.4g}, {lens.rim[1]:.4g} along "
-            f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness. {_way_to_cover(design, window, lens)}"
+            f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness"
         )
+        if solved:
+            sentence += f". {_way_to_cover(design, window, lens)}"
     return judge(
         "cover", lens.cover, limit, sentence, relation=">=", subject=name,
         detail={"rim": lens.rim, "least_thickness": lens.least_thickness, "corner": lens.corner},
@@ -213,13 +219,12 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
         )
     for body in facts.bodies:
         limit, source = process_limit(design, rules, "edge")
-        found.append(
-            _at_least("edge", body.edge, limit, source, unit, f"least thickness along the outer side of {body.name}", body.name)
-        )  # fmt: skip
+        text = f"least thickness along the outer side of {body.name}"
+        found.append(_thicker(design, _at_least("edge", body.edge, limit, source, unit, text, body.name)))
         limit, source = process_limit(design, rules, "neck")
         if isfinite(body.neck):
             text = f"least thickness that joins neighbours in {body.name} after the step between them"
-            found.append(_at_least("neck", body.neck, limit, source, unit, text, body.name))
+            found.append(_thicker(design, _at_least("neck", body.neck, limit, source, unit, text, body.name)))
     for lens in facts.lenses:
         name = f"lens {lens.array + 1}"
         limit, source = process_limit(design, rules, "radius")
@@ -252,6 +257,18 @@ def _at_least(
     if limit == 0.0:  # 0 itself does not do
         return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
     return check
+
+
+def _thicker(design: Design, check: Check) -> Check:
+    """The same check; one that fails names the keys by which a body of this form is made thicker there."""
+    if check.state != "fail":
+        return check
+    keys = {
+        "biconvex": "pair.thickness, pair.web, or body.border with a web",
+        "plano": "pair.thickness, body.neck, or body.border",
+        "slab": "pair.separation",
+    }
+    return replace(check, sentence=f"{check.sentence}; {keys[design.pair.form]} makes it thicker")
 
 
 def _field(design: Design, facts: Feasibility) -> Check:
@@ -304,7 +321,8 @@ def _residual(design: Design, window: Window) -> Check:
             "the ray along the lens axis does not get through: it misses a lens or is totally reflected"
         )
     elif value > limit:
-        sentence += "; another recipe, less tilt or another form would leave less"
+        recipe = "" if design.pair.form == "slab" else 'pair.confocal = "exact" or "best", '
+        sentence += f"; another recipe ({recipe}pair.conic), less tilt or another form would leave less"
     return judge(
         "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", limit_source=from_key("law_rms"),
         detail=dict(window.residual),
