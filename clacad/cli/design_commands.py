@@ -61,12 +61,15 @@ def load_counted(path: Path, overrides: list[str]) -> Design:
 def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -> int:
     """Derive everything, judge it by the design rules, print it; exit 1 when a rule fails, 3 when nothing could be written."""
     from clacad.exporting.forecast import outlook
+    from clacad.exporting.limits import refuse_uncountable
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.feasibility import describe, feasibility
     from clacad.storage.errors import LimitRefused
     from clacad.verification import design_checks
 
     design = load_design(path, overrides)
+    if design.lattice.outline is not None:  # its cells are gone through one by one
+        refuse_uncountable(design)
     window = prescribe(design)
     facts = feasibility(window)
     checks = design_checks(design, window, facts)
