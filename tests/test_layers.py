@@ -30,6 +30,7 @@ ROOMS = [
     "effects",
     "exporting",
     "verification",
+    "advice",  # what verify will say, and which keys would change it
     "rendering",
     "report",
     "explain",

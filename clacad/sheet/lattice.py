@@ -29,10 +29,13 @@ NodeCells = tuple[tuple[Step, int], ...]
 
 def polygon_area(points: Floats) -> float:
     """Signed area of a polygon (m, 2), length²; counter-clockwise is positive."""
-    if len(points) < 3:
-        return 0.0
-    x, y = (points - points[0]).T  # shoelace about a corner: no cancellation far from the origin
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    return 0.0 if len(points) < 3 else float(polygon_areas(points[None])[0])
+
+
+def polygon_areas(points: Floats) -> Floats:
+    """Signed areas (k,), length², of polygons (k, m, 2) of as many corners each."""
+    x, y = np.moveaxis(points - points[:, :1], -1, 0)  # shoelace about a corner: no cancellation far from the origin
+    return np.asarray(0.5 * np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
-from clacad.sheet.lattice import polygon_area
+from clacad.sheet.lattice import polygon_area, polygon_areas
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
 
@@ -114,7 +114,7 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     arrival = cells.separation * cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
     whole = polygon_area(cells.image)
-    return np.array([cells.part * polygon_area(clip(cells.image + a, target)) / whole for a in arrival])
+    return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
 
 
 def lit_zone(cells: ThinCells) -> Floats:
@@ -158,6 +158,35 @@ def ghost_onset(cells: ThinCells) -> tuple[float, float]:
 
 def _half_width(polygon: Floats, axis: int) -> float:
     return 0.5 * float(np.ptp(polygon[:, axis]))
+
+
+def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
+    """Areas (k,), length², that a convex polygon (m, 2) moved to each of some places (k, 2) has in common with another one.
+
+    `clip` of all of them in step, with the same bits: a row that has fewer corners than others is filled up behind them.
+    """
+    corners = polygon + places[:, None]
+    count = np.full(len(places), len(polygon))
+    for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
+        slots = np.arange(corners.shape[1])
+        follower = np.where(slots + 1 < count[:, None], slots + 1, 0)
+        there = np.take_along_axis(corners, follower[..., None], axis=1)
+        edge = end - start
+        a = edge[0] * (corners[..., 1] - start[1]) - edge[1] * (corners[..., 0] - start[0])
+        b = np.take_along_axis(a, follower, axis=1)
+        real = slots < count[:, None]
+        crossed = real & ((a < 0.0) != (b < 0.0))
+        part = np.divide(a, a - b, out=np.zeros_like(a), where=crossed)
+        made = np.stack([corners, corners + (there - corners) * part[..., None]], axis=2)
+        kept = np.stack([real & (a >= 0.0), crossed], axis=2).reshape(len(places), -1)
+        count = kept.sum(axis=1)
+        order = np.argsort(~kept, axis=1, kind="stable")[:, : count.max(initial=0)]
+        corners = np.take_along_axis(made.reshape(len(places), -1, 2), order[..., None], axis=1)
+    areas = np.zeros(len(places))
+    for n in np.unique(count[count > 2]):
+        here = count == n
+        areas[here] = polygon_areas(corners[here, :n])
+    return areas
 
 
 def clip(subject: Floats, window: Floats) -> Floats:

@@ -21,6 +21,7 @@ from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
 from clacad.verification.light.law_checks import (
+    POINT_RAYS,
     Optics,
     confocality_check,
     law_checks,
@@ -124,12 +125,14 @@ def _with_files(
     )
 
 
-def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:
+def judge_window(
+    design: Design, window: Window, facts: Feasibility, rays: int, point_rays: int = POINT_RAYS
+) -> tuple[list[Check], Optics]:
     """Judge a window by what its design asks: light through the exact surfaces, and the design rules.
 
     The window need not come from that design; what it does is measured, not believed.
     """
-    optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays)
+    optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays, point_rays)
     found = law_checks(design, optics)
     found += [throughput_check(design, window, optics), confocality_check(design, window)]
     return [*found, *design_checks(design, window, facts)], optics

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -25,22 +24,14 @@ BASE = Design.from_dict({
     "pair": {"form": "biconvex", "separation": 0.05, "thickness": 0.0015, "index": 1.5},
     "lattice": {"pitch": 0.005, "count": [20, 20]},
 })  # fmt: skip
-RAYS = 4096
-
-
-@pytest.fixture(autouse=True)
-def _few_rays(request, monkeypatch):
-    """What is caught here is caught by a factor; only published numbers need all rays."""
-    if "published" not in request.node.name:
-        monkeypatch.setattr(
-            importlib.import_module("clacad.verification.light.law_checks"), "POINT_RAYS", 512
-        )
+RAYS, POINT_RAYS = 4096, 512
+"""What is caught here is caught by a factor."""
 
 
 def judged(window, design=BASE):
     """Checks by id of a window that claims to be `design`."""
     claimed = replace(window, law=design.law)
-    checks, _ = judge_window(design, claimed, feasibility(claimed), RAYS)
+    checks, _ = judge_window(design, claimed, feasibility(claimed), RAYS, POINT_RAYS)
     return {(c.id, c.subject): c for c in checks}
 
 
@@ -132,7 +123,7 @@ def angled(name):
 
 def by_light(design, window):
     claimed = replace(window, law=design.law)
-    seen = measure(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS)
+    seen = measure(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS, POINT_RAYS)
     return {c.id: c for c in law_checks(design, seen)}
 
 
@@ -212,7 +203,7 @@ def test_a_defocus_of_one_percent_breaks_position_independence():
     )
     right, wrong = prescribe(near), scaled_lens_2(prescribe(near), 1.01)
     spread = [
-        measure(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS).points[0].spread for w in (right, wrong)
+        measure(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS, POINT_RAYS).points[0].spread for w in (right, wrong)
     ]
     assert spread[0] < 1e-5
     assert spread[1] > 10.0 * spread[0]
@@ -234,7 +225,7 @@ def test_the_paper_base_has_its_published_errors(recipe, rms, bias):
 def test_without_light_nothing_is_green():
     """Remove the input of the traced checks, the light: they do not run, and the report does not pass."""
     window = prescribe(BASE)
-    none = measure(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS)
+    none = measure(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS, POINT_RAYS)
     checks = [*law_checks(BASE, none), throughput_check(BASE, window, none)]
     states = {c.id: c.state for c in checks}
     assert {states[name] for name in ("law_rms", "law_bias", "spread", "eta", "delta", "tilt")} == {"not run"}
@@ -248,7 +239,7 @@ def replace_fate(result):
 
 def test_a_ray_lost_or_a_nan_that_lives_fails_the_accounting():
     window = prescribe(BASE)
-    seen = measure(BASE, window, lambda lit: trace(window, lit.rays), RAYS)
+    seen = measure(BASE, window, lambda lit: trace(window, lit.rays), RAYS, POINT_RAYS)
     direction = seen.result.direction.copy()
     direction[7] = np.nan
     for result in (replace(seen.result, direction=direction), replace(seen.result, fate=seen.result.fate[:-1],

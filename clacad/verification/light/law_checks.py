@@ -76,6 +76,8 @@ class Optics:
     """Everything measured with light on one thing (exact surfaces, or a file's triangles).
 
     rms, worst : radians, over the ALIVE rays of the main bundle
+    point_rays : int
+        Rays of each field point.
     turn : Turn or None
         Of the lens meridians about the lens axis; None where no law could be fitted.
     field_rms : tuple of (field angle, rms), radians
@@ -87,6 +89,7 @@ class Optics:
     error: Floats
     rms: float
     worst: float
+    point_rays: int
     points: tuple[FieldPoint, ...]
     fit: Law | None
     fit_bundle: Bundle
@@ -109,7 +112,9 @@ class Turn:
     doubt: float
 
 
-def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
+def measure(
+    design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS
+) -> Optics:
     """Trace the bundles of the checks through something and gather what they say.
 
     Parameters
@@ -121,6 +126,8 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
         Bundle → TraceResult.
     rays : int
         Rays of the main bundle; the fit takes a quarter.
+    point_rays : int
+        Rays of each of the nine field points.
     """
     spec = design.check
     main = bundle(window, rays, spec.field, spec.field_centre)
@@ -130,7 +137,7 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
     error = np.where(alive, angle_between(result.direction, expected), np.nan)
     known = error[np.isfinite(error)]
     points = tuple(
-        _field_point(window, direction, send)
+        _field_point(window, direction, send, point_rays)
         for direction in field_points(window, spec.field, spec.field_centre)
     )
     narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
@@ -141,6 +148,7 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
         error=error,
         rms=rms_error(known),
         worst=float(known.max()) if len(known) else np.nan,
+        point_rays=point_rays,
         points=points,
         fit=law,
         fit_bundle=narrow,
@@ -150,9 +158,9 @@ def measure(design: Design, window: Window, send: Tracer, rays: int) -> Optics:
     )
 
 
-def _field_point(window: Window, direction: Floats, send: Tracer) -> FieldPoint:
+def _field_point(window: Window, direction: Floats, send: Tracer, rays: int) -> FieldPoint:
     """What parallel light of one direction (3,) does; its numbers are NaN where too little gets through."""
-    lit = bundle(window, POINT_RAYS, 0.0, middle=direction)
+    lit = bundle(window, rays, 0.0, middle=direction)
     result = send(lit)
     alive = result.fate == Fate.ALIVE
     out = result.direction[alive]
@@ -250,7 +258,7 @@ def law_checks(design: Design, seen: Optics, where: str = "surfaces") -> list[Ch
 def _bias(limit: float, seen: Optics, where: str) -> Check:
     """Is the mean direction that of the law, in the middle of the field and all around it?"""
     values = np.array([p.bias for p in seen.points])
-    text = f"9 directions, {POINT_RAYS} Sobol rays each over the whole cell"
+    text = f"9 directions, {seen.point_rays} Sobol rays each over the whole cell"
     if np.isnan(values).all():
         return not_run(
             "law_bias", "no field point passes enough light to say", limit=limit, unit="rad", where=where
@@ -281,7 +289,7 @@ def _spread(limit: float, seen: Optics, where: str) -> Check:
         f"parallel light in the middle of the field leaves within {1e3 * middle:.4g} mrad rms of its mean, whatever "
         f"part of the lens it meets; {1e3 * worst:.4g} mrad at the rim of the field"
     )
-    text = f"9 directions, {POINT_RAYS} Sobol rays each over the whole cell"
+    text = f"9 directions, {seen.point_rays} Sobol rays each over the whole cell"
     return judge(
         "spread", middle, limit, sentence, unit="rad", where=where, bundle=text, limit_source=from_key("law_rms"),
         detail={"by_field_point": values},
