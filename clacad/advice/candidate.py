@@ -8,7 +8,7 @@ from math import floor, inf, log10
 from typing import Any, Final, Literal
 
 from clacad.advice.first_numbers import MILLIMETRES
-from clacad.advice.wish import Wish
+from clacad.advice.wish import KEYS, Wish, angle_text
 from clacad.design import Design
 from clacad.design.process_profiles import profile
 from clacad.verification.checks import NEAR
@@ -82,8 +82,8 @@ def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -
     if variant.conic is not None:
         pair |= {"surface": "biconic", "conic": [variant.conic, variant.conic]}
     check: dict[str, Any] = {"process": wish.process}
-    if wish.field != Wish.field:
-        check["field"] = f"{wish.field!r} rad"
+    if wish.field != KEYS["field"].default:
+        check["field"] = angle_text(wish.field)
     sections = {"law": law, "pair": pair | {"material": wish.material}, "lattice": lattice, "body": body, "check": check}
     return {"format": 1, "name": name, "unit": "mm", **{key: value for key, value in sections.items() if value}}
 

@@ -17,6 +17,9 @@ from clacad.sheet.vignetting import aperture_slope
 ENOUGH = 0.9
 """Part of the limits that the middle of the field may use."""
 
+WITHIN = 0.95
+"""Part of them beyond which a shape is not worth tracing."""
+
 SPREAD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.5, -0.5, 0.7, -0.7)
 """Conic constants that are tried, from that of the closed formula."""
 
@@ -30,7 +33,9 @@ FARTHEST = 2.0
 """Pitches by which light may meet lens 2 beside its vertex."""
 
 
-def variants(wish: Wish, pitch: float, overrides: Sequence[str] = ()) -> Iterator[tuple[Variant, float]]:
+def variants(
+    wish: Wish, pitch: float, overrides: Sequence[str] = (), refused: list[str] | None = None
+) -> Iterator[tuple[Variant, float]]:
     """Forms and shapes to try, the best first, each with the separation in pitches that it needs at least.
 
     Parameters
@@ -40,15 +45,17 @@ def variants(wish: Wish, pitch: float, overrides: Sequence[str] = ()) -> Iterato
         At which they are compared; nearly all the same at any.
     overrides : sequence of str
         "key=value" of the design, as with --set.
+    refused : list of str or None
+        Gets a sentence for each form that is not worth trying.
     """
     for aperture in apertures(wish):
         for form, curved in FORMS:
             if wish.form in ("any", form):
-                yield from _shaped(wish, Variant(form, curved, None, aperture), pitch, overrides)
+                yield from _shaped(wish, Variant(form, curved, None, aperture), pitch, overrides, [] if refused is None else refused)
 
 
 def _shaped(
-    wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str]
+    wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str], refused: list[str]
 ) -> Iterator[tuple[Variant, float]]:
     """A variant as it stands; of an offset pair with the conic that keeps the law in the middle of the field, if one does."""
     conic = undistorted_conic(variant.form, variant.curved, index_of(wish))
@@ -58,7 +65,10 @@ def _shaped(
             yield replace(variant, conic=round(conic, 3)), 0.0
         return
     pointed = _pointed(wish, variant, pitch, overrides)
-    if pointed is None or (1.0 - variant.aperture) * RATIO * max(map(abs, pointed.slope)) > FARTHEST:
+    if isinstance(pointed, str):
+        refused.append(f"{variant.form}: {pointed}")
+        return
+    if (1.0 - variant.aperture) * RATIO * max(map(abs, pointed.slope)) > FARTHEST:
         return
     faults = {None: _faults(wish, pointed, pitch, overrides)}
     if conic is not None and faults[None].cost > (0.0, ENOUGH):
@@ -66,8 +76,13 @@ def _shaped(
         best = min((k for k in faults if k is not None), key=lambda k: faults[k].cost)
         _try(wish, pointed, pitch, overrides, faults, best, FINE)
     chosen = min(faults, key=lambda k: faults[k].cost)
-    if faults[chosen].lasting <= 0.95:
+    if faults[chosen].lasting <= WITHIN:
         yield replace(pointed, conic=chosen), RATIO * faults[chosen].shrinking / ENOUGH
+    else:
+        refused.append(
+            f"{variant.form}: in the middle of the field and along the axis ray the law is missed by {faults[chosen].lasting:.3g} times "
+            "what the design allows, whatever the conic constant and the separation: less offset, less tilt"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +117,11 @@ def _faults(wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str]
     return _Faults(found.lasting(design), found.shrinking(design))
 
 
-def _pointed(wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str]) -> Variant | None:
-    """The variant with the slope of the line through its lenses; None where they cannot be built."""
+def _pointed(wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str]) -> Variant | str:
+    """The variant with the slope of the line through its lenses; why they cannot be built, where they cannot."""
     try:
         window = prescribe(built(wish, replace(variant, aperture=1.0), pitch, RATIO, "trial", overrides))
-    except DesignError:
-        return None
+    except DesignError as problem:
+        return problem.mistakes[0].message
     x, y = aperture_slope(window)
     return replace(variant, slope=(float(x), float(y)))

@@ -87,7 +87,7 @@ class Search:
         """Try until a design passes without a warning that another could avoid; else the best of those that pass."""
         pitch = round_to(wanted_pitch(self.wish).value, 2, up=True)
         found: list[Tried] = []
-        for variant, needed in variants(self.wish, pitch, self.overrides):
+        for variant, needed in variants(self.wish, pitch, self.overrides, self.refused):
             self.progress(f"trying {variant.form}", len(self.tried) / MOST_JUDGED)
             one = self._best_ratio(variant, needed)
             if one is not None:
@@ -139,7 +139,9 @@ class Search:
         pitch = round_to(bound.value, 2, up=True)
         try:
             design = built(self.wish, variant, pitch, ratio, self.name, self.overrides)
-            if max(prescribe(design).residual.values(), default=0.0) > design.check.law_rms:
+            left = max(prescribe(design).residual.values(), default=0.0)
+            if left > design.check.law_rms:  # fails whatever light does in the field
+                self.refused.append(f"{variant.form}: along the axis ray {1e3 * left:.3g} mrad are left of the law at {ratio:g} pitches")
                 return None
             one = Tried(variant, ratio, Bound(pitch, bound.why), judge(design))
         except DesignError as problem:

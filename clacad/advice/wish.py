@@ -9,8 +9,8 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import radians
-from typing import Any, Final, Literal, cast
+from math import degrees, radians
+from typing import Any, Final, Literal
 
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import LENGTHS, Unit
@@ -108,8 +108,14 @@ class Wish:
         for name, key in KEYS.items():
             if name not in ("eta", "width", "circle") and getattr(self, name) != key.default:
                 value = getattr(self, name)
-                found[name] = list(value) if isinstance(value, tuple) else f"{value!r} rad" if name == "field" else value
+                found[name] = list(value) if isinstance(value, tuple) else angle_text(value) if name == "field" else value
         return found
+
+
+def angle_text(radians_: float) -> str:
+    """An angle as it would be written: in degrees where that is the same number."""
+    text = f"{degrees(radians_):g}"
+    return f"{text} deg" if radians(float(text)) == radians_ else f"{radians_!r} rad"
 
 
 def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
@@ -222,4 +228,4 @@ def _refused(name: str, refusal: Refusal) -> Mistake:
 def _unknown(name: str) -> Mistake:
     meant = [SYNONYMS[name]] if name in SYNONYMS else near(name.lower(), KEYS, 0.6)
     return Mistake("CL102", f"unknown word {name}{did_you_mean(meant, before='; ')}", name, "--for",
-                   allowed=f"a wish says {', '.join(KEYS)}", hint=cast("str", meant[0]) if meant else "")  # fmt: skip
+                   allowed=f"a wish says {', '.join(KEYS)}", hint=meant[0] if meant else "")  # fmt: skip

@@ -7,12 +7,12 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 from clacad.base import log
 from clacad.base.machine_rates import span_text
 from clacad.base.text import plain, printable_lines
+from clacad.base.text import table as table
 from clacad.cli.streams import is_unicode
 
 
@@ -33,23 +33,6 @@ def say(text: str, *, quiet: bool = False) -> None:
     """Print talk on stderr."""
     if not quiet:
         sys.stderr.write(printable_lines(text) + "\n")
-
-
-def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
-    """Align the columns of some rows of text; the last column is not padded."""
-    rows = [[str(cell) for cell in row] for row in rows]
-    if not rows:
-        return ""
-    widths = [
-        max((len(row[k]) for row in rows if k < len(row)), default=0) for k in range(max(map(len, rows)))
-    ]
-    return "\n".join(
-        indent
-        + "  ".join(
-            cell if k == len(row) - 1 else cell.ljust(widths[k]) for k, cell in enumerate(row)
-        ).rstrip()
-        for row in rows
-    )
 
 
 def size(count: float) -> str:
