@@ -34,12 +34,6 @@ RATIOS = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 17.0, 20.0, 24.0, 28.0
 STEPS = 6
 """Of `RATIOS` upwards from the closed formula's."""
 
-ROOM = 0.95
-"""Part of a limit that a traced number may use: verify sends other rays."""
-
-SHARE = 0.98
-"""Part of a share of light that verify's own rays find at least."""
-
 MOST_JUDGED = 40
 """Designs that are judged for one wish."""
 
@@ -56,7 +50,7 @@ class Tried:
     @property
     def good(self) -> bool:
         """Whether verify will pass, with room to spare."""
-        return self.judged.passes and not any(tight(check) for check in self.judged.checks)
+        return self.judged.passes and not self.judged.tight
 
 
 @dataclass
@@ -164,15 +158,6 @@ class Search:
         if wanted.value > high.value:
             return high
         return wanted if wanted.value >= low.value else low
-
-
-def tight(check: Check) -> bool:
-    """Whether a traced number passes so narrowly that verify's own rays may find otherwise."""
-    if check.state != "pass" or not isinstance(check.value, float) or not isinstance(check.limit, float):
-        return False
-    if check.where in ("geometry", "thin"):
-        return False
-    return check.value > ROOM * check.limit > 0.0 if check.relation == "<=" else SHARE * check.value < check.limit
 
 
 def avoidable(tried: Tried, wish: Wish) -> float:

@@ -17,10 +17,13 @@ from clacad.cli.streams import is_unicode
 
 
 def show_json(value: Any) -> None:
-    """Print one JSON document on stdout: sorted keys, no NaN (null instead), paths as text."""
-    ascii_only = not is_unicode(getattr(sys.stdout, "encoding", "utf-8"))
-    text = json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=ascii_only, default=str)
-    sys.stdout.write(text + "\n")
+    """Print one JSON document on stdout."""
+    sys.stdout.write(json_text(value, ascii_only=not is_unicode(getattr(sys.stdout, "encoding", "utf-8"))))
+
+
+def json_text(value: Any, *, ascii_only: bool = False) -> str:
+    """One JSON document: sorted keys, no NaN (null instead), paths as text."""
+    return json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=ascii_only, default=str) + "\n"
 
 
 def show_text(text: str, *, quiet: bool = False) -> None:

@@ -128,11 +128,30 @@ def _master_text(entry: Mapping[str, Any]) -> str:
 def check_text(
     title: str, derived: Iterable[Sequence[str]], checks: Iterable[Any], forecast: Iterable[dict[str, Any]]
 ) -> str:
-    """All of `clacad check`."""
+    """All that `clacad check` derives and judges; what verify will say stands below it."""
     checks = list(checks)
-    failed = [check.id for check in checks if check.state == "fail"]
-    verdict = f"FAIL: {', '.join(dict.fromkeys(failed))}" if failed else "the design rules hold"
+    light = [check for check in checks if check.where.startswith("surfaces") and check.id != "residual"]
+    rules = [check for check in checks if check not in light]
     blocks = (
-        derived_text(derived), "design rules", checks_text(checks), "what an export would cost", forecast_text(forecast),
+        derived_text(derived), "design rules", checks_text(rules), "light through one cell", checks_text(light),
+        "what an export would cost", forecast_text(forecast),
     )  # fmt: skip
-    return "\n".join((title, *blocks, verdict))
+    return "\n".join((title, *blocks))
+
+
+def advice_text(advice: Any) -> str:
+    """What would mend each check that failed or warned, the best first; "" where none did."""
+    lines: list[str] = []
+    for check, hints in advice.hints:
+        name = f"{check.id} ({check.subject})" if check.subject else check.id
+        if hints:
+            told = "\n".join(f"    {hint}" for hint in hints)
+        else:
+            told = "    no key that was tried mends it alone"
+        said = next((k for k, line in enumerate(lines) if line.endswith(f"\n{told}")), None)
+        if said is None:
+            lines.append(f"  {name}\n{told}")
+        else:  # the same keys mend several checks: said once
+            names, _, _ = lines[said].partition("\n")
+            lines[said] = f"{names}, {name}\n{told}"
+    return "\n".join(["what would mend it, each tried", *lines]) if lines else ""

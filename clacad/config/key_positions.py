@@ -107,23 +107,27 @@ def find(text: str, path: str) -> KeyPlaces:
 # --- TOML -------------------------------------------------------------------------------------------------
 
 
-def _toml_places(text: str) -> KeyPlaces:
-    """Places in a valid TOML text, by the tree of its syntax."""
+def syntax_tree(raw: bytes) -> Node:
+    """Root of the tree of a TOML text's syntax."""
     import tree_sitter_toml
     from tree_sitter import Language, Parser
 
+    return Parser(Language(tree_sitter_toml.language())).parse(raw).root_node
+
+
+def _toml_places(text: str) -> KeyPlaces:
+    """Places in a valid TOML text, by the tree of its syntax."""
     found = KeyPlaces({}, {})
     lines = text.encode().split(b"\n")
-    tree = Parser(Language(tree_sitter_toml.language())).parse(text.encode())
     arrays: dict[KeyPath, int] = {}
-    for node in tree.root_node.named_children:
+    for node in syntax_tree(text.encode()).named_children:
         if node.type == "pair":
             _pair(node, (), found, lines)
         elif node.type in ("table", "table_array_element"):
-            head = [child for child in node.named_children if child.type in _KEYS]
+            head = [child for child in node.named_children if child.type in KEY_NODES]
             if not head:
                 continue
-            path = _indexed(_names(head[0]), arrays)
+            path = _indexed(key_names(head[0]), arrays)
             if node.type == "table_array_element":
                 arrays[path] = arrays.get(path, -1) + 1
                 found.keys.setdefault(path, _place(head[0], lines))
@@ -136,7 +140,8 @@ def _toml_places(text: str) -> KeyPlaces:
     return found
 
 
-_KEYS = ("bare_key", "quoted_key", "dotted_key")
+KEY_NODES = ("bare_key", "quoted_key", "dotted_key")
+"""Kinds of node that name a key."""
 
 
 def _indexed(names: list[str], arrays: dict[KeyPath, int]) -> KeyPath:
@@ -148,9 +153,10 @@ def _indexed(names: list[str], arrays: dict[KeyPath, int]) -> KeyPath:
     return path
 
 
-def _names(node: Node) -> list[str]:
+def key_names(node: Node) -> list[str]:
+    """Parts of a key's name."""
     if node.type == "dotted_key":
-        return [name for child in node.named_children for name in _names(child)]
+        return [name for child in node.named_children for name in key_names(child)]
     text = (node.text or b"").decode()
     if node.type == "quoted_key":
         import tomllib
@@ -168,10 +174,10 @@ def _place(node: Node, lines: list[bytes]) -> Place:
 
 def _pair(node: Node, prefix: KeyPath, found: KeyPlaces, lines: list[bytes]) -> None:
     children = node.named_children
-    if len(children) < 2 or children[0].type not in _KEYS:
+    if len(children) < 2 or children[0].type not in KEY_NODES:
         return
     path = prefix
-    for name in _names(children[0]):
+    for name in key_names(children[0]):
         path = (*path, name)
         found.keys.setdefault(path, _place(children[0], lines))
     _value(children[1], path, found, lines)

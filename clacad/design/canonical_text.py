@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base import units
 from clacad.config.compound_kinds import Several
+from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.keys import FORMAT, SECTIONS, Key
 from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline
@@ -83,20 +84,8 @@ def _decimal(number: Fraction) -> str:
 
 def to_toml(data: Mapping[str, Any]) -> str:
     """Write nested dictionaries (one level of tables) as TOML."""
-    lines = [f"{key} = {_value(value)}" for key, value in data.items() if not isinstance(value, Mapping)]
+    lines = [f"{key} = {value_text(value)}" for key, value in data.items() if not isinstance(value, Mapping)]
     for section, values in data.items():
         if isinstance(values, Mapping):
-            lines += ["", f"[{section}]", *(f"{key} = {_value(value)}" for key, value in values.items())]
+            lines += ["", f"[{section}]", *(f"{key} = {value_text(value)}" for key, value in values.items())]
     return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + "}"
-    return repr(value)

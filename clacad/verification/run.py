@@ -125,17 +125,22 @@ def _with_files(
     )
 
 
-def judge_window(
-    design: Design, window: Window, facts: Feasibility, rays: int, point_rays: int = POINT_RAYS
-) -> tuple[list[Check], Optics]:
+def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:
     """Judge a window by what its design asks: light through the exact surfaces, and the design rules.
 
     The window need not come from that design; what it does is measured, not believed.
     """
+    found, optics = judge_light(design, window, rays)
+    return [*found, *design_checks(design, window, facts)], optics
+
+
+def judge_light(
+    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
+) -> tuple[list[Check], Optics]:
+    """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them."""
     optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays, point_rays)
     found = law_checks(design, optics)
-    found += [throughput_check(design, window, optics), confocality_check(design, window)]
-    return [*found, *design_checks(design, window, facts)], optics
+    return [*found, throughput_check(design, window, optics), confocality_check(design, window)], optics
 
 
 def versions() -> dict[str, str]:

@@ -15,9 +15,10 @@ from clacad.sheet.bundle import bundle, central_cell, cone, field_points, middle
 from clacad.sheet.feasibility import feasibility
 from clacad.tracing.trace import trace
 from clacad.verification.checks import passed
+from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.confocality import confocality
 from clacad.verification.light.law_checks import confocality_check, law_checks, measure, throughput_check
-from clacad.verification.run import judge_window
+from clacad.verification.run import judge_light
 
 BASE = Design.from_dict({
     "format": 1, "name": "base", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.02], "euler": [0.0, 0.5, 0.0]},
@@ -31,7 +32,8 @@ RAYS, POINT_RAYS = 4096, 512
 def judged(window, design=BASE):
     """Checks by id of a window that claims to be `design`."""
     claimed = replace(window, law=design.law)
-    checks, _ = judge_window(design, claimed, feasibility(claimed), RAYS, POINT_RAYS)
+    checks, _ = judge_light(design, claimed, RAYS, POINT_RAYS)
+    checks += design_checks(design, claimed, feasibility(claimed))
     return {(c.id, c.subject): c for c in checks}
 
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 
-def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[Check, ...]:
+def design_checks(
+    design: Design, window: Window, facts: Feasibility, *, solved: bool = True
+) -> tuple[Check, ...]:
     """Judge a window by the design rules.
 
     Parameters
@@ -32,9 +34,11 @@ def design_checks(design: Design, window: Window, facts: Feasibility) -> tuple[C
     window : Window
     facts : Feasibility
         Of this window.
+    solved : bool
+        Whether a lens that does not cover its cell is said which thickness, index or pitch would: a second's work.
     """
     found: list[Check] = [_one_piece(body) for body in facts.bodies]
-    found += [_cover(design, window, lens) for lens in facts.lenses]
+    found += [_cover(design, window, lens, solved=solved) for lens in facts.lenses]
     found += [_graph(design, lens) for lens in facts.lenses]
     found += _process_checks(design, facts)
     found += making_checks(design, window, facts)
@@ -66,7 +70,7 @@ def _one_piece(body: BodyFacts) -> Check:
     )  # fmt: skip
 
 
-def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
+def _cover(design: Design, window: Window, lens: LensFacts, *, solved: bool) -> Check:
     name = f"lens {lens.array + 1}"
     limit = design.check.cover
     if lens.cover >= limit:
@@ -75,8 +79,10 @@ def _cover(design: Design, window: Window, lens: LensFacts) -> Check:
         x, y = lens.rim_at
         sentence = (
             f"{name} fills {lens.cover:.3f} of its cell: its rim ends at {lens.rim[0]:.4g}, {lens.rim[1]:.4g} along "
-            f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness. {_way_to_cover(design, window, lens)}"
+            f"its axes, and at ({x:.4g}, {y:.4g}) it lacks {-lens.corner:.4g} of thickness"
         )
+        if solved:
+            sentence += f". {_way_to_cover(design, window, lens)}"
     return judge(
         "cover", lens.cover, limit, sentence, relation=">=", subject=name,
         detail={"rim": lens.rim, "least_thickness": lens.least_thickness, "corner": lens.corner},

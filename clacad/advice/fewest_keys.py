@@ -1,0 +1,184 @@
+"""The fewest keys that make a design pass, its law kept; where nothing passes, which limits bind.
+
+Sets of one key are tried first, then of two, three and four. Of as many keys that set is taken which changes least. Longer sets
+grow from the two shorter ones that come nearest to passing; so a set found is tried and passes, and no single key of those
+tried does if it has two, but a set of other keys that no part of leads towards may be missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+from clacad.advice.hints import changes_text, outcome_text
+from clacad.advice.judged import Judged
+from clacad.advice.levers import UNBUILT, Changes, Lever, levers_of, mends, settings, size_of
+from clacad.advice.trials import NoMoreTrials, Trials, badness, settled
+from clacad.base.text import plain
+from clacad.base.types import Progress, silent
+from clacad.config.edit_text import value_text
+from clacad.design import Design
+from clacad.verification.checks import Check
+
+TRIALS = 160
+"""Designs that are tried at most: half a minute."""
+
+KEYS = 4
+"""Keys of the longest set."""
+
+BEAM = 2
+"""Sets that longer ones grow from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed:
+    """A design that passes, or the nearest to one.
+
+    Attributes
+    ----------
+    design : Design
+        With the changes.
+    asked : Design
+        As it was.
+    changes : mapping
+        Values by dotted key; empty where the design passes as it is, or where no change brings it nearer.
+    judged : Judged or None
+        Of that design; None where it cannot be built, and nothing tried can.
+    tried : int
+        Designs that were tried.
+    """
+
+    design: Design
+    asked: Design
+    changes: Changes
+    judged: Judged | None
+    tried: int
+
+    @property
+    def passes(self) -> bool:
+        """Whether verify of the design will pass."""
+        return self.judged is not None and self.judged.passes and (not self.changes or not self.judged.tight)
+
+    @property
+    def binding(self) -> tuple[Check, ...]:
+        """Checks whose limits are not met by the nearest design: empty where it passes."""
+        return () if self.judged is None or self.passes else self.judged.failing or self.judged.tight
+
+    def rows(self) -> list[list[str]]:
+        """Key, value as it was, and as it is, of each change."""
+        found = []
+        for key, value in self.changes.items():
+            section, name = key.split(".")
+            was = self.asked.given.get(section, {}).get(name)
+            found.append([key, "not given" if was is None else value_text(was), "->", value_text(value)])
+        return found
+
+    def __str__(self) -> str:
+        """Return what was found in one line."""
+        if self.passes:
+            return f"{changes_text(self.changes)} passes" if self.changes else "passes as it is"
+        if self.judged is None:
+            return f"nothing that can be built was found among {self.tried} designs tried"
+        limits = "; ".join(f"{outcome_text([c])} from {c.limit_source.heading}" for c in _each_id(self.binding))
+        nearest = f" at {changes_text(self.changes)}" if self.changes else " as it is"
+        return f"nothing passes of {self.tried} designs tried; these limits bind, nearest{nearest}: {limits}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        found = {
+            "passes": self.passes, "changes": dict(self.changes), "tried": self.tried, "text": str(self),
+            "binding": [c.to_dict() for c in self.binding],
+        }  # fmt: skip
+        return dict(plain(found))
+
+
+def _each_id(checks: Sequence[Check]) -> list[Check]:
+    return list({c.id: c for c in reversed(checks)}.values())[::-1]
+
+
+def fix(design: Design, progress: Progress | None = None) -> Fixed:
+    """Find the fewest keys that make a design pass; the law, the material, the process and all limits are kept.
+
+    Parameters
+    ----------
+    design : Design
+        May be one that cannot be built.
+    progress : callable or None
+        Called with a stage's name and the part done, 0 … 1.
+
+    Returns
+    -------
+    Fixed
+        Its `passes` says whether anything does.
+    """
+    trials = Trials(design, TRIALS, progress or silent)
+    asked = trials.judged({})
+    if asked is not None and asked.passes:
+        return Fixed(design, design, {}, asked, 1)
+    start = _state(trials, {})
+    best, beam = start, [start]
+    try:
+        for _ in range(KEYS):
+            if best.bad == 0.0:
+                break
+            grown = [state for one in beam for state in _grown(trials, one)]
+            beam = sorted(_unlike(grown), key=lambda state: (state.bad, state.size))[:BEAM]
+            best = min([best, *beam], key=lambda state: (state.bad, state.size))
+    except NoMoreTrials:
+        pass
+    changed = design.replace(best.changes) if best.changes else design
+    return Fixed(changed, design, best.changes, trials.judged(best.changes), len(trials.made))
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """A set of changes, how far it is from passing, and how much it changes."""
+
+    changes: Changes
+    bad: float
+    size: float
+
+
+def _state(trials: Trials, changes: Changes) -> _State:
+    return _State(changes, badness(trials.judged(changes), trials.design), size_of(changes, trials.design))
+
+
+def _unlike(states: Sequence[_State]) -> list[_State]:
+    """States of different changes, those that come to nothing left out."""
+    found: list[_State] = []
+    for state in states:
+        if state.bad < inf and not any(state.changes == other.changes for other in found):
+            found.append(state)
+    return found
+
+
+def _grown(trials: Trials, state: _State) -> list[_State]:
+    """The state with one more key changed, in each way that may help."""
+    judged = trials.judged(state.changes)
+    now = trials.design.replace(state.changes) if state.changes else trials.design
+    failing = () if judged is None else judged.failing
+    levers = UNBUILT if judged is None else levers_of(now, failing)
+    found = []
+    for lever in levers:
+        if lever.key in state.changes:
+            continue
+        changes = _pulled(trials, state.changes, lever, now, judged, failing)
+        if changes is not None:
+            found.append(_state(trials, changes))
+    return found
+
+
+def _pulled(
+    trials: Trials, before: Changes, lever: Lever, now: Design, judged: Judged | None, failing: Sequence[Check]
+) -> Changes | None:  # fmt: skip
+    """The nearest setting of a lever that mends all it may; else that of those tried which comes nearest to passing."""
+    mine = [c for c in failing if mends(lever, c)]
+    values = settings(lever, now, judged, failing)
+    met = trials.nearest(before, values, lambda trial: all(settled(trial, c) for c in mine))
+    if met is not None:
+        return met
+    tried = [{**before, **one} for one in values if trials.knows({**before, **one})]
+    scored = [(badness(trials.judged(one), trials.design), k) for k, one in enumerate(tried)]
+    return tried[min(scored)[1]] if scored else None

@@ -1,0 +1,181 @@
+"""What would mend each check that fails or warns: one key and its value, tried before it is said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from clacad.advice.judged import Judged
+from clacad.advice.levers import Changes, Lever, levers_of, mends, settings, size_of
+from clacad.advice.trials import NoMoreTrials, Trials, found_in, settled
+from clacad.base.digits import shown
+from clacad.base.text import plain
+from clacad.base.types import Progress
+from clacad.config.edit_text import value_text
+from clacad.design import Design
+from clacad.verification.checks import Check
+
+TRIALS = 60
+"""Designs that are tried at most: some ten seconds."""
+
+MOST = 3
+"""Ways that are told of each check."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hint:
+    """Keys to change, and what that does.
+
+    Attributes
+    ----------
+    changes : mapping
+        Values by dotted key.
+    mends : tuple of Check
+        Of the design so changed: those that failed or warned and do so no more.
+    passes : bool
+        Whether verify of the design so changed will pass.
+    left : tuple of Check
+        Of the design so changed: those that fail, or warn and did not.
+    """
+
+    changes: Changes
+    mends: tuple[Check, ...]
+    passes: bool
+    left: tuple[Check, ...]
+
+    def __str__(self) -> str:
+        """Return one line: "pair.separation = 16 passes: law_rms 2.7 of 3 mrad"."""
+        return f"{changes_text(self.changes)} {'passes' if self.passes else 'mends'}: {outcome_text(self.mends)}" + (
+            f"; {'warns' if self.passes else 'fails'} then: {outcome_text(self.left)}" if self.left else ""
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        found = {
+            "changes": dict(self.changes), "passes": self.passes, "mends": [c.to_dict() for c in self.mends],
+            "left": [c.to_dict() for c in self.left], "text": str(self),
+        }  # fmt: skip
+        return dict(plain(found))
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """A design judged, and for each check that fails or warns what would mend it.
+
+    Attributes
+    ----------
+    judged : Judged
+    hints : tuple of (Check, tuple of Hint)
+        The best first; none where no single key mends the check.
+    tried : int
+        Designs that were tried.
+    """
+
+    judged: Judged
+    hints: tuple[tuple[Check, tuple[Hint, ...]], ...]
+    tried: int
+
+    def of(self, check: Check) -> tuple[Hint, ...]:
+        """Hints for one check of the design."""
+        return next((hints for one, hints in self.hints if one is check), ())
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        rows = [
+            {"check": check.id, "subject": check.subject, "state": check.state, "hints": [h.to_dict() for h in hints]}
+            for check, hints in self.hints
+        ]
+        return {"tried": self.tried, "checks": rows}
+
+
+def advise(design: Design, progress: Progress | None = None, judged: Judged | None = None) -> Advice:
+    """Say of each check that fails or warns which one key would mend it, and to which value; each was tried.
+
+    Parameters
+    ----------
+    design : Design
+    progress : callable or None
+        Called with a stage's name and the part done, 0 … 1.
+    judged : Judged or None
+        Of the design, if it was judged already.
+
+    Raises
+    ------
+    DesignError
+        The design cannot be built; `clacad.fix` looks for one that can.
+    """
+    from clacad.advice.judged import judge
+    from clacad.base.types import silent
+
+    judged = judge(design) if judged is None else judged
+    trials = Trials(design, TRIALS, progress or silent)
+    wanted = [*judged.failing, *judged.warning]
+    found: list[Changes] = []
+    try:
+        for group in (judged.failing, judged.warning):
+            for lever in levers_of(design, group):
+                found += _settings_that_mend(trials, judged, lever, [c for c in group if mends(lever, c)])
+    except NoMoreTrials:
+        pass
+    hints = [_hint(trials, judged, changes) for changes in _each_once(found)]
+    ranked = sorted(hints, key=lambda hint: (not hint.passes, len(hint.left), size_of(hint.changes, design)))
+    told = tuple((check, tuple(h for h in ranked if _names(h, check))[:MOST]) for check in wanted)
+    return Advice(judged, told, len(trials.made))
+
+
+def _settings_that_mend(
+    trials: Trials, judged: Judged, lever: Lever, checks: Sequence[Check]
+) -> list[Changes]:
+    """The nearest setting of a lever that mends all these checks, or else of each the nearest that mends it."""
+    values = settings(lever, trials.design, judged, checks)
+    together = trials.nearest({}, values, lambda trial: all(settled(trial, c) for c in checks))
+    if together is not None:
+        return [together]
+    if len(checks) == 1:
+        return []
+    each = (trials.nearest({}, values, lambda trial, c=check: settled(trial, c)) for check in checks)  # type: ignore[misc]
+    return [changes for changes in each if changes is not None]
+
+
+def _each_once(found: Sequence[Changes]) -> list[Changes]:
+    kept: list[Changes] = []
+    for changes in found:
+        if changes not in kept:
+            kept.append(changes)
+    return kept
+
+
+def _hint(trials: Trials, before: Judged, changes: Changes) -> Hint:
+    """What a change that was tried does to every check."""
+    after = trials.judged(changes)
+    assert after is not None  # it mended something
+    mended = [c for c in (*before.failing, *before.warning) if settled(after, c)]
+    now = tuple(found for c in mended if (found := found_in(after, c)) is not None)
+    warned = {(c.id, c.subject) for c in before.warning}
+    fresh = [c for c in after.warning if (c.id, c.subject) not in warned and c.id not in {m.id for m in now}]
+    left = after.failing or after.tight
+    return Hint(changes, now, not left, left or tuple(fresh))
+
+
+def _names(hint: Hint, check: Check) -> bool:
+    return any((c.id, c.subject) == (check.id, check.subject) for c in hint.mends)
+
+
+def changes_text(changes: Changes) -> str:
+    """Return changed keys as they stand in a file: "lattice.pitch = 0.8 with lattice.count = [88, 101]"."""
+    return " with ".join(f"{key} = {value_text(value)}" for key, value in changes.items())
+
+
+def outcome_text(checks: Sequence[Check]) -> str:
+    """Return what some checks measure against their limits: "law_rms 2.7 of 3 mrad, cover 1 of 1"."""
+    said: dict[str, str] = {}
+    for check in checks:
+        value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
+        if check.value is None:
+            value, limit = "does not run", ""
+        against = f" ({check.relation} {limit})" if limit and isinstance(check.limit, float) else ""
+        warns = ", a warning" if check.state == "warn" else ""
+        said.setdefault(check.id, f"{check.id} {value} {unit}".rstrip() + against + warns)
+    return ", ".join(said.values())
+

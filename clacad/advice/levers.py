@@ -1,0 +1,223 @@
+"""Which keys may mend which check, and the values of each that are worth a trial, nearest first.
+
+The law, the material, the process and every limit of [check] stay as they are: they are what is asked. What may change is how
+the pair that does it is built. A sheet of other cells keeps its size: `lattice.count` follows `lattice.pitch`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from math import ceil, isfinite, log10
+from typing import TYPE_CHECKING, Any, Final
+
+from clacad.design import Design
+from clacad.verification.checks import Check
+
+if TYPE_CHECKING:
+    from clacad.advice.judged import Judged
+
+Changes = Mapping[str, Any]
+"""Values by dotted key, as `Design.replace` takes them."""
+
+FARTHEST: Final = 8.0
+"""Factor on a length beyond which no trial goes."""
+
+STEP: Final = 1.07
+"""Ratio of neighbouring values of a length that is tried: they differ in the second digit."""
+
+SHARES: Final = (0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
+"""Parts of the pitch that are tried for a length that may be 0."""
+
+ROOM: Final = 1.3
+"""A length that a process limits is also tried with this much more than the limit: from 1.25 on it is no longer near."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lever:
+    """One key and the direction it is moved in.
+
+    key : str
+    way : "up", "down" or "word"
+    """
+
+    key: str
+    way: str
+
+
+_SPREAD = Lever("pair.separation", "up")
+_CLOSER = Lever("pair.separation", "down")
+_FINER = Lever("lattice.pitch", "down")
+_COARSER = Lever("lattice.pitch", "up")
+_THICKER = Lever("pair.thickness", "up")
+_THINNER = Lever("pair.thickness", "down")
+_WEB = Lever("pair.web", "up")
+_NECK = Lever("body.neck", "up")
+_BORDER = Lever("body.border", "up")
+_SEAM = Lever("lattice.seam", "up")
+_LESS_SEAM = Lever("lattice.seam", "down")
+_RECIPE = Lever("pair.confocal", "word")
+_SHAPE = Lever("pair.surface", "word")
+_TURNED = Lever("pair.curved", "word")
+_APERTURE = Lever("lattice.aperture", "word")
+
+_LIGHT = (_RECIPE, _SPREAD, _SHAPE, _FINER, _TURNED, _APERTURE)
+_WHOLE = (_THICKER, _SPREAD, _FINER)
+_FLAT = (_SPREAD, _FINER, _SHAPE)
+
+LEVERS: Final[Mapping[str, tuple[Lever, ...]]] = {
+    "law_rms": _LIGHT, "law_bias": _LIGHT, "spread": _LIGHT, "eta": _LIGHT, "delta": _LIGHT, "tilt": _LIGHT,
+    "residual": (_RECIPE, _SPREAD, _TURNED, _SHAPE), "confocality": (_RECIPE, _SPREAD, _SHAPE),
+    "throughput": (_APERTURE, _SPREAD, _FINER, _LESS_SEAM, _CLOSER), "field": (_APERTURE, _CLOSER, _COARSER),
+    "fresnel_number": (_COARSER, _CLOSER),
+    "one_piece": (*_WHOLE, _NECK, _WEB, _SEAM), "cover": _WHOLE, "graph": _FLAT,
+    "clearance": (_SPREAD, _THINNER, _FINER), "edge": (_THICKER, _WEB, _BORDER, _SPREAD, _FINER),
+    "neck": (_NECK, _WEB, *_WHOLE), "radius": (_SPREAD, _COARSER), "sag": _FLAT, "pitch": (_COARSER,),
+    "tool": (_SPREAD, _COARSER, _SEAM), "wall": (_SPREAD, _SEAM, _FINER, _APERTURE), "draft": (_SEAM, _SPREAD, _FINER),
+    "slope": _FLAT, "voxel": (_COARSER, _SEAM), "layer": (_CLOSER, _COARSER), "aspect": (_SPREAD, _SEAM, _FINER),
+    "undercut": _FLAT,
+}  # fmt: skip
+"""Levers of each check, by its id: those that cost the part least come first. One without any is mended by none."""
+
+UNBUILT: Final = (_SPREAD, _FINER, _THICKER, _THINNER, _LESS_SEAM, _RECIPE)
+"""Levers of a design that cannot be built."""
+
+_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "pair.confocal": ("exact", "best"), "pair.surface": ("biconic",), "pair.curved": ("outside", "inside"),
+    "lattice.aperture": ("centred", "aligned"),
+}  # fmt: skip
+_FORMS: Final[Mapping[str, tuple[str, ...]]] = {
+    "pair.confocal": ("biconvex", "plano"), "pair.surface": ("plano", "slab"), "pair.curved": ("plano",),
+    "pair.web": ("biconvex",), "pair.thickness": ("biconvex", "plano"),
+}  # fmt: skip
+"""Forms that have the key, or take it without another one."""
+
+
+def levers_of(design: Design, checks: Iterable[Check]) -> tuple[Lever, ...]:
+    """Levers that may mend some of these checks in a design of this form, each once."""
+    found = dict.fromkeys(lever for check in checks for lever in LEVERS.get(check.id, ()))
+    return tuple(lever for lever in found if design.pair.form in _FORMS.get(lever.key, (design.pair.form,)))
+
+
+def mends(lever: Lever, check: Check) -> bool:
+    """Whether a lever is one of those of a check."""
+    return lever in LEVERS.get(check.id, ())
+
+
+def settings(lever: Lever, design: Design, judged: Judged | None, checks: Iterable[Check]) -> tuple[Changes, ...]:
+    """What may be tried of a lever, nearest to what the design has first.
+
+    Parameters
+    ----------
+    lever : Lever
+    design : Design
+    judged : Judged or None
+        Of the design; None where it cannot be built.
+    checks : iterable of Check
+        That are to be mended: a length is also tried at what they ask for.
+    """
+    if lever.way == "word":
+        present = getattr(design.pair, lever.key.partition(".")[2], design.lattice.aperture)
+        return tuple({lever.key: word} for word in _WORDS[lever.key] if word != present)
+    making: Callable[[Design, str, Judged | None], tuple[Changes, ...]] | None = _SCALED.get(lever.key)
+    if making is not None:
+        return making(design, lever.way, judged)
+    return tuple({lever.key: value} for value in _lengths(lever, design, checks))
+
+
+def _separations(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
+    """Of a slab that has its thickness instead, the thickness."""
+    if design.pair.separation is not None:
+        return tuple({"pair.separation": value} for value in _ladder(design.pair.separation, way))
+    thickness = design.pair.thicknesses
+    return () if thickness is None else tuple({"pair.thickness": v} for v in _ladder(thickness[0], way))
+
+
+def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
+    """Both pitches of a rectangular lattice by one factor."""
+    old, found = design.lattice.pitch, []
+    for new in _ladder(max(old), way):
+        factor = new / max(old)
+        both = [new if p == max(old) else nice(p * factor, 3) for p in old]
+        changes: dict[str, Any] = {"lattice.pitch": both if design.lattice.kind == "rectangular" else new}
+        if "count" in design.given.get("lattice", {}):
+            rounded = ceil if design.lattice.outline is not None else round
+            changes["lattice.count"] = [
+                max(1, rounded(n * a / b - 1e-9)) for n, a, b in zip(design.lattice.count, old, both, strict=True)
+            ]
+        found.append(changes)
+    return tuple(found)
+
+
+def _thicknesses(design: Design, way: str, judged: Judged | None) -> tuple[Changes, ...]:
+    """The word auto first, then numbers from what the lenses are now."""
+    given = design.pair.thicknesses
+    auto: tuple[Changes, ...] = () if given is None else ({"pair.thickness": "auto"},)
+    if given is None and judged is not None:
+        first, second = (nice(lens.thickness, 3) for lens in judged.facts.lenses)
+        given = (first, second)
+    if given is None:
+        return auto
+    if given[0] == given[1]:
+        return (*auto, *({"pair.thickness": value} for value in _ladder(given[0], way)))
+    pairs = zip(_ladder(given[0], way), _ladder(given[1], way), strict=False)
+    return (*auto, *({"pair.thickness": list(pair)} for pair in pairs))
+
+
+_SCALED: Final = {
+    "pair.separation": _separations,
+    "lattice.pitch": _pitches,
+    "pair.thickness": _thicknesses,
+}
+
+
+def _lengths(lever: Lever, design: Design, checks: Iterable[Check]) -> list[float]:
+    """Values of a length that may be 0: parts of the pitch, and what a failing check of a length asks for."""
+    section, name = lever.key.split(".")
+    present = getattr(getattr(design, section), name) or 0.0
+    if lever.way == "down":
+        return [0.0] if present > 0.0 else []
+    asked = [
+        nice(c.limit * ROOM) for c in checks if mends(lever, c) and isinstance(c.limit, float) and c.unit == design.unit
+        and isfinite(c.limit)
+    ]  # fmt: skip
+    values = {nice(share * min(design.lattice.pitch)) for share in SHARES} | set(asked)
+    return sorted(v for v in values if v > present)
+
+
+def _ladder(present: float, way: str) -> list[float]:
+    """Values from a length on, up or down, of two digits where those tell them apart."""
+    found: list[float] = []
+    factor = STEP
+    while factor <= FARTHEST:
+        value = nice(present * factor if way == "up" else present / factor)
+        if value not in found and (value > present if way == "up" else value < present):
+            found.append(value)
+        factor *= STEP
+    return found
+
+
+def nice(value: float, count: int = 2) -> float:
+    """The nearest number of so few digits; a whole one as an int, so that it is written without a point."""
+    rounded = float(f"{value:.{count - 1}e}")
+    return int(rounded) if rounded.is_integer() and abs(rounded) < 1e6 else rounded
+
+
+def size_of(changes: Changes, design: Design) -> float:
+    """How much is changed, to choose among sets of as many keys: of a length the logarithm of its ratio, weighted."""
+    total = 0.0
+    for key, value in changes.items():
+        section, name = key.split(".")
+        present = getattr(getattr(design, section), name)
+        if key == "lattice.count":
+            continue  # follows the pitch
+        if isinstance(value, str) or isinstance(present, str) or not present:
+            total += WEIGHTS.get(key, 0.05)
+        else:
+            new, old = (max(v) if isinstance(v, list | tuple) else v for v in (value, present))
+            total += WEIGHTS.get(key, 1.0) * abs(log10(new / old)) if new else 0.05
+    return total
+
+
+WEIGHTS: Final = {"lattice.pitch": 1.5, "pair.surface": 0.15, "lattice.aperture": 0.2, "pair.thickness": 0.3}
+"""What a change of a key counts: other cells are other pixels, other faces other tools, another aperture another view."""

@@ -1,0 +1,127 @@
+"""Trials: a design with some keys changed, built and judged, each only once; and the nearest value of a lever that does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+from clacad.advice.judged import Judged, judge, tight
+from clacad.advice.levers import Changes
+from clacad.base.text import plain
+from clacad.base.types import Progress, silent
+from clacad.design import Design, DesignError
+from clacad.verification.checks import Check
+from clacad.verification.verdict import wrong
+
+Wish = Callable[[Judged], bool]
+"""Whether a trial does what is wanted of it."""
+
+STAGE = "trying changed keys"
+
+
+class NoMoreTrials(Exception):
+    """As many designs were tried as may be."""
+
+
+@dataclass(eq=False)
+class Trials:
+    """Designs tried, by what was changed.
+
+    Parameters
+    ----------
+    design : Design
+        As asked.
+    most : int
+        Trials that may be made.
+    progress : callable
+        Called with the stage and the part of the trials made.
+    """
+
+    design: Design
+    most: int
+    progress: Progress = silent
+    made: dict[str, Judged | None] = field(default_factory=dict)
+
+    def judged(self, changes: Changes) -> Judged | None:
+        """The design with some keys changed, judged; None where it is no design or cannot be built.
+
+        Raises
+        ------
+        NoMoreTrials
+        """
+        name = _name(changes)
+        if name not in self.made:
+            if len(self.made) >= self.most:
+                raise NoMoreTrials
+            self.progress(STAGE, len(self.made) / self.most)
+            try:
+                self.made[name] = judge(self.design.replace(changes) if changes else self.design)
+            except DesignError:
+                self.made[name] = None
+        return self.made[name]
+
+    def knows(self, changes: Changes) -> bool:
+        """Whether the design with these keys changed was tried."""
+        return _name(changes) in self.made
+
+    def nearest(self, before: Changes, settings: Sequence[Changes], wish: Wish) -> Changes | None:
+        """The first of a lever's settings, laid over changes made before, that does what is wished; None if none is found.
+
+        Lengths are tried in growing strides and then halved back: where a lever does at last what is wished and no farther
+        setting undoes it, that is the nearest one.
+        """
+
+        def does(k: int) -> bool:
+            judged = self.judged({**before, **settings[k]})
+            return judged is not None and wish(judged)
+
+        failed, stride = -1, 1
+        while failed < len(settings) - 1:
+            here = min(failed + stride, len(settings) - 1)
+            if does(here):
+                while here - failed > 1:
+                    middle = (failed + here) // 2
+                    failed, here = (failed, middle) if does(middle) else (middle, here)
+                return {**before, **settings[here]}
+            failed, stride = here, 2 * stride
+        return None
+
+
+def _name(changes: Changes) -> str:
+    return repr(sorted(plain(dict(changes)).items()))
+
+
+def found_in(judged: Judged, check: Check) -> Check | None:
+    """The same check of another trial; light is only sent through it where the check is one by light."""
+    of_rules = next((c for c in judged.rules if (c.id, c.subject) == (check.id, check.subject)), None)
+    if of_rules is not None:
+        return of_rules
+    return next((c for c in judged.checks if (c.id, c.subject) == (check.id, check.subject)), None)
+
+
+def settled(judged: Judged, check: Check) -> bool:
+    """Whether a check that failed or warned does neither in a trial, nor has nothing to say there."""
+    now = found_in(judged, check)
+    if now is None:
+        return True  # a body or step that is there no more
+    if now.state == "pass" and tight(now):
+        return False
+    return now.state == "pass" or "accepted" in now.detail or (check.state == "fail" and now.state == "warn")
+
+
+def badness(judged: Judged | None, design: Design) -> float:
+    """How far a trial is from passing: 0 where it surely does; each failing check counts 0.5 and up to 1 for its distance."""
+    if judged is None:
+        return inf
+    return sum(0.5 + _beyond(check, design) for check in wrong(judged.checks)) + 0.1 * len(judged.tight)
+
+
+def _beyond(check: Check, design: Design) -> float:
+    """How far a check is beyond its limit, 0 … 1."""
+    if not (isinstance(check.value, float) and isinstance(check.limit, float)):
+        return 1.0
+    scale = max(abs(check.limit), abs(check.value) if check.relation == "<=" else 0.0)
+    if scale == 0.0:
+        scale = max(design.lattice.pitch)
+    return min(1.0, abs(check.value - check.limit) / scale)

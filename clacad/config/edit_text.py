@@ -1,0 +1,152 @@
+"""A file's text with some keys changed: comments, order and everything else as it was."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from clacad.config.key_positions import KEY_NODES, KeyPath, key_names, split_key, syntax_tree
+from clacad.config.overrides import put
+
+if TYPE_CHECKING:
+    from tree_sitter import Node
+
+
+def value_text(value: Any) -> str:
+    """Return a value as TOML writes it; a table in one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(value_text, value)) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {value_text(item)}" for key, item in value.items()) + "}"
+    return repr(value)
+
+
+def with_values(text: str, changes: Mapping[str, Any], *, is_json: bool = False) -> str:
+    """Change values in a valid text, and add those that are not there.
+
+    Parameters
+    ----------
+    text : str
+        TOML, or JSON.
+    changes : mapping
+        Value by dotted key; applied in order.
+    is_json : bool
+        Then the text is written anew in the same order, indented as it was.
+
+    Raises
+    ------
+    LookupError
+        A key that leads through a value, or past the end of a list.
+    """
+    if is_json:
+        data = json.loads(text)
+        for key, value in changes.items():
+            data = put(data, split_key(key), value)
+        indent = re.search(r"\n( +|\t)", text)
+        return json.dumps(data, indent=indent[1] if indent else None, ensure_ascii=False) + "\n"
+    for key, value in changes.items():
+        text = _with_value(text, split_key(key), value)
+    return text
+
+
+def _with_value(text: str, path: KeyPath, value: Any) -> str:
+    raw = text.encode()
+    places = _Places(raw)
+    node = places.values.get(path)
+    if node is not None:
+        return _replaced(raw, node, value_text(value))
+    table, name = path[:-1], str(path[-1])
+    if table in places.values:  # an inline table, or a value that has no such part
+        return _replaced(raw, places.values[table], value_text(put(_read(places.values[table]), (path[-1],), value)))
+    line = f"{_bare(name)} = {value_text(value)}\n".encode()
+    if table in places.ends:
+        return _inserted(raw, places.ends[table], line)
+    if table in places.dotted:  # the table is there as dotted keys only
+        prefix, end = places.dotted[table]
+        return _inserted(raw, end, prefix + line)
+    if len(table) > 1:
+        return _with_value(text, table, {name: value})
+    head = f"\n[{_bare(str(table[0]))}]\n".encode() if table else b""
+    return _inserted(raw, len(raw), head + line)
+
+
+def _bare(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else value_text(name)
+
+
+def _read(node: Node) -> Any:
+    import tomllib
+
+    return tomllib.loads(f"value = {(node.text or b'').decode()}")["value"]
+
+
+def _replaced(raw: bytes, node: Node, new: str) -> str:
+    """The text with a value replaced; a comment behind it keeps its column where there is room."""
+    head, tail = raw[: node.start_byte].decode(), raw[node.end_byte :].decode()
+    gap = re.match(r"( +)#", tail)
+    if gap is not None and "\n" not in (node.text or b"").decode():
+        room = len(gap[1]) + len((node.text or b"").decode()) - len(new)
+        tail = " " * max(2, room) + tail[len(gap[1]) :]
+    return head + new + tail
+
+
+def _inserted(raw: bytes, at: int, line: bytes) -> str:
+    """The text with a line put in where one ends."""
+    head = raw[:at]
+    if head and not head.endswith(b"\n"):
+        head += b"\n"
+    return (head + line + raw[at:]).decode()
+
+
+class _Places:
+    """Where values stand in a text, where its tables end, and which tables it has as dotted keys only."""
+
+    def __init__(self, raw: bytes) -> None:
+        self.raw = raw
+        self.values: dict[KeyPath, Node] = {}
+        self.ends: dict[KeyPath, int] = {(): 0}
+        self.dotted: dict[KeyPath, tuple[bytes, int]] = {}
+        for node in syntax_tree(raw).named_children:
+            if node.type == "pair":
+                self._pair(node, ())
+            elif node.type == "table":
+                self._table(node)
+
+    def _table(self, node: Node) -> None:
+        head = next(child for child in node.named_children if child.type in KEY_NODES)
+        path = tuple(key_names(head))
+        self.ends[path] = self._line_end(head)
+        for child in node.named_children:
+            if child.type == "pair":
+                self._pair(child, path)
+
+    def _pair(self, node: Node, table: KeyPath) -> None:
+        name, value = node.named_children[:2]
+        path: KeyPath = (*table, *key_names(name))
+        end = self._line_end(value)
+        self.ends[table] = end
+        for n in range(len(table) + 1, len(path)):
+            prefix = "".join(f"{_bare(str(step))}." for step in path[len(table) : n]).encode()
+            self.dotted[path[:n]] = (prefix, end)
+        self._value(value, path)
+
+    def _value(self, node: Node, path: KeyPath) -> None:
+        self.values[path] = node
+        if node.type == "array":
+            for i, child in enumerate(c for c in node.named_children if c.type != "comment"):
+                self._value(child, (*path, i))
+        elif node.type == "inline_table":
+            for child in node.named_children:
+                if child.type == "pair":
+                    self._value(child.named_children[1], (*path, *key_names(child.named_children[0])))
+
+    def _line_end(self, node: Node) -> int:
+        """Just behind the line that a node ends in."""
+        end = self.raw.find(b"\n", node.end_byte)
+        return len(self.raw) if end < 0 else end + 1
