@@ -10,8 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from clacad.advice.hints import Advice, Hint, advise
     from clacad.advice.fewest_keys import Fixed, fix
+    from clacad.advice.hints import Advice, Hint, advise
     from clacad.advice.judged import Judged, judge
     from clacad.advice.proposal import NoSuchSheet, Proposal, design_for
     from clacad.advice.wish import Wish

@@ -84,8 +84,19 @@ def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -
     check: dict[str, Any] = {"process": wish.process}
     if wish.field != KEYS["field"].default:
         check["field"] = angle_text(wish.field)
-    sections = {"law": law, "pair": pair | {"material": wish.material}, "lattice": lattice, "body": body, "check": check}
-    return {"format": 1, "name": name, "unit": "mm", **{key: value for key, value in sections.items() if value}}
+    sections = {
+        "law": law,
+        "pair": pair | {"material": wish.material},
+        "lattice": lattice,
+        "body": body,
+        "check": check,
+    }
+    return {
+        "format": 1,
+        "name": name,
+        "unit": "mm",
+        **{key: value for key, value in sections.items() if value},
+    }
 
 
 def _body(wish: Wish, variant: Variant) -> dict[str, Any]:

@@ -80,13 +80,18 @@ def sharpest_pitch(wish: Wish, behind: float) -> float:
     defocus is a quarter wave at the beam's edge, p = √(2 λ z/|η(1 − η)|) max(1, |η|); of two meridians the lesser.
     """
     wave = WAVELENGTH * MILLIMETRES
-    return min(sqrt(2.0 * wave * behind / abs(eta * (1.0 - eta))) * max(1.0, abs(eta)) for eta in powers(wish))
+    return min(
+        sqrt(2.0 * wave * behind / abs(eta * (1.0 - eta))) * max(1.0, abs(eta)) for eta in powers(wish)
+    )
 
 
 def wanted_pitch(wish: Wish) -> Bound:
     """The pitch that looks best, before anybody has to make it."""
     if wish.object is not None:
-        return Bound(sharpest_pitch(wish, wish.object), f"least blur of what stands {wish.object:g} mm behind the sheet")
+        return Bound(
+            sharpest_pitch(wish, wish.object),
+            f"least blur of what stands {wish.object:g} mm behind the sheet",
+        )
     return Bound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.viewing:g} mm")
 
 
@@ -116,7 +121,9 @@ def _radii(wish: Wish, ratio: float, shape: Shape, index: float) -> list[list[fl
 
 def _sags(wish: Wish, radii: list[list[float]]) -> list[float]:
     """Height of each lens over its cell, over the pitch."""
-    corner = 1.0 / 6.0 if wish.kind == "hexagonal" else 1.0 / 4.0  # square of the half width, the mean of all turns
+    corner = (
+        1.0 / 6.0 if wish.kind == "hexagonal" else 1.0 / 4.0
+    )  # square of the half width, the mean of all turns
     return [sum(corner / (2.0 * r) for r in lens if isfinite(r)) for lens in radii]
 
 
@@ -130,9 +137,13 @@ def lower_pitches(wish: Wish, ratio: float, shape: Shape) -> Iterator[Bound]:
     yield Bound(MILLIMETRES * rules.pitch / NEAR, f"least pitch of {made}")
     yield Bound(MILLIMETRES * 20.0 * rules.voxel, f"20 voxels of {made} across a cell")
     yield Bound(MILLIMETRES * rules.radius / NEAR / least, f"least radius of {made}")
-    yield Bound(MILLIMETRES * 10.5 * rules.tool / least, f"the tool of {made} leaves a tenth of a cell rounded")
+    yield Bound(
+        MILLIMETRES * 10.5 * rules.tool / least, f"the tool of {made} leaves a tenth of a cell rounded"
+    )
     if rules.layer > 0.0:
-        yield Bound(MILLIMETRES * 21.0 * rules.layer / flattest, f"20 layers of {made} in the height of a lens")
+        yield Bound(
+            MILLIMETRES * 21.0 * rules.layer / flattest, f"20 layers of {made} in the height of a lens"
+        )
     if shape.thickness > 0.0:
         yield Bound(MILLIMETRES * rules.edge / NEAR / (shape.thickness * ratio), f"least edge of {made}")
 
@@ -162,7 +173,9 @@ def undistorted_conic(form: str, curved: str, index: float) -> float | None:
     n = index
     if form == "biconvex":
         return None
-    if form == "slab" or curved == "outside":  # glass to air at the curved face, the axis ray normal to the sheet
+    if (
+        form == "slab" or curved == "outside"
+    ):  # glass to air at the curved face, the axis ray normal to the sheet
         cubic = -n / 2.0 + n**3 / 6.0 + 1.0 / 3.0 + (n - 1.0) ** 3 / 3.0
     else:  # air to glass at the curved face, then the plane one
         cubic = -n / 3.0 + 0.5 - 1.0 / (6.0 * n**2) - (n - 1.0) ** 3 / (6.0 * n**2) + (n - 1.0) ** 3 / 2.0

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 
 from clacad.advice.candidate import FORMS, Variant, apertures, built
 from clacad.advice.field_centre import centre_errors
 from clacad.advice.first_numbers import index_of, undistorted_conic
 from clacad.advice.wish import Wish
-from clacad.design import DesignError
+from clacad.design import Design, DesignError
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.vignetting import aperture_slope
 
@@ -33,60 +33,8 @@ FARTHEST = 2.0
 """Pitches by which light may meet lens 2 beside its vertex."""
 
 
-def variants(
-    wish: Wish, pitch: float, overrides: Sequence[str] = (), refused: list[str] | None = None
-) -> Iterator[tuple[Variant, float]]:
-    """Forms and shapes to try, the best first, each with the separation in pitches that it needs at least.
-
-    Parameters
-    ----------
-    wish : Wish
-    pitch : float, millimetres
-        At which they are compared; nearly all the same at any.
-    overrides : sequence of str
-        "key=value" of the design, as with --set.
-    refused : list of str or None
-        Gets a sentence for each form that is not worth trying.
-    """
-    for aperture in apertures(wish):
-        for form, curved in FORMS:
-            if wish.form in ("any", form):
-                yield from _shaped(wish, Variant(form, curved, None, aperture), pitch, overrides, [] if refused is None else refused)
-
-
-def _shaped(
-    wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str], refused: list[str]
-) -> Iterator[tuple[Variant, float]]:
-    """A variant as it stands; of an offset pair with the conic that keeps the law in the middle of the field, if one does."""
-    conic = undistorted_conic(variant.form, variant.curved, index_of(wish))
-    if wish.straight:
-        yield variant, 0.0
-        if conic is not None:
-            yield replace(variant, conic=round(conic, 3)), 0.0
-        return
-    pointed = _pointed(wish, variant, pitch, overrides)
-    if isinstance(pointed, str):
-        refused.append(f"{variant.form}: {pointed}")
-        return
-    if (1.0 - variant.aperture) * RATIO * max(map(abs, pointed.slope)) > FARTHEST:
-        return
-    faults = {None: _faults(wish, pointed, pitch, overrides)}
-    if conic is not None and faults[None].cost > (0.0, ENOUGH):
-        _try(wish, pointed, pitch, overrides, faults, round(conic, 3), SPREAD)
-        best = min((k for k in faults if k is not None), key=lambda k: faults[k].cost)
-        _try(wish, pointed, pitch, overrides, faults, best, FINE)
-    chosen = min(faults, key=lambda k: faults[k].cost)
-    if faults[chosen].lasting <= WITHIN:
-        yield replace(pointed, conic=chosen), RATIO * faults[chosen].shrinking / ENOUGH
-    else:
-        refused.append(
-            f"{variant.form}: in the middle of the field and along the axis ray the law is missed by {faults[chosen].lasting:.3g} times "
-            "what the design allows, whatever the conic constant and the separation: less offset, less tilt"
-        )
-
-
 @dataclass(frozen=True, slots=True)
-class _Faults:
+class Faults:
     """Errors in the middle of the field over what the design allows: those that no separation helps, and the others."""
 
     lasting: float
@@ -98,30 +46,88 @@ class _Faults:
         return max(0.0, self.lasting - ENOUGH), self.shrinking
 
 
-def _try(
-    wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str], faults: dict[float | None, _Faults],
-    middle: float, steps: Sequence[float],
-) -> None:  # fmt: skip
-    """Add the faults of conics about another one."""
-    for conic in (round(middle + step, 3) for step in steps):
-        if conic not in faults:
-            faults[conic] = _faults(wish, replace(variant, conic=conic), pitch, overrides)
+@dataclass(frozen=True, slots=True)
+class LensShapes:
+    """Forms and shapes for a wish.
 
+    Parameters
+    ----------
+    wish : Wish
+    pitch : float, millimetres
+        At which they are compared; nearly all the same at any.
+    overrides : sequence of str
+        "key=value" of the design, as with --set.
+    refused : list of str
+        Gets a sentence for each form that is not worth tracing.
+    """
 
-def _faults(wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str]) -> _Faults:
-    try:
-        design = built(wish, variant, pitch, RATIO, "trial", overrides)
-        found = centre_errors(prescribe(design), wish.field)
-    except DesignError:
-        return _Faults(inf, inf)
-    return _Faults(found.lasting(design), found.shrinking(design))
+    wish: Wish
+    pitch: float
+    overrides: Sequence[str] = ()
+    refused: list[str] = field(default_factory=list)
 
+    def variants(self) -> Iterator[tuple[Variant, float]]:
+        """What to try, the best first, each with the separation in pitches that it needs at least."""
+        for aperture in apertures(self.wish):
+            for form, curved in FORMS:
+                if self.wish.form in ("any", form):
+                    variant = Variant(form, curved, None, aperture)
+                    yield from self._straight(variant) if self.wish.straight else self._offset(variant)
 
-def _pointed(wish: Wish, variant: Variant, pitch: float, overrides: Sequence[str]) -> Variant | str:
-    """The variant with the slope of the line through its lenses; why they cannot be built, where they cannot."""
-    try:
-        window = prescribe(built(wish, replace(variant, aperture=1.0), pitch, RATIO, "trial", overrides))
-    except DesignError as problem:
-        return problem.mistakes[0].message
-    x, y = aperture_slope(window)
-    return replace(variant, slope=(float(x), float(y)))
+    def _straight(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
+        """Spheres or ellipsoids first, then what has no distortion."""
+        yield variant, 0.0
+        conic = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
+        if conic is not None:
+            yield replace(variant, conic=round(conic, 3)), 0.0
+
+    def _offset(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
+        """The variant with the conic that keeps the law in the middle of the field and along the axis ray, if one does."""
+        try:
+            x, y = aperture_slope(prescribe(self._design(replace(variant, aperture=1.0))))
+        except DesignError as problem:
+            self.refused.append(f"{variant.form}: {problem.mistakes[0].message}")
+            return
+        if (1.0 - variant.aperture) * RATIO * max(abs(x), abs(y)) > FARTHEST:
+            return
+        variant = replace(variant, slope=(float(x), float(y)))
+        faults = self._compared(variant)
+        chosen = min(faults, key=lambda conic: faults[conic].cost)
+        found = faults[chosen]
+        if found.lasting <= WITHIN:
+            yield replace(variant, conic=chosen), RATIO * found.shrinking / ENOUGH
+            return
+        missed = (
+            f"is missed by {found.lasting:.3g} times what the design allows"
+            if found.lasting < inf
+            else "is not met: no light passes"
+        )
+        self.refused.append(
+            f"{variant.form}: in the middle of the field and along the axis ray the law {missed}, whatever the conic constant and the "
+            "separation; less offset or less tilt would help"
+        )
+
+    def _compared(self, variant: Variant) -> dict[float | None, Faults]:
+        """Faults by conic constant: of the ellipsoid, and unless that is good enough of those about the closed formula's."""
+        faults: dict[float | None, Faults] = {None: self._faults(variant)}
+        start = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
+        if start is None or faults[None].cost <= (0.0, ENOUGH):
+            return faults
+        conics = [round(start + step, 3) for step in SPREAD]
+        faults |= {conic: self._faults(replace(variant, conic=conic)) for conic in conics}
+        best = min(conics, key=lambda conic: faults[conic].cost)
+        return faults | {
+            conic: self._faults(replace(variant, conic=conic))
+            for conic in (round(best + step, 3) for step in FINE)
+        }
+
+    def _faults(self, variant: Variant) -> Faults:
+        try:
+            design = self._design(variant)
+            found = centre_errors(prescribe(design), self.wish.field)
+        except DesignError:
+            return Faults(inf, inf)
+        return Faults(found.lasting(design), found.shrinking(design))
+
+    def _design(self, variant: Variant) -> Design:
+        return built(self.wish, variant, self.pitch, RATIO, "trial", self.overrides)

@@ -57,7 +57,11 @@ def _relaxed(wish: Wish) -> Iterator[tuple[str, Wish]]:
         yield "form=any", replace(wish, form="any")
     for part in (0.7, 0.4, 0.2):
         if not wish.straight:
-            changed = replace(wish, delta=_scaled(wish.delta, part), euler=(wish.euler[0], round(part * wish.euler[1], 4), wish.euler[2]))
+            changed = replace(
+                wish,
+                delta=_scaled(wish.delta, part),
+                euler=(wish.euler[0], round(part * wish.euler[1], 4), wish.euler[2]),
+            )
             yield _difference(wish, changed), changed
     for changed in (
         replace(wish, size=Outline(wish.size.shape, _scaled(wish.size.size, 3.0))), replace(wish, field=0.5 * wish.field)
@@ -101,4 +105,7 @@ def _excess(tried: Tried) -> float:
 
 def _fault(check: Check) -> str:
     value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
-    return f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip() + f" ({check.source}); {check.sentence}"
+    return (
+        f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
+        + f" ({check.source}); {check.sentence}"
+    )

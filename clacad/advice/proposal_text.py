@@ -34,7 +34,14 @@ def file_text(found: Proposal) -> str:
 
 
 def _wrapped(text: str, first: str = "# ", rest: str = "# ") -> list[str]:
-    return wrap(text, WIDTH, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False)
+    return wrap(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _keys(given: Any) -> Iterator[str]:

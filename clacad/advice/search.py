@@ -20,7 +20,7 @@ from clacad.advice.first_numbers import (
     wanted_pitch,
 )
 from clacad.advice.judged import Judged, judge
-from clacad.advice.lens_shape import variants
+from clacad.advice.lens_shape import LensShapes
 from clacad.advice.wish import Wish
 from clacad.base.types import Progress, silent
 from clacad.design import DesignError
@@ -28,7 +28,27 @@ from clacad.design.process_profiles import profile
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.checks import Check
 
-RATIOS = (3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 17.0, 20.0, 24.0, 28.0, 34.0, 40.0, 48.0, 56.0, 68.0, 80.0)
+RATIOS = (
+    3.0,
+    4.0,
+    5.0,
+    6.0,
+    7.0,
+    8.0,
+    10.0,
+    12.0,
+    14.0,
+    17.0,
+    20.0,
+    24.0,
+    28.0,
+    34.0,
+    40.0,
+    48.0,
+    56.0,
+    68.0,
+    80.0,
+)
 """Separations in pitches that are tried."""
 
 STEPS = 6
@@ -81,7 +101,7 @@ class Search:
         """Try until a design passes without a warning that another could avoid; else the best of those that pass."""
         pitch = round_to(wanted_pitch(self.wish).value, 2, up=True)
         found: list[Tried] = []
-        for variant, needed in variants(self.wish, pitch, self.overrides, self.refused):
+        for variant, needed in LensShapes(self.wish, pitch, self.overrides, self.refused).variants():
             self.progress(f"trying {variant.form}", len(self.tried) / MOST_JUDGED)
             one = self._best_ratio(variant, needed)
             if one is not None:
@@ -106,9 +126,16 @@ class Search:
             before = one or before
         if found is None or found.ratio != RATIOS[start]:
             return found
-        for ratio in reversed([r for r in RATIOS[:start] if r >= needed]):  # the formula may have been too careful
+        for ratio in reversed(
+            [r for r in RATIOS[:start] if r >= needed]
+        ):  # the formula may have been too careful
             one = self._judged(variant, ratio)
-            if one is None or not one.good or _rms(one) > self._sharp(one.pitch.value) or self._more(one, found):
+            if (
+                one is None
+                or not one.good
+                or _rms(one) > self._sharp(one.pitch.value)
+                or self._more(one, found)
+            ):
                 break
             found = one
         return found
@@ -135,7 +162,9 @@ class Search:
             design = built(self.wish, variant, pitch, ratio, self.name, self.overrides)
             left = max(prescribe(design).residual.values(), default=0.0)
             if left > design.check.law_rms:  # fails whatever light does in the field
-                self.refused.append(f"{variant.form}: along the axis ray {1e3 * left:.3g} mrad are left of the law at {ratio:g} pitches")
+                self.refused.append(
+                    f"{variant.form}: along the axis ray {1e3 * left:.3g} mrad are left of the law at {ratio:g} pitches"
+                )
                 return None
             one = Tried(variant, ratio, Bound(pitch, bound.why), judge(design))
         except DesignError as problem:
@@ -180,7 +209,9 @@ def _rms(tried: Tried) -> float:
 def _no_better(before: Tried, after: Tried) -> bool:
     """Whether a larger separation brought no failing check nearer to its limit."""
     first, second = ({(c.id, c.subject): c for c in t.judged.failing} for t in (before, after))
-    return bool(second) and all(key in first and not _nearer(first[key], check) for key, check in second.items())
+    return bool(second) and all(
+        key in first and not _nearer(first[key], check) for key, check in second.items()
+    )
 
 
 def _nearer(before: Check, after: Check) -> bool:

@@ -88,7 +88,9 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     half = min(facts.half_field)
     found = {check.id: check for check in judged.checks}
     rms = found["law_rms"].value
-    faults = list(dict.fromkeys(c.id for c in judged.failing)) or list(dict.fromkeys(c.id for c in judged.warning))
+    faults = list(dict.fromkeys(c.id for c in judged.failing)) or list(
+        dict.fromkeys(c.id for c in judged.warning)
+    )
     words = "passes" if judged.passes else "fails"
     return Trade(
         name, pitch, facts.separation * to_mm,
@@ -99,7 +101,20 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     )  # fmt: skip
 
 
-HEAD = ("", "pitch", "separation", "height", "error", "diffraction", "pixel", "field", "seen", "step", "sag", "verdict")
+HEAD = (
+    "",
+    "pitch",
+    "separation",
+    "height",
+    "error",
+    "diffraction",
+    "pixel",
+    "field",
+    "seen",
+    "step",
+    "sag",
+    "verdict",
+)
 UNITS = ("", "mm", "mm", "mm", "mrad rms", "mrad", "mrad", "+- deg", "mm", "um", "um", "")
 
 
@@ -134,5 +149,8 @@ def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
     ]  # fmt: skip
     if wish.object is not None:
         best = sharpest_pitch(wish, wish.object)
-        found.insert(1, f"sharpness: what stands {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm (within a tenth)")
+        found.insert(
+            1,
+            f"sharpness: what stands {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm (within a tenth)",
+        )
     return tuple(found)

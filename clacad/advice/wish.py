@@ -108,7 +108,13 @@ class Wish:
         for name, key in KEYS.items():
             if name not in ("eta", "width", "circle") and getattr(self, name) != key.default:
                 value = getattr(self, name)
-                found[name] = list(value) if isinstance(value, tuple) else angle_text(value) if name == "field" else value
+                found[name] = (
+                    list(value)
+                    if isinstance(value, tuple)
+                    else angle_text(value)
+                    if name == "field"
+                    else value
+                )
         return found
 
 
@@ -179,7 +185,9 @@ def read_wish(words: Mapping[str, Any]) -> Wish:
     found, mistakes = _converted(words)
     sizes = [name for name in ("width", "circle") if name in words]
     if "eta" not in words:
-        mistakes.append(Mistake("CL103", "a wish needs eta", "eta", "--for", allowed=KEYS["eta"].kind.allowed(UNIT)))
+        mistakes.append(
+            Mistake("CL103", "a wish needs eta", "eta", "--for", allowed=KEYS["eta"].kind.allowed(UNIT))
+        )
     if len(sizes) != 1:
         what = "a wish needs the sheet's size" if not sizes else "width and circle exclude each other"
         mistakes.append(Mistake("CL103" if not sizes else "CL112", what, "width", "--for",
@@ -210,7 +218,11 @@ def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]
 def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
     """What the rules of designs say of the law and the material."""
     homes = {"eta": "law.eta", "delta": "law.delta", "euler": "law.euler", "material": "pair.material"}
-    values = {home: found.get(name, KEYS[name].default) for name, home in homes.items() if name in found or name != "eta"}
+    values = {
+        home: found.get(name, KEYS[name].default)
+        for name, home in homes.items()
+        if name in found or name != "eta"
+    }
     asked = Asked({**values, "pair.wavelength": WAVELENGTH}, {}, UNIT)
     return [
         Mistake(m.code, m.message, m.key.split(".", 1)[1], "--for", allowed=m.allowed, hint=m.hint)

@@ -23,7 +23,9 @@ def show_json(value: Any) -> None:
 
 def json_text(value: Any, *, ascii_only: bool = False) -> str:
     """One JSON document: sorted keys, no NaN (null instead), paths as text."""
-    return json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=ascii_only, default=str) + "\n"
+    return (
+        json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=ascii_only, default=str) + "\n"
+    )
 
 
 def show_text(text: str, *, quiet: bool = False) -> None:

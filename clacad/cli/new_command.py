@@ -56,7 +56,9 @@ def new_design(request: NewRequest, *, json: bool, quiet: bool) -> int:
     name, words = request.name, _words(request)
     if name is None:
         if request.wishes or request.template is not None or not (sys.stdin.isatty() and sys.stdout.isatty()):
-            raise typer.BadParameter("a NAME is needed; it is asked for only at a terminal", param_hint="NAME")
+            raise typer.BadParameter(
+                "a NAME is needed; it is asked for only at a terminal", param_hint="NAME"
+            )
         name, words = ask()
     target = Path(f"{name.removesuffix('.toml')}.toml")
     stem = target.name.removesuffix(".toml")

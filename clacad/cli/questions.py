@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from clacad.advice.wish import KEYS, UNIT, read_word, read_wish, written
+from clacad.advice.wish import KEYS, UNIT, read_wish, read_word, written
 from clacad.config.design_error import DesignError
 from clacad.design import template
 
@@ -27,11 +29,11 @@ def ask() -> tuple[str, dict[str, Any]]:
     name = _answer("name of the design", "window", _name)
     words: dict[str, Any] = {}
     for word, question, default in QUESTIONS:
-        words |= _answer(question, default, lambda text, word=word: _word(word, text, words))
+        words |= _answer(question, default, partial(_word, word, words))
     return name, words
 
 
-def _answer(question: str, default: str, read: Any) -> Any:
+def _answer(question: str, default: str, read: Callable[[str], Any]) -> Any:
     while True:
         typed = input(f"{question} [{default}]: ").strip() or default
         try:
@@ -45,12 +47,16 @@ def _name(text: str) -> str:
     return text
 
 
-def _word(word: str, text: str, before: dict[str, Any]) -> dict[str, Any]:
+def _word(word: str, before: dict[str, Any], text: str) -> dict[str, Any]:
     """The answer as words of a wish, checked by itself and with those before."""
     if word == "size":
-        word, text = ("circle", text.removeprefix("circle").strip()) if text.startswith("circle") else ("width", text)
+        word, text = (
+            ("circle", text.removeprefix("circle").strip()) if text.startswith("circle") else ("width", text)
+        )
     found = {word: written(text)}
     read_word(word, found[word])
     if "eta" in before or word == "eta":
-        read_wish({"width": 1.0, **{k: v for k, v in (before | found).items() if k not in ("width", "circle")}})
+        read_wish(
+            {"width": 1.0, **{k: v for k, v in (before | found).items() if k not in ("width", "circle")}}
+        )
     return found

@@ -65,7 +65,9 @@ def _sheet_rows(
     x0, x1, y0, y1 = whole_extent(window)
     wide, high = of_length(x1 - x0), of_length(y1 - y0)
     rim = window.outline
-    is_round = isinstance(rim, Circle) and x1 - x0 <= rim.diameter * (1.0 + 1e-12)  # no array stands beside the other
+    is_round = isinstance(rim, Circle) and x1 - x0 <= rim.diameter * (
+        1.0 + 1e-12
+    )  # no array stands beside the other
     low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
     n1, n2 = lattice.count
     cells = f"{n1} x {n2}" if lattice.outline is None else f"{lattice.cell_count} of {n1} x {n2}"
