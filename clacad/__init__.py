@@ -56,6 +56,8 @@ _HOME = {
     "Wish": "clacad.advice",
     "solids": "clacad.solid.solids",
     "verify": "clacad.verification",
+    "advise": "clacad.advice",
+    "fix": "clacad.advice",
     "accuracy": "clacad.verification.accuracy.accuracy_table",
     "render": "clacad.rendering",
     "render_movie": "clacad.rendering",

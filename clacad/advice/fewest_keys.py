@@ -22,7 +22,7 @@ from clacad.config.edit_text import value_text
 from clacad.design import Design
 from clacad.verification.checks import Check
 
-TRIALS = 160
+TRIALS = 100
 """Designs that are tried at most: half a minute."""
 
 KEYS = 4
@@ -81,7 +81,9 @@ class Fixed:
             return f"{changes_text(self.changes)} passes" if self.changes else "passes as it is"
         if self.judged is None:
             return f"nothing that can be built was found among {self.tried} designs tried"
-        limits = "; ".join(f"{outcome_text([c])} from {c.limit_source.heading}" for c in _each_id(self.binding))
+        limits = "; ".join(
+            f"{outcome_text([c])} from {c.limit_source.heading}" for c in _each_id(self.binding)
+        )
         nearest = f" at {changes_text(self.changes)}" if self.changes else " as it is"
         return f"nothing passes of {self.tried} designs tried; these limits bind, nearest{nearest}: {limits}"
 
@@ -176,6 +178,8 @@ def _pulled(
     """The nearest setting of a lever that mends all it may; else that of those tried which comes nearest to passing."""
     mine = [c for c in failing if mends(lever, c)]
     values = settings(lever, now, judged, failing)
+    if lever.way == "shape":
+        return trials.shaped(before, values)
     met = trials.nearest(before, values, lambda trial: all(settled(trial, c) for c in mine))
     if met is not None:
         return met

@@ -46,8 +46,13 @@ class Hint:
 
     def __str__(self) -> str:
         """Return one line: "pair.separation = 16 passes: law_rms 2.7 of 3 mrad"."""
-        return f"{changes_text(self.changes)} {'passes' if self.passes else 'mends'}: {outcome_text(self.mends)}" + (
-            f"; {'warns' if self.passes else 'fails'} then: {outcome_text(self.left)}" if self.left else ""
+        return (
+            f"{changes_text(self.changes)} {'passes' if self.passes else 'mends'}: {outcome_text(self.mends)}"
+            + (
+                f"; {'warns' if self.passes else 'fails'} then: {outcome_text(self.left)}"
+                if self.left
+                else ""
+            )
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -83,7 +88,12 @@ class Advice:
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
         rows = [
-            {"check": check.id, "subject": check.subject, "state": check.state, "hints": [h.to_dict() for h in hints]}
+            {
+                "check": check.id,
+                "subject": check.subject,
+                "state": check.state,
+                "hints": [h.to_dict() for h in hints],
+            }
             for check, hints in self.hints
         ]
         return {"tried": self.tried, "checks": rows}
@@ -118,7 +128,9 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
                 found += _settings_that_mend(trials, judged, lever, [c for c in group if mends(lever, c)])
     except NoMoreTrials:
         pass
-    hints = [_hint(trials, judged, changes) for changes in _each_once(found)]
+    hints = [
+        h for h in (_hint(trials, judged, changes) for changes in _each_once(found)) if not _breaks(judged, h)
+    ]
     ranked = sorted(hints, key=lambda hint: (not hint.passes, len(hint.left), size_of(hint.changes, design)))
     told = tuple((check, tuple(h for h in ranked if _names(h, check))[:MOST]) for check in wanted)
     return Advice(judged, told, len(trials.made))
@@ -129,6 +141,11 @@ def _settings_that_mend(
 ) -> list[Changes]:
     """The nearest setting of a lever that mends all these checks, or else of each the nearest that mends it."""
     values = settings(lever, trials.design, judged, checks)
+    if lever.way == "shape":
+        shaped = trials.shaped({}, values)
+        after = None if shaped is None else trials.judged(shaped)
+        does = after is not None and any(settled(after, c) for c in checks)
+        return [shaped] if shaped is not None and does else []
     together = trials.nearest({}, values, lambda trial: all(settled(trial, c) for c in checks))
     if together is not None:
         return [together]
@@ -158,6 +175,12 @@ def _hint(trials: Trials, before: Judged, changes: Changes) -> Hint:
     return Hint(changes, now, not left, left or tuple(fresh))
 
 
+def _breaks(judged: Judged, hint: Hint) -> bool:
+    """Whether a hint makes a check fail that did not: that is no advice."""
+    failed = {(c.id, c.subject) for c in judged.failing}
+    return not hint.passes and any((c.id, c.subject) not in failed for c in hint.left)
+
+
 def _names(hint: Hint, check: Check) -> bool:
     return any((c.id, c.subject) == (check.id, check.subject) for c in hint.mends)
 
@@ -178,4 +201,3 @@ def outcome_text(checks: Sequence[Check]) -> str:
         warns = ", a warning" if check.state == "warn" else ""
         said.setdefault(check.id, f"{check.id} {value} {unit}".rstrip() + against + warns)
     return ", ".join(said.values())
-

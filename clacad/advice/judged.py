@@ -13,10 +13,9 @@ from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
-from clacad.verification.checks import Check, accepted, passed
+from clacad.verification.checks import Check, accepted, passed, wrong
 from clacad.verification.design.design_rules import design_checks
-from clacad.verification.run import judge_light
-from clacad.verification.verdict import wrong
+from clacad.verification.light.through_window import judge_light
 
 RAYS, POINT_RAYS = 8192, 1024
 """Of the main bundle, where verify sends 65536, and of each field point, where it sends 4096."""
@@ -81,7 +80,9 @@ class Judged:
 
 def tight(check: Check) -> bool:
     """Whether a measured number is within TIGHT of its limit; a count of mistakes (limit 0) is no such number."""
-    if not (isinstance(check.value, float) and isinstance(check.limit, float) and check.bundle and check.limit):
+    if not (
+        isinstance(check.value, float) and isinstance(check.limit, float) and check.bundle and check.limit
+    ):
         return False
     return abs(check.value - check.limit) <= TIGHT * abs(check.limit)
 

@@ -29,6 +29,12 @@ STEP: Final = 1.07
 SHARES: Final = (0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
 """Parts of the pitch that are tried for a length that may be 0."""
 
+CONICS: Final = (-0.5, -1.0, -1.5, -2.0, -2.5, -3.5)
+"""Conic constants that are tried; -1/n² and -n² lie among them for every glass."""
+
+CONIC_STEPS: Final = (0.25, 0.12, 0.06, 0.03)
+"""Steps about the best of them."""
+
 ROOM: Final = 1.3
 """A length that a process limits is also tried with this much more than the limit: from 1.25 on it is no longer near."""
 
@@ -38,7 +44,8 @@ class Lever:
     """One key and the direction it is moved in.
 
     key : str
-    way : "up", "down" or "word"
+    way : "up", "down", "word" or "shape"
+        A shape has no nearest value that does: too much is as bad as too little.
     """
 
     key: str
@@ -58,6 +65,7 @@ _SEAM = Lever("lattice.seam", "up")
 _LESS_SEAM = Lever("lattice.seam", "down")
 _RECIPE = Lever("pair.confocal", "word")
 _SHAPE = Lever("pair.surface", "word")
+_CONIC = Lever("pair.conic", "shape")
 _TURNED = Lever("pair.curved", "word")
 _APERTURE = Lever("lattice.aperture", "word")
 
@@ -67,7 +75,7 @@ _FLAT = (_SPREAD, _FINER, _SHAPE)
 
 LEVERS: Final[Mapping[str, tuple[Lever, ...]]] = {
     "law_rms": _LIGHT, "law_bias": _LIGHT, "spread": _LIGHT, "eta": _LIGHT, "delta": _LIGHT, "tilt": _LIGHT,
-    "residual": (_RECIPE, _SPREAD, _TURNED, _SHAPE), "confocality": (_RECIPE, _SPREAD, _SHAPE),
+    "residual": (_RECIPE, _SPREAD, _TURNED, _SHAPE, _CONIC, _FINER), "confocality": (_RECIPE, _TURNED, _SPREAD, _THICKER, _SHAPE),
     "throughput": (_APERTURE, _SPREAD, _FINER, _LESS_SEAM, _CLOSER), "field": (_APERTURE, _CLOSER, _COARSER),
     "fresnel_number": (_COARSER, _CLOSER),
     "one_piece": (*_WHOLE, _NECK, _WEB, _SEAM), "cover": _WHOLE, "graph": _FLAT,
@@ -88,7 +96,7 @@ _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
 }  # fmt: skip
 _FORMS: Final[Mapping[str, tuple[str, ...]]] = {
     "pair.confocal": ("biconvex", "plano"), "pair.surface": ("plano", "slab"), "pair.curved": ("plano",),
-    "pair.web": ("biconvex",), "pair.thickness": ("biconvex", "plano"),
+    "pair.conic": ("biconvex", "plano", "slab"), "pair.web": ("biconvex",), "pair.thickness": ("biconvex", "plano"),
 }  # fmt: skip
 """Forms that have the key, or take it without another one."""
 
@@ -104,7 +112,9 @@ def mends(lever: Lever, check: Check) -> bool:
     return lever in LEVERS.get(check.id, ())
 
 
-def settings(lever: Lever, design: Design, judged: Judged | None, checks: Iterable[Check]) -> tuple[Changes, ...]:
+def settings(
+    lever: Lever, design: Design, judged: Judged | None, checks: Iterable[Check]
+) -> tuple[Changes, ...]:
     """What may be tried of a lever, nearest to what the design has first.
 
     Parameters
@@ -119,10 +129,24 @@ def settings(lever: Lever, design: Design, judged: Judged | None, checks: Iterab
     if lever.way == "word":
         present = getattr(design.pair, lever.key.partition(".")[2], design.lattice.aperture)
         return tuple({lever.key: word} for word in _WORDS[lever.key] if word != present)
+    if lever.way == "shape":
+        return tuple(_conic(k) for k in CONICS)
     making: Callable[[Design, str, Judged | None], tuple[Changes, ...]] | None = _SCALED.get(lever.key)
     if making is not None:
         return making(design, lever.way, judged)
+    if lever.key == "pair.thickness":
+        return _thicknesses(design, lever.way, judged, _lacking(design, checks, lever))
     return tuple({lever.key: value} for value in _lengths(lever, design, checks))
+
+
+def _conic(k: float) -> Changes:
+    return {"pair.surface": "biconic", "pair.conic": [nice(k, 3), nice(k, 3)]}
+
+
+def conics_about(changes: Changes, step: float) -> tuple[Changes, ...]:
+    """The same changes with a conic constant a step less, and a step more."""
+    k = changes["pair.conic"][0]
+    return tuple({**changes, **_conic(k + change)} for change in (-step, step))
 
 
 def _separations(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
@@ -143,14 +167,24 @@ def _pitches(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
         if "count" in design.given.get("lattice", {}):
             rounded = ceil if design.lattice.outline is not None else round
             changes["lattice.count"] = [
-                max(1, rounded(n * a / b - 1e-9)) for n, a, b in zip(design.lattice.count, old, both, strict=True)
+                max(1, rounded(n * a / b - 1e-9))
+                for n, a, b in zip(design.lattice.count, old, both, strict=True)
             ]
         found.append(changes)
     return tuple(found)
 
 
-def _thicknesses(design: Design, way: str, judged: Judged | None) -> tuple[Changes, ...]:
-    """The word auto first, then numbers from what the lenses are now."""
+def _lacking(design: Design, checks: Iterable[Check], lever: Lever) -> float:
+    """How much of a length the worst of some checks lacks, near to its limit no more."""
+    found = [
+        c.limit * ROOM - c.value for c in checks if mends(lever, c) and isinstance(c.value, float)
+        and isinstance(c.limit, float) and c.unit == design.unit and isfinite(c.limit) and isfinite(c.value)
+    ]  # fmt: skip
+    return max([0.0, *found])
+
+
+def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -> tuple[Changes, ...]:
+    """The word auto first, then numbers from what the lenses are now: in ratio, and by parts of what is lacking."""
     given = design.pair.thicknesses
     auto: tuple[Changes, ...] = () if given is None else ({"pair.thickness": "auto"},)
     if given is None and judged is not None:
@@ -158,16 +192,19 @@ def _thicknesses(design: Design, way: str, judged: Judged | None) -> tuple[Chang
         given = (first, second)
     if given is None:
         return auto
-    if given[0] == given[1]:
-        return (*auto, *({"pair.thickness": value} for value in _ladder(given[0], way)))
-    pairs = zip(_ladder(given[0], way), _ladder(given[1], way), strict=False)
-    return (*auto, *({"pair.thickness": list(pair)} for pair in pairs))
+    found = [[nice(t * value / given[0]) for t in given] for value in _ladder(given[0], way)]
+    if way == "up":
+        found += [[nice(t + 0.25 * part * lack) for t in given] for part in range(1, 9) if lack > 0.0]
+    found = [
+        pair for pair in found if all((a > t) == (way == "up") for a, t in zip(pair, given, strict=True))
+    ]
+    same = given[0] == given[1]
+    return (*auto, *({"pair.thickness": pair[0] if same else pair} for pair in sorted(found)))
 
 
 _SCALED: Final = {
     "pair.separation": _separations,
     "lattice.pitch": _pitches,
-    "pair.thickness": _thicknesses,
 }
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from math import inf
 
 from clacad.advice.judged import Judged, judge, tight
-from clacad.advice.levers import Changes
+from clacad.advice.levers import CONIC_STEPS, Changes, conics_about
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.design import Design, DesignError
-from clacad.verification.checks import Check
-from clacad.verification.verdict import wrong
+from clacad.verification.checks import Check, wrong
 
 Wish = Callable[[Judged], bool]
 """Whether a trial does what is wanted of it."""
@@ -86,6 +85,23 @@ class Trials:
                 return {**before, **settings[here]}
             failed, stride = here, 2 * stride
         return None
+
+    def shaped(self, before: Changes, settings: Sequence[Changes]) -> Changes | None:
+        """The conic that comes nearest to passing, first of some settings, then of finer ones about it; None if none can be built."""
+        bad, best = min(
+            ((self._bad({**before, **one}), k) for k, one in enumerate(settings)), default=(inf, 0)
+        )
+        if bad == inf:
+            return None
+        found = {**before, **settings[best]}
+        for step in CONIC_STEPS:
+            for one in conics_about(found, step):
+                if bad > 0.0 and (now := self._bad(one)) < bad:
+                    bad, found = now, one
+        return found
+
+    def _bad(self, changes: Changes) -> float:
+        return badness(self.judged(changes), self.design)
 
 
 def _name(changes: Changes) -> str:

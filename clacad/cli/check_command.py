@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,7 +105,9 @@ def fix_design(
     if out.suffix.lower() not in (".toml", ".json"):
         raise typer.BadParameter(f"-o {out}: a design file's name ends in .toml or .json")
     design = load_design(path, overrides)
-    with Stage(out.parent, overwrite=overwrite) as stage:  # refuses a name that may not be written before the search
+    with Stage(
+        out.parent, overwrite=overwrite
+    ) as stage:  # refuses a name that may not be written before the search
         private = stage.path(out.name)
         fixed = _searched(design, quiet=quiet)
         if fixed.passes:
@@ -136,10 +139,11 @@ def _text(path: Path, overrides: list[str], fixed: Fixed, out: Path) -> tuple[st
 
     is_json = path.suffix.lower() == ".json"
     if is_json == (out.suffix.lower() == ".json"):
-        given = [pair for text in overrides if isinstance(pair := parse_override(text), tuple)]
-        text = with_values(read_text(str(path)), {**dict(given), **fixed.changes}, is_json=is_json)
-        if Design.from_dict(parse(text, out.name)) == fixed.design:
-            return text, True
+        given = dict(pair for text in overrides if isinstance(pair := parse_override(text), tuple))
+        with suppress(LookupError):  # a table with lines of its own was overridden as a whole
+            text = with_values(read_text(str(path)), {**given, **fixed.changes}, is_json=is_json)
+            if Design.from_dict(parse(text, out.name)) == fixed.design:
+                return text, True
     if is_json:
         return fixed.design.canonical_toml(), False
     from json import dumps

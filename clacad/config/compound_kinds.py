@@ -14,29 +14,40 @@ from clacad.config.value_kinds import JsonSchema, Kind, Refusal, not_this, shown
 
 @dataclass(frozen=True, slots=True)
 class Several:
-    """A list of exactly `count` values of one kind; with `single`, one value stands for all of them."""
+    """A list of exactly `count` values of one kind; with `single`, one value stands for all of them.
+
+    not_all : values that may not stand in every place; where one is found instead of a list, `example` is what is hinted.
+    """
 
     kind: Kind
     names: tuple[str, ...]
     single: bool = False
+    not_all: tuple[float, ...] = ()
+    example: str = ""
 
     def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
         """Return a tuple with one value for each name."""
         if not isinstance(value, list):
             if self.single:
                 return (self.kind.read(value, unit),) * len(self.names)
-            repeated = ", ".join([shown(value)] * len(self.names))
-            hint = (
-                f"write [{repeated}]"
-                if isinstance(value, int | float) and not isinstance(value, bool)
-                else ""
-            )
-            raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit), hint)
+            raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit), self._listed(value, unit))
         if len(value) != len(self.names):
             raise Refusal(
                 "CL108", f"has {len(value)} value{'s' * (len(value) != 1)}", value, self.allowed(unit)
             )
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
+
+    def _listed(self, value: object, unit: Unit) -> str:
+        """Hint of a list that will do instead of one number; "" where the number itself would be refused in it."""
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            return ""
+        if value in self.not_all:
+            return f"write {self.example}"
+        try:
+            self.kind.read(value, unit)
+        except Refusal:
+            return ""
+        return f"write [{', '.join([shown(value)] * len(self.names))}]"
 
     def allowed(self, unit: Unit) -> str:
         """Return the names in brackets and the kind of each."""

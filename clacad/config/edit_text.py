@@ -42,7 +42,7 @@ def with_values(text: str, changes: Mapping[str, Any], *, is_json: bool = False)
     Raises
     ------
     LookupError
-        A key that leads through a value, or past the end of a list.
+        A key that leads through a value, past the end of a list, or to a table that has lines of its own.
     """
     if is_json:
         data = json.loads(text)
@@ -61,9 +61,13 @@ def _with_value(text: str, path: KeyPath, value: Any) -> str:
     node = places.values.get(path)
     if node is not None:
         return _replaced(raw, node, value_text(value))
+    if any(head[: len(path)] == path for head in (*places.heads, *places.dotted)):
+        raise LookupError(f"{'.'.join(map(str, path))} is a table with lines of its own")
     table, name = path[:-1], str(path[-1])
     if table in places.values:  # an inline table, or a value that has no such part
-        return _replaced(raw, places.values[table], value_text(put(_read(places.values[table]), (path[-1],), value)))
+        return _replaced(
+            raw, places.values[table], value_text(put(_read(places.values[table]), (path[-1],), value))
+        )
     line = f"{_bare(name)} = {value_text(value)}\n".encode()
     if table in places.ends:
         return _inserted(raw, places.ends[table], line)
@@ -105,22 +109,26 @@ def _inserted(raw: bytes, at: int, line: bytes) -> str:
 
 
 class _Places:
-    """Where values stand in a text, where its tables end, and which tables it has as dotted keys only."""
+    """Where values stand in a text, where its tables begin and end, and which tables it has as dotted keys only."""
 
     def __init__(self, raw: bytes) -> None:
         self.raw = raw
         self.values: dict[KeyPath, Node] = {}
         self.ends: dict[KeyPath, int] = {(): 0}
+        self.heads: list[KeyPath] = []
         self.dotted: dict[KeyPath, tuple[bytes, int]] = {}
         for node in syntax_tree(raw).named_children:
             if node.type == "pair":
                 self._pair(node, ())
-            elif node.type == "table":
-                self._table(node)
+            elif node.type in ("table", "table_array_element"):
+                self._table(node, element=node.type != "table")
 
-    def _table(self, node: Node) -> None:
+    def _table(self, node: Node, *, element: bool) -> None:
         head = next(child for child in node.named_children if child.type in KEY_NODES)
         path = tuple(key_names(head))
+        self.heads.append(path)
+        if element:
+            return
         self.ends[path] = self._line_end(head)
         for child in node.named_children:
             if child.type == "pair":

@@ -58,7 +58,8 @@ def law_is_a_pair(a: Asked) -> Iterator[Mistake]:
     for i, axis in enumerate("xy"):
         if eta[i] == 0.0:
             yield Mistake("CL110", f"eta_{axis} = 0: no pair of lenses has it", f"law.eta.{i}",
-                          allowed="any other number; |eta| < 1 shrinks what is seen, eta < 0 turns it over")  # fmt: skip
+                          allowed="any other number; |eta| < 1 shrinks what is seen, eta < 0 turns it over",
+                          hint=f"eta_{axis} = -1 sends light on under minus the angle it came in")  # fmt: skip
         elif 0.0 < abs(eta[i]) < 1e-6:
             yield Mistake("CL106", f"eta_{axis} = {eta[i]!r} is out of range", f"law.eta.{i}",
                           allowed="1e-6 <= |eta| <= 1e6")  # fmt: skip

@@ -58,7 +58,7 @@ CHECKS: dict[str, Text] = {
     ),
     "residual": (
         "Error and decollimation the recipe leaves along the axis ray, before any aberration.", "It is what no lens shape can mend.",
-        "∠ of the axis ray to the law; ‖Φ‖ p/2", "Another recipe or form, or less tilt.",
+        "∠ of the axis ray to the law; ‖Φ‖ p/2", "Another recipe (`pair.confocal`), `pair.conic`, another form, or less tilt.",
     ),
     "fresnel_number": (
         "Fresnel number of what is lit of a lenslet, along the lens axis where it is least.",
@@ -87,10 +87,10 @@ CHECKS: dict[str, Text] = {
         "Smallest z component of the outward normal of a lens face.", "At 0 the face is undercut; near 0 nobody can make or measure it.",
         "n_z = cos(slope) ≥ 0.1", "Larger radii, a smaller pitch, less tilt.",
     ),
-    "edge": ("Least thickness along the outer side of a body.", "A knife edge chips.", "", "A border, a web, or a thicker lens."),
+    "edge": ("Least thickness along the outer side of a body.", "A knife edge chips.", "", "`body.border`, `pair.web` or `pair.thickness`."),
     "neck": (
         "Least thickness that joins neighbours, after the step between them.", "The sheet breaks there first.",
-        "min over borders of (common height of both columns)", "A thicker lens, a web, less tilt.",
+        "min over borders of (common height of both columns)", "`pair.thickness`, `pair.web` or `body.neck`; less tilt.",
     ),
     "radius": (
         "Smallest apex radius of a lens.", "Tool noses, voxels and spots allow no less.", "R = 1/c", "A longer separation, or a finer process.",

@@ -192,6 +192,9 @@ def _idle(code: str, checks: Iterable[Check]) -> Check | None:
 def passed(checks: Iterable[Check]) -> bool:
     """Whether no check failed and every required one ran; an empty set passes nothing."""
     checks = tuple(checks)
-    return bool(checks) and not any(
-        c.state == "fail" or (c.state == "not run" and c.required) for c in checks
-    )
+    return bool(checks) and not wrong(checks)
+
+
+def wrong(checks: Iterable[Check]) -> list[Check]:
+    """Checks that failed, or were required and did not run."""
+    return [c for c in checks if c.state == "fail" or (c.state == "not run" and c.required)]

@@ -20,14 +20,8 @@ from clacad.verification.files.find_files import Delivery, declared_roles, list_
 from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
-from clacad.verification.light.law_checks import (
-    POINT_RAYS,
-    Optics,
-    confocality_check,
-    law_checks,
-    measure,
-    throughput_check,
-)
+from clacad.verification.light.law_checks import Optics
+from clacad.verification.light.through_window import judge_light
 from clacad.verification.verification_report import Report
 
 if TYPE_CHECKING:
@@ -132,15 +126,6 @@ def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) 
     """
     found, optics = judge_light(design, window, rays)
     return [*found, *design_checks(design, window, facts)], optics
-
-
-def judge_light(
-    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
-) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them."""
-    optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays, point_rays)
-    found = law_checks(design, optics)
-    return [*found, throughput_check(design, window, optics), confocality_check(design, window)], optics
 
 
 def versions() -> dict[str, str]:

@@ -6,12 +6,12 @@ cut, is *shape only*: no defect, but no part should be made from it. What was no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from clacad.exporting.roles import Role
-from clacad.verification.checks import Check
+from clacad.verification.checks import Check, wrong
 from clacad.verification.files.law_through_file import IDS
 
 Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
@@ -46,11 +46,6 @@ class FileVerdict:
     rms: float | None
     limit: float | None
     sentence: str
-
-
-def wrong(checks: Iterable[Check]) -> list[Check]:
-    """Checks that failed, or were required and did not run."""
-    return [c for c in checks if c.state == "fail" or (c.state == "not run" and c.required)]
 
 
 def file_verdict(

@@ -15,13 +15,13 @@ from clacad.exporting.roles import Role
 from clacad.sheet.feasibility import Feasibility, describe
 from clacad.sheet.window import Window
 from clacad.verification import checks as judging
-from clacad.verification.checks import Check
+from clacad.verification.checks import Check, wrong
 from clacad.verification.files.find_files import Subject
 from clacad.verification.files.mesh_light import MeshEvidence
 from clacad.verification.light.direction_curves import Meridian
 from clacad.verification.light.facet_convergence import Convergence
 from clacad.verification.light.law_checks import Optics
-from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of, wrong
+from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -27,8 +27,7 @@ from clacad.design import Design, DesignError
 from clacad.exporting.export_design import ExportError, export
 from clacad.topology.cannot_build import CannotBuild
 from clacad.verification import verify
-from clacad.verification.checks import Check
-from clacad.verification.verdict import wrong
+from clacad.verification.checks import Check, wrong
 
 RECORD = Path(__file__).with_name("predictions.json")
 TABLE = RECORD.with_suffix(".md")
@@ -90,7 +89,12 @@ def of_step(number: int, predicted: Sequence[str]) -> dict[str, Any]:
             report = verify(design, folder)
     bad = wrong(report.checks)
     new = [c for c in bad if c.id.removeprefix("file_") not in predicted]
-    return {"step": report.word, "passed": report.passed, "fails": sorted({c.id for c in bad}), "near_step": all(map(_within, new))}
+    return {
+        "step": report.word,
+        "passed": report.passed,
+        "fails": sorted({c.id for c in bad}),
+        "near_step": all(map(_within, new)),
+    }
 
 
 def run(record: dict[str, Any], valid: int, seconds: float, *, step: bool) -> None:

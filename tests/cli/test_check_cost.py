@@ -16,7 +16,7 @@ from clacad.sheet.window import lens_height, lens_height_and_normal
 DESIGN = Path(__file__).parents[2] / "designs" / "paper-a-covered.toml"
 
 
-def test_check_loads_neither_tracer_nor_kernel_nor_network():
+def test_check_loads_neither_kernel_nor_effects_nor_network():
     code = (
         "import sys, json; from clacad.cli.entry_point import main; "
         f"status = main(['check', {str(DESIGN)!r}, '-q']); "
@@ -30,7 +30,6 @@ def test_check_loads_neither_tracer_nor_kernel_nor_network():
     heavy = {"OCP", "build123d", "numba", "scipy", "matplotlib", "trimesh", "manifold3d", "embreex", "PIL"}
     assert not heavy & set(loaded)
     assert not {
-        "clacad.tracing",
         "clacad.effects",
         "clacad.rendering",
         "http.client",

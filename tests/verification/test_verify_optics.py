@@ -18,7 +18,7 @@ from clacad.verification.checks import passed
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.confocality import confocality
 from clacad.verification.light.law_checks import confocality_check, law_checks, measure, throughput_check
-from clacad.verification.run import judge_light
+from clacad.verification.light.through_window import judge_light
 
 BASE = Design.from_dict({
     "format": 1, "name": "base", "unit": "m", "law": {"eta": [-0.25, -1.0], "delta": [0.01, 0.02], "euler": [0.0, 0.5, 0.0]},

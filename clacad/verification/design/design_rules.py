@@ -218,13 +218,12 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
         )
     for body in facts.bodies:
         limit, source = process_limit(design, rules, "edge")
-        found.append(
-            _at_least("edge", body.edge, limit, source, unit, f"least thickness along the outer side of {body.name}", body.name)
-        )  # fmt: skip
+        text = f"least thickness along the outer side of {body.name}"
+        found.append(_thicker(design, _at_least("edge", body.edge, limit, source, unit, text, body.name)))
         limit, source = process_limit(design, rules, "neck")
         if isfinite(body.neck):
             text = f"least thickness that joins neighbours in {body.name} after the step between them"
-            found.append(_at_least("neck", body.neck, limit, source, unit, text, body.name))
+            found.append(_thicker(design, _at_least("neck", body.neck, limit, source, unit, text, body.name)))
     for lens in facts.lenses:
         name = f"lens {lens.array + 1}"
         limit, source = process_limit(design, rules, "radius")
@@ -257,6 +256,18 @@ def _at_least(
     if limit == 0.0:  # 0 itself does not do
         return replace(check, relation=">", state="fail" if value <= 0.0 else check.state)
     return check
+
+
+def _thicker(design: Design, check: Check) -> Check:
+    """The same check; one that fails names the keys by which a body of this form is made thicker there."""
+    if check.state != "fail":
+        return check
+    keys = {
+        "biconvex": "pair.thickness, pair.web, or body.border with a web",
+        "plano": "pair.thickness, body.neck, or body.border",
+        "slab": "pair.separation",
+    }
+    return replace(check, sentence=f"{check.sentence}; {keys[design.pair.form]} makes it thicker")
 
 
 def _field(design: Design, facts: Feasibility) -> Check:
@@ -308,7 +319,8 @@ def _residual(design: Design, window: Window) -> Check:
             "the ray along the lens axis does not get through: it misses a lens or is totally reflected"
         )
     elif value > limit:
-        sentence += "; another recipe, less tilt or another form would leave less"
+        recipe = "" if design.pair.form == "slab" else 'pair.confocal = "exact" or "best", '
+        sentence += f"; another recipe ({recipe}pair.conic), less tilt or another form would leave less"
     return judge(
         "residual", value, limit, sentence, unit="rad", where="surfaces, parabasal", limit_source=from_key("law_rms"),
         detail=dict(window.residual),

@@ -1,0 +1,188 @@
+"""What check says verify will say, keys that mend what fails, and the design with them changed: each held against verify itself."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from clacad.advice import advise, fewest_keys, fix, judge
+from clacad.advice.levers import LEVERS, levers_of, settings
+from clacad.cli.entry_point import main
+from clacad.design import Design, load
+from clacad.verification import passed
+from clacad.verification.design.design_rules import design_checks
+from clacad.verification.light.through_window import judge_light
+
+ROUND = """# Round window of polycarbonate.
+format = 1
+name = "round"
+unit = "mm"
+
+[law]
+eta = [-1.0, -1.0]
+
+[pair]
+form = "slab"
+separation = 5.0    # as in air
+material = "PC"
+
+[lattice]
+kind = "hexagonal"
+pitch = 1.0
+count = [70, 80]
+outline = {circle = 60.0}   # what the frame holds
+
+[check]
+process = "diamond-turning"
+"""
+BICONVEX = {
+    "format": 1, "name": "thin edge", "unit": "mm", "law": {"eta": [-0.5, -1.0]},
+    "pair": {"form": "biconvex", "separation": 8.0, "index": 1.5, "thickness": 0.3},
+    "lattice": {"pitch": 0.5, "count": [10, 10]}, "check": {"process": "sla"},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def too_close(tmp_path_factory):
+    path = tmp_path_factory.mktemp("advice") / "round.toml"
+    path.write_text(ROUND)
+    return path
+
+
+def by_all_rays(design):
+    """What verify judges a design by: its own numbers of rays, and the design rules."""
+    judged = judge(design)
+    light, _ = judge_light(design, judged.window, 65536)
+    return {(c.id, c.subject): c for c in (*light, *design_checks(design, judged.window, judged.facts))}
+
+
+def test_check_says_of_every_check_what_verify_says(too_close):
+    for design in (load(too_close), load(too_close, ("pair.separation=10",))):
+        mine, theirs = {(c.id, c.subject): c for c in judge(design).checks}, by_all_rays(design)
+        assert {key: c.state for key, c in mine.items()} == {key: c.state for key, c in theirs.items()}
+        assert mine["law_rms", ""].value == pytest.approx(theirs["law_rms", ""].value, rel=0.01)
+        assert judge(design).passes == passed(theirs.values())
+
+
+def test_each_key_that_is_advised_makes_all_the_rays_of_verify_pass_and_is_one_key(too_close):
+    design = load(too_close)
+    advice = advise(design)
+    told = {check.id: hints for check, hints in advice.hints}
+    assert set(told) == {"law_rms", "spread"}
+    first = told["law_rms"][0]
+    assert list(first.changes) == ["pair.separation"]
+    assert str(first).startswith(f"pair.separation = {first.changes['pair.separation']} passes: law_rms ")
+    changed = by_all_rays(design.replace(first.changes))
+    assert passed(changed.values())
+    stated = next(c for c in first.mends if c.id == "law_rms")
+    assert stated.value == pytest.approx(changed["law_rms", ""].value, rel=0.01)
+
+
+def test_a_fix_changes_the_fewest_keys_keeps_the_law_and_every_comment_and_passes(
+    too_close, tmp_path, capsys
+):
+    out = tmp_path / "better.toml"
+    assert main(["check", str(too_close), "--fix", "-o", str(out), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert len(document["changes"]) == 1
+    before, after = ROUND.splitlines(), out.read_text().splitlines()
+    assert len(after) == len(before)
+    changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
+    assert [b.split("=")[0].strip() for _, b in changed] == ["separation"]
+    assert changed[0][1].endswith("# as in air")
+    asked, fixed = load(too_close), load(out)
+    assert fixed.law_spec == asked.law_spec
+    assert fixed.check == asked.check
+    assert passed(by_all_rays(fixed).values())
+
+
+def test_overrides_are_written_too(too_close, tmp_path):
+    out = tmp_path / "better.toml"
+    assert (
+        main(["check", str(too_close), "--set", "lattice.outline.circle=30", "--fix", "-o", str(out), "-q"])
+        == 0
+    )
+    assert tomllib.loads(out.read_text())["lattice"]["outline"] == {"circle": 30}
+    assert "# what the frame holds" in out.read_text()
+
+
+def test_a_name_that_is_taken_is_refused_before_anything_is_tried(too_close, tmp_path, monkeypatch, capsys):
+    def tried(*_):
+        raise AssertionError("it was searched first")
+
+    monkeypatch.setattr("clacad.advice.fix", tried, raising=False)
+    taken = tmp_path / "better.toml"
+    taken.write_text("mine")
+    assert main(["check", str(too_close), "--fix", "-o", str(taken)]) == 4
+    assert taken.read_text() == "mine"
+    assert main(["check", str(too_close), "--fix", "-o", str(tmp_path / "better.txt")]) == 2
+    assert main(["check", str(too_close), "-o", str(tmp_path / "other.toml")]) == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["better.toml"]
+    capsys.readouterr()
+
+
+def test_where_nothing_passes_the_limits_that_bind_are_named_and_nothing_is_written(
+    too_close, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(fewest_keys, "TRIALS", 3)
+    out = tmp_path / "better.toml"
+    words = ["check", str(too_close), "--set", "check.law_rms=0.0001 mrad", "--fix", "-o", str(out)]
+    assert main(words) == 1
+    said = capsys.readouterr().out
+    assert "nothing passes of 3 designs tried" in said
+    assert "law_rms" in said.splitlines()[-1]
+    assert "design file" in said.splitlines()[-1]
+    assert not out.exists()
+
+
+def test_a_design_that_cannot_be_built_is_led_to_one_that_can():
+    design = Design.from_dict(tomllib.loads(ROUND)).replace({"pair.separation": 0.5})
+    with pytest.raises(ValueError, match="radius"):
+        judge(design)
+    fixed = fix(design)
+    assert fixed.passes
+    assert fixed.design.law_spec == design.law_spec
+
+
+def test_an_edge_too_thin_is_told_of_the_keys_of_its_form_and_one_of_them_passes():
+    design = Design.from_dict(BICONVEX)
+    judged = judge(design)
+    edge = next(c for c in judged.failing if c.id == "edge")
+    for key in ("pair.thickness", "pair.web", "body.border"):
+        assert key in edge.sentence
+        assert key in {lever.key for lever in LEVERS["edge"]}
+    fixed = fix(design)
+    assert fixed.passes
+    assert set(fixed.changes) <= {"pair.thickness", "pair.web", "body.border"}
+
+
+def test_the_residual_of_a_recipe_names_the_key_of_recipes():
+    assert "pair.confocal" in {lever.key for lever in LEVERS["residual"]}
+
+
+def test_another_pitch_keeps_the_size_of_the_sheet():
+    design = Design.from_dict(BICONVEX)
+    lever = next(one for one in levers_of(design, judge(design).failing) if one.key == "lattice.pitch")
+    for changes in settings(lever, design, None, ()):
+        width = changes["lattice.pitch"] * changes["lattice.count"][0]
+        assert abs(width - 5.0) <= 0.5 * changes["lattice.pitch"] + 1e-9
+
+
+def test_check_ends_with_the_verdict_of_verify_and_tells_json_the_same(too_close, capsys):
+    assert main(["check", str(too_close), "--set", "pair.separation=10"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "verify will pass"
+    assert main(["check", str(too_close), "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document["passed"] is False
+    assert document["verdict"] == "verify will fail: law_rms, spread"
+    assert document["advice"]["checks"][0]["hints"][0]["passes"] is True
+
+
+def test_shipped_templates_are_said_to_pass_or_fail_as_recorded():
+    """The paper's literal sheet does not cover; that the same sheet covered passes is the README's first promise."""
+    folder = Path(__file__).parents[2] / "designs"
+    assert not judge(load(folder / "paper-base.toml")).passes
+    assert judge(load(folder / "paper-a-covered.toml")).passes
