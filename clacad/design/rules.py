@@ -225,12 +225,12 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
 
 def count_or_outline(a: Asked) -> Iterator[Mistake]:
     """The number of cells is given, or follows from the outline."""
-    if a.given("lattice.count"):
+    if a.given("lattice.count") or not any(key.startswith("lattice.") for key in a.written):
         return
     if not a.given("lattice.outline"):
         yield Mistake("CL103", "missing key lattice.count", "lattice.count",
-                      allowed="a list of 2 (n1, n2), each a whole number from 1, or lattice.outline = {circle = diameter} or "
-                      "{rectangle = [width, height]}, which is then filled")  # fmt: skip
+                      allowed=f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline, which is then "
+                      "filled")  # fmt: skip
         return
     outline, pitch, kind = a("lattice.outline"), a("lattice.pitch"), a("lattice.kind")
     if outline is None or pitch is None or kind is None:

@@ -83,7 +83,9 @@ def test_a_wish_comes_true_by_three_commands(
     with capsys.disabled():
         sys.stdout.write(f"\n{case.name}: {', '.join(f'{s:.1f}' for s in seconds)} CPU s\n")
     told = json.loads(ended.stdout)
-    assert [file["role"] for file in told["files"]] == ["optical-master"]
+    assert [(one["role"], one["word"]) for one in told["file_verdicts"]] == [
+        ("optical-master", "passed as optical master")
+    ]
     states = {check["id"]: check["state"] for check in told["checks"]}
     assert {id for id, state in states.items() if state == "warn"} <= set(case.warns)
     for check in told["checks"]:
