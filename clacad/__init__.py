@@ -52,6 +52,8 @@ _HOME = {
     "Tracer": "clacad.tracing.tracer",
     "trace_sequence": "clacad.tracing.trace",
     "export": "clacad.exporting.export_design",
+    "design_for": "clacad.advice",
+    "Wish": "clacad.advice",
     "solids": "clacad.solid.solids",
     "verify": "clacad.verification",
     "advise": "clacad.advice",

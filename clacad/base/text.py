@@ -73,6 +73,23 @@ def plain(value: Any, not_finite: Callable[[float], Any] = null, depth: int = 0)
     return value
 
 
+def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
+    """Align the columns of some rows of text; the last column is not padded."""
+    rows = [[str(cell) for cell in row] for row in rows]
+    if not rows:
+        return ""
+    widths = [
+        max((len(row[k]) for row in rows if k < len(row)), default=0) for k in range(max(map(len, rows)))
+    ]
+    return "\n".join(
+        indent
+        + "  ".join(
+            cell if k == len(row) - 1 else cell.ljust(widths[k]) for k, cell in enumerate(row)
+        ).rstrip()
+        for row in rows
+    )
+
+
 def printable_lines(text: str) -> str:
     """Return a text of several lines without what could move the cursor; see `printable`."""
     return "\n".join(map(printable, text.rstrip("\n").split("\n")))

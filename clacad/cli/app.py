@@ -49,18 +49,29 @@ def _main(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the design; writes NAME.toml.")],
-    template: Annotated[str, typer.Option("--template", metavar="T", help="paper, galilean, slab, plano, hexagonal, "
-                                "tilted, window; or a design of the paper: fig3, fig6-theta-1, paper-b …")] = "paper",
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Name of the design; writes NAME.toml. Without it, and at "
+                                               "a terminal, you are asked.", show_default=False)] = None,
+    template: Annotated[str | None, typer.Option("--template", metavar="T", help="paper, biconvex, galilean, slab, plano, "
+                                "hexagonal, tilted, window; or a design of the paper: fig3, fig6-theta-1, paper-b …; default "
+                                "paper.")] = None,
+    wish: Annotated[list[str] | None, typer.Option("--for", metavar="KEY=VALUE,...", help="Find a design that does this and "
+                                "passes verify: eta, width or circle, viewing, object, process, material, form, kind, delta, "
+                                "euler, field; e.g. 'eta=-1, circle=60 mm, process=moulding'. Repeatable.")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Print the templates with a line about each.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the file, write nothing.")] = False,
     overwrite: Replace = False,
+    set: Set = None,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> int:  # fmt: skip
-    """Write a commented design file."""
-    from clacad.cli.design_commands import new_design
+    """Write a commented design file: from a template, or for a wish, tried until it passes."""
+    from clacad.cli.new_command import NewRequest, list_templates, new_design
 
-    return new_design(name, template, overwrite=overwrite, json=json, quiet=quiet)
+    if list_:
+        return list_templates(json=json, quiet=quiet)
+    request = NewRequest(name, template, tuple(wish or ()), tuple(set or ()), dry_run, overwrite)
+    return new_design(request, json=json, quiet=quiet)
 
 
 @app.command()

@@ -25,7 +25,7 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     from clacad.exporting.forecast import outlook
     from clacad.storage.errors import LimitRefused
 
-    judged = judge(load_design(path, overrides))
+    judged = judge(_listable(load_design(path, overrides)))
     forecast = outlook(judged.window)
     if json:
         show_json(_document(judged, forecast, _advised(judged, quiet=quiet)))
@@ -34,6 +34,20 @@ def check_design(path: Path, overrides: list[str], *, json: bool, quiet: bool) -
     if judged.passes and all(row["refused"] for row in forecast):
         raise LimitRefused(str(forecast[0]["refused"]))
     return 0 if judged.passes else 1
+
+
+def _listable(design: Design) -> Design:
+    """The design; with an outline only if its cells, which are then gone through one by one, are not too many.
+
+    Raises
+    ------
+    LimitRefused
+    """
+    from clacad.exporting.limits import refuse_uncountable
+
+    if design.lattice.outline is not None:
+        refuse_uncountable(design)
+    return design
 
 
 def _advised(judged: Judged, *, quiet: bool) -> Advice:

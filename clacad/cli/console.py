@@ -7,20 +7,25 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 from clacad.base import log
 from clacad.base.machine_rates import span_text
 from clacad.base.text import plain, printable_lines
+from clacad.base.text import table as table
 from clacad.cli.streams import is_unicode
 
 
 def show_json(value: Any) -> None:
-    """Print one JSON document on stdout: sorted keys, no NaN (null instead), paths as text."""
-    ascii_only = not is_unicode(getattr(sys.stdout, "encoding", "utf-8"))
-    text = json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=ascii_only, default=str)
-    sys.stdout.write(text + "\n")
+    """Print one JSON document on stdout."""
+    sys.stdout.write(json_text(value, ascii_only=not is_unicode(getattr(sys.stdout, "encoding", "utf-8"))))
+
+
+def json_text(value: Any, *, ascii_only: bool = False) -> str:
+    """One JSON document: sorted keys, no NaN (null instead), paths as text."""
+    return (
+        json_module.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=ascii_only, default=str) + "\n"
+    )
 
 
 def show_text(text: str, *, quiet: bool = False) -> None:
@@ -33,23 +38,6 @@ def say(text: str, *, quiet: bool = False) -> None:
     """Print talk on stderr."""
     if not quiet:
         sys.stderr.write(printable_lines(text) + "\n")
-
-
-def table(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
-    """Align the columns of some rows of text; the last column is not padded."""
-    rows = [[str(cell) for cell in row] for row in rows]
-    if not rows:
-        return ""
-    widths = [
-        max((len(row[k]) for row in rows if k < len(row)), default=0) for k in range(max(map(len, rows)))
-    ]
-    return "\n".join(
-        indent
-        + "  ".join(
-            cell if k == len(row) - 1 else cell.ljust(widths[k]) for k, cell in enumerate(row)
-        ).rstrip()
-        for row in rows
-    )
 
 
 def size(count: float) -> str:

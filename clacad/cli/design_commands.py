@@ -1,30 +1,14 @@
-"""`clacad new`, `clacad schema`, and how commands read a design."""
+"""`clacad schema`, and how commands read a design."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.console import show_json, show_text
+from clacad.cli.console import show_json
 
 if TYPE_CHECKING:
     from clacad.design import Design
-
-
-def new_design(name: str, template: str, *, overwrite: bool, json: bool, quiet: bool) -> int:
-    """Write NAME.toml from a template and say what to do next."""
-    from clacad.design import template as text_of
-    from clacad.storage.atomic import write_content
-
-    stem = name.removesuffix(".toml")
-    text = text_of(Path(stem).name, template)
-    target = Path(f"{stem}.toml")
-    write_content(target, text, overwrite=overwrite)
-    if json:
-        show_json({"path": str(target), "template": template})
-    else:
-        show_text(f"wrote {target}\nnext: clacad check {target}", quiet=quiet)
-    return 0
 
 
 def print_schema(*, scene: bool) -> int:

@@ -155,8 +155,7 @@ LATTICE: Final[dict[str, Key]] = {
     "pitch": Key(Several(_ABOVE_0, _XY, single=True), "size of a cell", REQUIRED),
     "count": Key(
         Several(Whole(f"a whole number from 1 to {LARGEST_COUNT}"), ("n1", "n2"), single=True),
-        "number of cells",
-        REQUIRED,
+        "number of cells; may be left out with an outline, which is then filled",
     ),
     "seam": Key(_FROM_0, "width of the land along cell borders", 0.0),
     "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),

@@ -15,6 +15,7 @@ from clacad.config.key_positions import KeyPath, located, split_key
 from clacad.config.mistakes import Mistake, in_order
 from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
+from clacad.design.filled_outline import filling_count
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
 from clacad.design.sections import (
@@ -197,6 +198,8 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     if lattice["outline"] is not None:
         ((shape, size),) = lattice["outline"]
         lattice["outline"] = Outline(shape, (size, size) if shape == "circle" else size)
+        if lattice["count"] is None:
+            lattice["count"] = filling_count(lattice["kind"], lattice["pitch"], lattice["outline"].size)
     if body["frame"] is not None:
         frame = dict(body["frame"])
         body["frame"] = Frame(frame["width"], frame.get("height"))

@@ -9,7 +9,7 @@ from typing import Any, Final
 from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
-from clacad.config.value_kinds import shown
+from clacad.config.value_kinds import LARGEST_COUNT, shown
 
 SMALLEST_PITCH_M: Final = 1e-7
 """Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
@@ -233,6 +233,27 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
                   "with an odd lattice.count a cell lies in the middle")  # fmt: skip
 
 
+def count_or_outline(a: Asked) -> Iterator[Mistake]:
+    """The number of cells is given, or follows from the outline."""
+    if a.given("lattice.count") or not any(key.startswith("lattice.") for key in a.written):
+        return
+    if not a.given("lattice.outline"):
+        yield Mistake("CL103", "missing key lattice.count", "lattice.count",
+                      allowed=f"a whole number from 1 to {LARGEST_COUNT}, or [n1, n2]; or leave it to lattice.outline, which is then "
+                      "filled")  # fmt: skip
+        return
+    outline, pitch, kind = a("lattice.outline"), a("lattice.pitch"), a("lattice.kind")
+    if outline is None or pitch is None or kind is None:
+        return
+    shape, size = outline[0]
+    size = (size, size) if shape == "circle" else size
+    most = max(across / along for across, along in zip(size, pitch, strict=True))
+    if most > LARGEST_COUNT / 2:  # rows of hexagons stand closer than the pitch
+        yield Mistake("CL117", f"{a.says('lattice.outline')} is {most:.3g} cells wide", "lattice.outline",
+                      allowed=f"at most {LARGEST_COUNT / 2:.3g} cells",
+                      hint="a smaller outline or a larger pitch")  # fmt: skip
+
+
 def baffle_has_walls(a: Asked) -> Iterator[Mistake]:
     """A baffle needs its wall thickness, thinner than a cell; a wall needs a baffle."""
     wall, pitch = a("body.baffle_wall"), a("lattice.pitch")
@@ -258,6 +279,7 @@ RULES: Final[tuple[Rule, ...]] = (
     pitch_fits_lattice,
     seam_leaves_a_lens,
     outline_holds_a_cell,
+    count_or_outline,
     baffle_has_walls,
 )
 

@@ -111,7 +111,7 @@ class LatticeSpec:
     pitch : (2,) tuple of float, length
         Cell size in x and y; hexagonal: centre to centre, twice.
     count : (2,) tuple of int
-        Cells along the two lattice vectors (hexagonal: cells a row, rows).
+        Cells along the two lattice vectors (hexagonal: cells a row, rows); where left out, what fills the outline.
     seam : float, length
         Width of the land along cell borders.
     seam_depth : float or None, length

@@ -11,6 +11,8 @@ import numpy as np
 from clacad.base.digits import digits
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, Feasibility, LensFacts, two
 from clacad.sheet.feasibility.pitch_for_eye import Two, Viewing
+from clacad.sheet.lattice import Circle
+from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 
 LENGTHS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"))
@@ -45,7 +47,8 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
         values = value if isinstance(value, tuple) else (value,)
         return ", ".join(digits(v * scale) for v in values)
 
-    rows = [row for lens in facts.lenses for row in _lens_rows(lens, of_length, name)]
+    rows = _sheet_rows(window, facts, of_length, name)
+    rows += [row for lens in facts.lenses for row in _lens_rows(lens, of_length, name)]
     rows += [row for body in facts.bodies for row in _body_rows(body, of_length, name)]
     if isfinite(facts.clearance):
         means = "lowest point of body 2 less highest of body 1"
@@ -54,6 +57,28 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
     rows.append(FactRow("assembly", "separation (in air)", of_length(facts.separation), name, means))
     rows += _view_rows(facts, of_length, name)
     return (*rows, *_pitch_rows(facts, of_length, name, window.unit))
+
+
+def _sheet_rows(
+    window: Window, facts: Feasibility, of_length: Callable[[float | Two], str], name: str
+) -> list[FactRow]:
+    """Rows of the sheet as a whole; `of_length` writes lengths in the unit `name`."""
+    lattice = window.lattice
+    x0, x1, y0, y1 = whole_extent(window)
+    wide, high = of_length(x1 - x0), of_length(y1 - y0)
+    rim = window.outline
+    is_round = isinstance(rim, Circle) and x1 - x0 <= rim.diameter * (
+        1.0 + 1e-12
+    )  # no array stands beside the other
+    low, top = min(body.low for body in facts.bodies), max(body.high for body in facts.bodies)
+    n1, n2 = lattice.count
+    cells = f"{n1} x {n2}" if lattice.outline is None else f"{lattice.cell_count} of {n1} x {n2}"
+    return [
+        FactRow("sheet", "outer size", f"{wide} round" if is_round else f"{wide} x {high}", name, "of all bodies, seen along z"),
+        FactRow("sheet", "height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
+        FactRow("sheet", "cells", cells, "", "telescopelets" if lattice.outline is None else
+            "telescopelets that lie wholly inside the outline"),
+    ]  # fmt: skip
 
 
 def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:

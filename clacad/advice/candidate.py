@@ -1,0 +1,130 @@
+"""A design that might fulfil a wish: one form, one pitch, one separation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor, inf, log10
+from typing import Any, Final, Literal
+
+from clacad.advice.first_numbers import MILLIMETRES
+from clacad.advice.wish import KEYS, Wish, angle_text
+from clacad.design import Design
+from clacad.design.process_profiles import profile
+from clacad.verification.checks import NEAR
+
+Form = Literal["slab", "plano", "biconvex"]
+Curved = Literal["outside", "inside"]
+
+FORMS: Final[tuple[tuple[Form, Curved], ...]] = (
+    ("slab", "outside"), ("plano", "inside"), ("plano", "outside"), ("biconvex", "outside"),
+)  # fmt: skip
+"""In the order they are tried: one piece; plates with their lenses out of harm's way, then in reach; two-sided lenses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """How a pair is built, apart from its sizes.
+
+    Parameters
+    ----------
+    form, curved : str
+        `curved` counts for plano only.
+    conic : float or None
+        Of both meridians of both lenses; None: ellipsoids.
+    aperture : float
+        Slope of the middle of the field over that of the line through both lenses: 1 looks along the lenses, 0 along the
+        sheet's normal.
+    slope : (2,) tuple of float
+        That of the line through both lenses, sheet frame.
+    """
+
+    form: Form
+    curved: Curved = "outside"
+    conic: float | None = None
+    aperture: float = 1.0
+    slope: tuple[float, float] = (0.0, 0.0)
+
+
+def apertures(wish: Wish) -> tuple[float, ...]:
+    """Where the field may look, the best first.
+
+    Light along the normal meets lens 2 beside its vertex: neighbours then stand at different heights, which only some
+    processes make.
+    """
+    if wish.straight:
+        return (1.0,)
+    return (0.0, 0.25, 0.5, 0.75, 1.0) if profile(wish.process).wall == inf else (1.0, 0.75, 0.5, 0.0)
+
+
+def built(
+    wish: Wish, variant: Variant, pitch: float, ratio: float, name: str, overrides: Sequence[str] = ()
+) -> Design:
+    """The design of a variant at a pitch (millimetres) and a separation of `ratio` pitches, rounded to three digits.
+
+    Raises
+    ------
+    DesignError
+        There is no such lens, or an override does not fit.
+    """
+    return Design.from_dict(_keys(wish, variant, pitch, ratio, name), overrides)
+
+
+def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -> dict[str, Any]:
+    law: dict[str, Any] = {"eta": list(wish.eta), "delta": list(wish.delta), "euler": list(wish.euler)}
+    body = _body(wish, variant)
+    lattice = _lattice(wish, variant, pitch)
+    pair: dict[str, Any] = {"form": variant.form, "separation": round_to(pitch * ratio, 3)}
+    if variant.form == "plano":
+        pair["curved"] = variant.curved
+    if variant.form == "biconvex" and "outline" in lattice:  # land needs a plate to lie in
+        pair["web"] = body.get("neck", round_to(pitch / 20.0, 2))
+    if variant.conic is not None:
+        pair |= {"surface": "biconic", "conic": [variant.conic, variant.conic]}
+    check: dict[str, Any] = {"process": wish.process}
+    if wish.field != KEYS["field"].default:
+        check["field"] = angle_text(wish.field)
+    sections = {
+        "law": law,
+        "pair": pair | {"material": wish.material},
+        "lattice": lattice,
+        "body": body,
+        "check": check,
+    }
+    return {
+        "format": 1,
+        "name": name,
+        "unit": "mm",
+        **{key: value for key, value in sections.items() if value},
+    }
+
+
+def _body(wish: Wish, variant: Variant) -> dict[str, Any]:
+    """A slab is thick enough by itself; plates and lenses are as thick as their edges must be."""
+    rules = profile(wish.process)
+    neck = 1.02 * MILLIMETRES * max(rules.edge, rules.neck) / NEAR
+    return {"neck": round_to(neck, 3, up=True)} if variant.form != "slab" and neck > 0.0 else {}
+
+
+def _lattice(wish: Wish, variant: Variant, pitch: float) -> dict[str, Any]:
+    found: dict[str, Any] = {"kind": wish.kind, "pitch": pitch}
+    if wish.size.shape == "circle":
+        found["outline"] = {"circle": wish.size.size[0]}
+    elif wish.kind == "hexagonal":
+        found["outline"] = {"rectangle": list(wish.size.size)}
+    else:
+        found["count"] = [max(1, floor(side / pitch + 1e-9)) for side in wish.size.size]
+    if variant.aperture == 0.0:
+        found["aperture"] = "aligned"
+    elif variant.aperture != 1.0:
+        found["aperture"] = [round(variant.aperture * slope, 4) for slope in variant.slope]
+    return found
+
+
+def round_to(value: float, digits: int, up: bool = False) -> float:
+    """A number in so many significant digits; `up`: none below it."""
+    if value == 0.0:
+        return 0.0
+    places = digits - 1 - floor(log10(abs(value)))
+    rounded = round(value, places)
+    return rounded if not up or rounded >= value else round(rounded + 10.0**-places, places)

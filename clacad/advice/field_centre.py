@@ -1,0 +1,79 @@
+"""What a window does to light in the middle of its field, by nine rays: fast enough to shape lenses by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, tan
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.design import Design
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import trace_sequence
+from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.window import Window
+from clacad.verification.light.law_checks import FIT_SCALE
+
+
+@dataclass(frozen=True, slots=True)
+class CentreErrors:
+    """Errors in the middle of the field, and along the axis ray.
+
+    Parameters
+    ----------
+    law, decollimation : float, radians
+        What the recipe leaves along the axis ray (`Window.residual`).
+    eta : float
+        Largest relative error of the change of exit slopes with entry slopes, over the directions of the fit of η.
+    """
+
+    law: float
+    decollimation: float
+    eta: float
+
+    def lasting(self, design: Design) -> float:
+        """What no separation helps, over what the design allows; below 1 it is kept."""
+        return max(self.law / design.check.law_rms, self.eta / design.check.eta)
+
+    def shrinking(self, design: Design) -> float:
+        """What falls as pitch over separation, over what the design allows."""
+        return self.decollimation / design.check.law_rms
+
+
+def centre_errors(window: Window, field: float) -> CentreErrors:
+    """Trace the middle of lens 1 in the middle of the field and about it.
+
+    Parameters
+    ----------
+    window : Window
+    field : float, radians
+        Half angle of the cone of test rays; the fit of η takes a tenth.
+    """
+    left = window.residual
+    return CentreErrors(left.get("law", inf), left.get("decollimation", inf), _eta_error(window, field))
+
+
+def _eta_error(window: Window, field: float) -> float:
+    """Largest stretch of ∂(exit slope)/∂(asked exit slope) from 1; infinite where light does not get through."""
+    step = tan(FIT_SCALE * field)
+    slopes = np.array([(step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)]) + aperture_slope(window)
+    direction = np.column_stack([slopes, np.ones(4)])
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    low, _ = window.z_range
+    middle = np.array([*window.shifts[0], window.bodies[0].front.vertex[2]])
+    start = middle - direction * ((middle[2] - low + 1.0) / direction[:, 2:])
+    seen = trace_sequence(interfaces(window), Rays(start, direction))
+    if not (seen.fate == Fate.ALIVE).all():
+        return inf
+    found, asked = _change(seen.direction), _change(window.law.refract(direction))
+    if not (np.isfinite(found).all() and np.isfinite(asked).all()):
+        return inf
+    return float(np.linalg.svd(found @ np.linalg.inv(asked) - np.eye(2), compute_uv=False).max())
+
+
+def _change(direction: Floats) -> Floats:
+    """Differences (2, 2) of exit slopes (rows) between the rays of each pair (columns)."""
+    slope = direction[:, :2] / direction[:, 2:]
+    return np.stack([slope[0] - slope[1], slope[2] - slope[3]], axis=1)

@@ -1,0 +1,182 @@
+"""Closed formulas that say, before anything is built, between which pitches and separations a wish can come true.
+
+They are first numbers for the search (`clacad.advice.search`), which builds and judges; nothing is promised by them.
+Sources: thin-lens relations and third-order sums as in Welford, *Aberrations of Optical Systems*; the pitch of least blur
+from the quarter-wave rule (wave-traced within 10 %).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf, isfinite, pi, sqrt
+
+from clacad.advice.wish import WAVELENGTH, Wish
+from clacad.design.process_profiles import profile
+from clacad.optics.material.catalogue import find
+from clacad.verification.checks import NEAR
+
+MILLIMETRES = 1e3
+"""In a metre."""
+
+FRESNEL = 10.5
+"""Fresnel number that is aimed at; below 10 verify warns."""
+
+FEWEST_CELLS = 5
+"""Across a sheet."""
+
+ARCMINUTE = pi / 180.0 / 60.0
+"""What an eye tells apart."""
+
+SPHERICAL = 1.5
+"""Rms error of a slab of spheres with eta = -1, over (pitch/separation)³."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A length (millimetres) that a pitch is held against, and why."""
+
+    value: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What the formulas need of a form: its radii over (n - 1) f, and the thickness of the part over its separation."""
+
+    radius: float
+    thickness: float
+
+
+def shape_of(form: str, index: float) -> Shape:
+    """Of biconvex lenses both faces share the power; a slab is n times its separation thick."""
+    return Shape(2.0 if form == "biconvex" else 1.0, index if form == "slab" else 0.0)
+
+
+def index_of(wish: Wish) -> float:
+    """Refractive index at the design wavelength."""
+    return float(find(wish.material).index(WAVELENGTH))
+
+
+def powers(wish: Wish) -> list[float]:
+    """η of the meridians that have power."""
+    return [eta for eta in wish.eta if eta != 1.0]
+
+
+def returning(wish: Wish) -> float:
+    """Width of the light that comes back to the viewer from one cell, over the pitch: min(1, 1/|η|), the lesser axis."""
+    return min(1.0, *(1.0 / abs(eta) for eta in wish.eta))
+
+
+def balanced_pitch(wish: Wish) -> float:
+    """√(λD/min(1, 1/|η|)), millimetres: a pixel looks as large as the diffraction of the light that comes back from it."""
+    return sqrt(WAVELENGTH * MILLIMETRES * wish.viewing / returning(wish))
+
+
+def sharpest_pitch(wish: Wish, behind: float) -> float:
+    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer.
+
+    Each cell is a small telescope whose own image of the point lies at z/η², the array's at z/η; least blur is where that
+    defocus is a quarter wave at the beam's edge, p = √(2 λ z/|η(1 − η)|) max(1, |η|); of two meridians the lesser.
+    """
+    wave = WAVELENGTH * MILLIMETRES
+    return min(
+        sqrt(2.0 * wave * behind / abs(eta * (1.0 - eta))) * max(1.0, abs(eta)) for eta in powers(wish)
+    )
+
+
+def wanted_pitch(wish: Wish) -> Bound:
+    """The pitch that looks best, before anybody has to make it."""
+    if wish.object is not None:
+        return Bound(
+            sharpest_pitch(wish, wish.object),
+            f"least blur of what stands {wish.object:g} mm behind the sheet",
+        )
+    return Bound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.viewing:g} mm")
+
+
+def aberration(wish: Wish, ratio: float) -> float:
+    """Rms error of the law (radians) to expect of spherical lenses at a separation of `ratio` pitches.
+
+    Lens i errs by the third power of its aperture over f_i, pitch × (1 − η)/separation, lens 1 seen through lens 2, 1/|η|;
+    and the exit slope t/η keeps a distortion of its third power.
+    """
+    sphere = max(SPHERICAL * abs(1.0 - eta) ** 3 * (1.0 + 1.0 / abs(eta)) / 16.0 for eta in powers(wish))
+    exit_slope = max(wish.field / abs(eta) for eta in powers(wish))
+    return sqrt((sphere / ratio**3) ** 2 + (0.5 * exit_slope**3) ** 2)
+
+
+def least_ratio(wish: Wish, error: float) -> float:
+    """Separation over pitch at which spherical aberration alone makes this rms error (radians)."""
+    sphere = max(SPHERICAL * abs(1.0 - eta) ** 3 * (1.0 + 1.0 / abs(eta)) / 16.0 for eta in powers(wish))
+    return float((sphere / error) ** (1.0 / 3.0))
+
+
+def _radii(wish: Wish, ratio: float, shape: Shape, index: float) -> list[list[float]]:
+    """|R| of lens 1 and lens 2 in each meridian, over the pitch."""
+    first = [inf if eta == 1.0 else ratio / abs(1.0 - eta) for eta in wish.eta]
+    second = [f * abs(eta) for f, eta in zip(first, wish.eta, strict=True)]
+    return [[shape.radius * (index - 1.0) * f for f in lens] for lens in (first, second)]
+
+
+def _sags(wish: Wish, radii: list[list[float]]) -> list[float]:
+    """Height of each lens over its cell, over the pitch."""
+    corner = (
+        1.0 / 6.0 if wish.kind == "hexagonal" else 1.0 / 4.0
+    )  # square of the half width, the mean of all turns
+    return [sum(corner / (2.0 * r) for r in lens if isfinite(r)) for lens in radii]
+
+
+def lower_pitches(wish: Wish, ratio: float, shape: Shape) -> Iterator[Bound]:
+    """Pitches that the wish must not fall below at a separation of `ratio` pitches, each with its reason."""
+    rules, index = profile(wish.process), index_of(wish)
+    radii = _radii(wish, ratio, shape, index)
+    least, flattest = min(min(lens) for lens in radii), min(_sags(wish, radii))
+    made = wish.process
+    yield Bound(_fresnel_pitch(wish, ratio), f"Fresnel number {FRESNEL:g} at {ratio:g} pitches of separation")
+    yield Bound(MILLIMETRES * rules.pitch / NEAR, f"least pitch of {made}")
+    yield Bound(MILLIMETRES * 20.0 * rules.voxel, f"20 voxels of {made} across a cell")
+    yield Bound(MILLIMETRES * rules.radius / NEAR / least, f"least radius of {made}")
+    yield Bound(
+        MILLIMETRES * 10.5 * rules.tool / least, f"the tool of {made} leaves a tenth of a cell rounded"
+    )
+    if rules.layer > 0.0:
+        yield Bound(
+            MILLIMETRES * 21.0 * rules.layer / flattest, f"20 layers of {made} in the height of a lens"
+        )
+    if shape.thickness > 0.0:
+        yield Bound(MILLIMETRES * rules.edge / NEAR / (shape.thickness * ratio), f"least edge of {made}")
+
+
+def upper_pitches(wish: Wish, ratio: float, shape: Shape) -> Iterator[Bound]:
+    """Pitches that the wish must not exceed at a separation of `ratio` pitches, each with its reason."""
+    rules = profile(wish.process)
+    steepest = max(_sags(wish, _radii(wish, ratio, shape, index_of(wish))))
+    yield Bound(min(wish.size.size) / FEWEST_CELLS, f"{FEWEST_CELLS} cells across the sheet")
+    yield Bound(MILLIMETRES * NEAR * rules.sag / steepest, f"greatest height of a lens of {wish.process}")
+
+
+def _fresnel_pitch(wish: Wish, ratio: float) -> float:
+    """Pitch (millimetres) of Fresnel number `FRESNEL`: (w/2)²/(λ f2), w = p min(1, |η|), f2 = |η| s/|1 − η|."""
+    worst = max(abs(eta) / (abs(1.0 - eta) * min(1.0, abs(eta)) ** 2) for eta in powers(wish))
+    turned = 1.2 if wish.kind == "hexagonal" else 1.0  # a hexagon's equivalent width is its breadth over √1.2
+    return FRESNEL * turned * 4.0 * WAVELENGTH * MILLIMETRES * ratio * worst
+
+
+def undistorted_conic(form: str, curved: str, index: float) -> float | None:
+    """Conic constant of lens 2 at which light along the axis of an offset pair leaves by the law, to third order.
+
+    It meets lens 2 at the height d = δ f1 and leaves at δ/|η| = d/f2, if the slope of the face grows with the height as
+    Snell's law asks of a collimating face: tan τ = u + (1 + K) u³/2 at u = d/R2, and its exit slope (n − 1) u + c u³.
+    None for biconvex lenses, where the form of both faces shares the work.
+    """
+    n = index
+    if form == "biconvex":
+        return None
+    if (
+        form == "slab" or curved == "outside"
+    ):  # glass to air at the curved face, the axis ray normal to the sheet
+        cubic = -n / 2.0 + n**3 / 6.0 + 1.0 / 3.0 + (n - 1.0) ** 3 / 3.0
+    else:  # air to glass at the curved face, then the plane one
+        cubic = -n / 3.0 + 0.5 - 1.0 / (6.0 * n**2) - (n - 1.0) ** 3 / (6.0 * n**2) + (n - 1.0) ** 3 / 2.0
+    return -1.0 - 2.0 * cubic / (n - 1.0)

@@ -1,0 +1,133 @@
+"""The shape of lenses that keeps light on the law where it goes off the axis: offset and tilted pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from math import inf
+
+from clacad.advice.candidate import FORMS, Variant, apertures, built
+from clacad.advice.field_centre import centre_errors
+from clacad.advice.first_numbers import index_of, undistorted_conic
+from clacad.advice.wish import Wish
+from clacad.design import Design, DesignError
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.vignetting import aperture_slope
+
+ENOUGH = 0.9
+"""Part of the limits that the middle of the field may use."""
+
+WITHIN = 0.95
+"""Part of them beyond which a shape is not worth tracing."""
+
+SPREAD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.5, -0.5, 0.7, -0.7)
+"""Conic constants that are tried, from that of the closed formula."""
+
+FINE = (0.025, -0.025, 0.05, -0.05, 0.075, -0.075)
+"""Then about the best of those."""
+
+RATIO = 20.0
+"""Separation in pitches at which shapes are compared."""
+
+FARTHEST = 2.0
+"""Pitches by which light may meet lens 2 beside its vertex."""
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Errors in the middle of the field over what the design allows: those that no separation helps, and the others."""
+
+    lasting: float
+    shrinking: float
+
+    @property
+    def cost(self) -> tuple[float, float]:
+        """Less is better: what is beyond enough first, then the separation that is needed."""
+        return max(0.0, self.lasting - ENOUGH), self.shrinking
+
+
+@dataclass(frozen=True, slots=True)
+class LensShapes:
+    """Forms and shapes for a wish.
+
+    Parameters
+    ----------
+    wish : Wish
+    pitch : float, millimetres
+        At which they are compared; nearly all the same at any.
+    overrides : sequence of str
+        "key=value" of the design, as with --set.
+    refused : list of str
+        Gets a sentence for each form that is not worth tracing.
+    """
+
+    wish: Wish
+    pitch: float
+    overrides: Sequence[str] = ()
+    refused: list[str] = field(default_factory=list)
+
+    def variants(self) -> Iterator[tuple[Variant, float]]:
+        """What to try, the best first, each with the separation in pitches that it needs at least."""
+        for aperture in apertures(self.wish):
+            for form, curved in FORMS:
+                if self.wish.form in ("any", form):
+                    variant = Variant(form, curved, None, aperture)
+                    yield from self._straight(variant) if self.wish.straight else self._offset(variant)
+
+    def _straight(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
+        """Spheres or ellipsoids first, then what has no distortion."""
+        yield variant, 0.0
+        conic = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
+        if conic is not None:
+            yield replace(variant, conic=round(conic, 3)), 0.0
+
+    def _offset(self, variant: Variant) -> Iterator[tuple[Variant, float]]:
+        """The variant with the conic that keeps the law in the middle of the field and along the axis ray, if one does."""
+        try:
+            x, y = aperture_slope(prescribe(self._design(replace(variant, aperture=1.0))))
+        except DesignError as problem:
+            self.refused.append(f"{variant.form}: {problem.mistakes[0].message}")
+            return
+        if (1.0 - variant.aperture) * RATIO * max(abs(x), abs(y)) > FARTHEST:
+            return
+        variant = replace(variant, slope=(float(x), float(y)))
+        faults = self._compared(variant)
+        chosen = min(faults, key=lambda conic: faults[conic].cost)
+        found = faults[chosen]
+        if found.lasting <= WITHIN:
+            yield replace(variant, conic=chosen), RATIO * found.shrinking / ENOUGH
+            return
+        missed = (
+            f"is missed by {found.lasting:.3g} times what the design allows"
+            if found.lasting < inf
+            else "is not met: no light passes"
+        )
+        self.refused.append(
+            f"{variant.form}: in the middle of the field and along the axis ray the law {missed}, whatever the conic constant and the "
+            "separation; less offset or less tilt would help"
+        )
+
+    def _compared(self, variant: Variant) -> dict[float | None, Faults]:
+        """Faults by conic constant: of the ellipsoid, and unless that is good enough of those about the closed formula's."""
+        faults: dict[float | None, Faults] = {None: self._faults(variant)}
+        start = undistorted_conic(variant.form, variant.curved, index_of(self.wish))
+        if start is None or faults[None].cost <= (0.0, ENOUGH):
+            return faults
+        conics = [round(start + step, 3) for step in SPREAD]
+        faults |= {conic: self._faults(replace(variant, conic=conic)) for conic in conics}
+        best = min(conics, key=lambda conic: faults[conic].cost)
+        return faults | {
+            conic: self._faults(replace(variant, conic=conic))
+            for conic in (round(best + step, 3) for step in FINE)
+        }
+
+    def _faults(self, variant: Variant) -> Faults:
+        try:
+            design = self._design(variant)
+            found = centre_errors(prescribe(design), self.wish.field)
+        except DesignError:
+            return Faults(inf, inf)
+        return Faults(found.lasting(design), found.shrinking(design))
+
+    def _design(self, variant: Variant) -> Design:
+        return built(self.wish, variant, self.pitch, RATIO, "trial", self.overrides)

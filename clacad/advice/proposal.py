@@ -1,0 +1,113 @@
+"""The answer to a wish: a design that passes, why its numbers are what they are, and its file; or why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from clacad.advice.judged import Judged
+from clacad.advice.nearest_wish import binding, nearest
+from clacad.advice.search import Search, Tried
+from clacad.advice.trade_offs import Trade, sentences, trade_offs
+from clacad.advice.wish import Wish, read_wish
+from clacad.base.types import Progress, silent
+from clacad.design import Design
+
+
+class NoSuchSheet(ValueError):
+    """A wish that no design that was tried fulfils; says which limit binds and which wishes near it come true."""
+
+    exit_status = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A design that fulfils a wish.
+
+    Parameters
+    ----------
+    wish : Wish
+    chosen : Tried
+        The design, as judged, and what it was made of.
+    trades : tuple of Trade
+        It and its neighbours.
+    judgements : int
+        Designs that were built, traced and judged.
+    """
+
+    wish: Wish
+    chosen: Tried
+    trades: tuple[Trade, ...]
+    judgements: int
+
+    @property
+    def design(self) -> Design:
+        """The design."""
+        return self.chosen.judged.design
+
+    @property
+    def judged(self) -> Judged:
+        """What verify will say of it."""
+        return self.chosen.judged
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the numbers are what they are, and what they cost one another."""
+        one = self.chosen
+        warnings = [f"warning {c.id}: {c.sentence}" for c in self.judged.warning]
+        return (
+            f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
+            f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which the law is kept as sharply "
+            "as a pixel looks, or as the limits ask",
+            *([] if one.variant.conic is None else [f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"]),
+            *sentences(self.wish, self.trades[0]),
+            *warnings,
+        )  # fmt: skip
+
+    @property
+    def text(self) -> str:
+        """The commented design file."""
+        from clacad.advice.proposal_text import file_text
+
+        return file_text(self)
+
+
+def design_for(
+    wish: Wish | Mapping[str, Any],
+    overrides: Sequence[str] = (),
+    *,
+    name: str = "wish",
+    progress: Progress | None = None,
+) -> Proposal:
+    """Find a design that fulfils a wish and passes verify.
+
+    Closed formulas say where to look; what is proposed was built, traced through one cell and judged by the checks that
+    verify uses, with its limits as they are. The same wish gives the same design.
+
+    Parameters
+    ----------
+    wish : Wish or mapping
+        ``{"eta": -1, "circle": "60 mm", "process": "moulding", "material": "PC"}``: words of `clacad new --for`; lengths
+        without a unit are millimetres.
+    overrides : sequence of str
+        "key.path=value" that the design must keep, as with --set.
+    name : str
+        Of the design.
+    progress : callable or None
+        Called with a stage's name and the part done.
+
+    Raises
+    ------
+    DesignError
+        The wish or an override cannot be read.
+    NoSuchSheet
+        Nothing that was tried passes.
+    """
+    asked = wish if isinstance(wish, Wish) else read_wish(wish)
+    search = Search(asked, name, tuple(overrides), progress or silent)
+    chosen = search.run()
+    if chosen is None:
+        raise NoSuchSheet("\n".join([*binding(search), *nearest(search)]))
+    trades = trade_offs(asked, chosen.judged)
+    return Proposal(asked, chosen, trades, len(search.tried) + len(trades) - 1)

@@ -1,0 +1,55 @@
+"""The design file of a proposal, with comments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+from clacad.advice.nearest_wish import plain_words
+from clacad.advice.trade_offs import rows_of
+from clacad.base.text import table
+from clacad.design.canonical_text import to_toml
+from clacad.design.keys import ROOT, SECTIONS
+
+if TYPE_CHECKING:
+    from clacad.advice.proposal import Proposal
+
+WIDTH = 118
+
+
+def file_text(found: Proposal) -> str:
+    """TOML with comments; it loads as it stands."""
+    lines = ["#:schema clacad.schema.json"]
+    lines += _wrapped(f"Made for the wish {plain_words(found.wish)}.")
+    words = sorted({check.id for check in found.judged.warning})
+    end = f"passes, with a warning: {', '.join(words)}" if words else "passes, without a warning"
+    lines += _wrapped(f"Built, traced through one cell and judged by the checks of clacad verify: {end}.")
+    lines += ["#", "# Why these numbers:"]
+    for reason in found.reasons:
+        lines += _wrapped(reason, first="# * ", rest="#   ")
+    lines += ["#", "# What others would give, each built and traced:"]
+    lines += [f"#{row}" for row in table(rows_of(found.trades)).split("\n")]
+    return "\n".join([*lines, "", *_keys(found.design.given)]) + "\n"
+
+
+def _wrapped(text: str, first: str = "# ", rest: str = "# ") -> list[str]:
+    return wrap(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _keys(given: Any) -> Iterator[str]:
+    """The keys as written, each with what it means."""
+    section = ""
+    for line in to_toml(given).rstrip("\n").split("\n"):
+        if line.startswith("["):
+            section = line.strip("[]")
+        name = line.partition(" = ")[0]
+        known = SECTIONS.get(section, {}).get(name) if section else ROOT.get(name)
+        yield line if known is None or not line.partition(" = ")[1] else f"{line.ljust(34)} # {known.about}"

@@ -1,0 +1,156 @@
+"""What other sizes would give: each one built, traced and judged like the design itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import atan, degrees, inf
+
+from clacad.advice.candidate import round_to
+from clacad.advice.first_numbers import ARCMINUTE, MILLIMETRES, returning, sharpest_pitch
+from clacad.advice.judged import Judged, judge
+from clacad.advice.wish import WAVELENGTH, Wish
+from clacad.base.digits import digits
+from clacad.design import Design, DesignError
+
+
+@dataclass(frozen=True, slots=True)
+class Trade:
+    """One row: a design and what is gained and lost by it. Lengths in millimetres, angles in radians.
+
+    Parameters
+    ----------
+    name : str
+    pitch, separation, height : float
+        Height: of the whole sheet.
+    rms : float
+        Error of the law, traced.
+    diffraction, pixel : float
+        λ over the width of the light that comes back from one cell, and the pitch, as the viewer sees them.
+    field : float
+        Half angle in which the sheet shows the law.
+    seen : float
+        Width of the sheet in which the viewer sees it.
+    step, sag : float
+        Highest step between neighbours, and greatest height of a lens.
+    verdict : str
+        "passes", or what fails or warns.
+    """
+
+    name: str
+    pitch: float
+    separation: float
+    height: float
+    rms: float
+    diffraction: float
+    pixel: float
+    field: float
+    seen: float
+    step: float
+    sag: float
+    verdict: str
+
+    def to_dict(self) -> dict[str, float | str]:
+        """JSON-ready."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+def trade_offs(wish: Wish, chosen: Judged) -> tuple[Trade, ...]:
+    """The design itself, then half and twice its pitch and a smaller and a larger separation, each at its own price."""
+    pitch, separation = min(chosen.design.lattice.pitch), chosen.window.thin.separation
+    rows = [_row("this design", wish, chosen)]
+    for name, p, s in (
+        ("half the pitch", 0.5, 0.5), ("twice the pitch", 2.0, 2.0), ("lenses nearer", 1.0, 0.7), ("lenses farther apart", 1.0, 1.4),
+    ):  # fmt: skip
+        design = _resized(chosen.design, wish, round_to(pitch * p, 3), round_to(separation * s, 3))
+        if design is not None:
+            try:
+                rows.append(_row(name, wish, judge(design)))
+            except DesignError:
+                continue
+    return tuple(rows)
+
+
+def _resized(design: Design, wish: Wish, pitch: float, separation: float) -> Design | None:
+    changes: dict[str, object] = {"lattice.pitch": pitch, "pair.separation": separation}
+    if design.lattice.outline is None:
+        changes["lattice.count"] = [max(1, int(side / pitch + 1e-9)) for side in wish.size.size]
+    try:
+        return design.replace(changes)
+    except DesignError:
+        return None
+
+
+def _row(name: str, wish: Wish, judged: Judged) -> Trade:
+    facts, design = judged.facts, judged.design
+    to_mm = design.unit_m * MILLIMETRES
+    pitch = min(design.lattice.pitch) * to_mm
+    half = min(facts.half_field)
+    found = {check.id: check for check in judged.checks}
+    rms = found["law_rms"].value
+    faults = list(dict.fromkeys(c.id for c in judged.failing)) or list(
+        dict.fromkeys(c.id for c in judged.warning)
+    )
+    words = "passes" if judged.passes else "fails"
+    return Trade(
+        name, pitch, facts.separation * to_mm,
+        (max(b.high for b in facts.bodies) - min(b.low for b in facts.bodies)) * to_mm,
+        rms if isinstance(rms, float) else inf, WAVELENGTH * MILLIMETRES / (pitch * returning(wish)), pitch / wish.viewing,
+        atan(half), 2.0 * half * wish.viewing, max(b.step for b in facts.bodies) * to_mm,
+        max(lens.sag for lens in facts.lenses) * to_mm, f"{words}: {', '.join(faults)}" if faults else words,
+    )  # fmt: skip
+
+
+HEAD = (
+    "",
+    "pitch",
+    "separation",
+    "height",
+    "error",
+    "diffraction",
+    "pixel",
+    "field",
+    "seen",
+    "step",
+    "sag",
+    "verdict",
+)
+UNITS = ("", "mm", "mm", "mm", "mrad rms", "mrad", "mrad", "+- deg", "mm", "um", "um", "")
+
+
+def rows_of(trades: Sequence[Trade]) -> list[tuple[str, ...]]:
+    """The rows as text, two of heading first."""
+    return [HEAD, UNITS, *(_texts(trade) for trade in trades)]
+
+
+def _texts(t: Trade) -> tuple[str, ...]:
+    def short(value: float) -> str:
+        return digits(value, count=3)
+
+    return (
+        t.name, short(t.pitch), short(t.separation), short(t.height), short(1e3 * t.rms), short(1e3 * t.diffraction),
+        short(1e3 * t.pixel), short(degrees(t.field)), short(t.seen), short(1e3 * t.step), short(1e3 * t.sag), t.verdict,
+    )  # fmt: skip
+
+
+def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
+    """What the numbers say of each other, for this wish."""
+    wave = WAVELENGTH * MILLIMETRES
+    fine, sharp = wish.viewing * ARCMINUTE, wave / (ARCMINUTE * returning(wish))
+    found = [
+        f"pitch: pixels vanish from {wish.viewing:g} mm at {fine:.3g} mm and below, diffraction at {sharp:.3g} mm and above; "
+        + (f"both only from {sharp / ARCMINUTE / MILLIMETRES:.3g} m on" if sharp > fine else "both hold between them"),
+        f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here, which is "
+        f"{own.seen:.3g} mm of the sheet seen from {wish.viewing:g} mm, but aberration grows as the third power of pitch over "
+        "separation",
+        "steps: none between neighbours" if own.step == 0.0 else
+        f"steps: neighbours stand up to {1e3 * own.step:.3g} um apart in height; tilt makes pitch x tan(theta), light beside a lens's "
+        "middle the rest",
+    ]  # fmt: skip
+    if wish.object is not None:
+        best = sharpest_pitch(wish, wish.object)
+        found.insert(
+            1,
+            f"sharpness: what stands {wish.object:g} mm behind is least blurred at a pitch of {best:.3g} mm (within a tenth)",
+        )
+    return tuple(found)

@@ -1,0 +1,243 @@
+"""A wish: what a sheet shall do, how large it is, from where it is looked at, and who makes it of what.
+
+Read with the same kinds of value as a design file, so that units, ranges and messages are the same.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import degrees, radians
+from typing import Any, Final, Literal
+
+from clacad.base.text import did_you_mean, near
+from clacad.base.units import LENGTHS, Unit
+from clacad.config.compound_kinds import Several
+from clacad.config.design_error import DesignError
+from clacad.config.mistakes import Mistake
+from clacad.config.quantities import Quantity
+from clacad.config.value_kinds import Refusal, Word, shown
+from clacad.design.keys import CHECK, LAW, PAIR, REQUIRED, Key
+from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known
+from clacad.design.sections import Outline, Pair2
+
+UNIT: Final = Unit("mm", LENGTHS["mm"])
+"""Of bare lengths in a wish, and of the design that is made of it."""
+
+WAVELENGTH: Final = 550e-9
+"""Metres; design wavelength, the design file's default."""
+
+_LENGTH = Quantity("length", "a length > 0", above=0.0)
+
+KEYS: Final[dict[str, Key]] = {
+    "eta": Key(Several(LAW["eta"].kind.kind, ("x", "y"), single=True), "light leaves at slopes (t - delta)/eta; -1 turns it over, "  # type: ignore[attr-defined]
+               "0 < eta < 1 shrinks without turning", REQUIRED),
+    "delta": Key(LAW["delta"].kind, "offset of the image, delta_i = d_i/f1_i", (0.0, 0.0)),
+    "euler": Key(LAW["euler"].kind, "phi, theta, psi: turn and tilt of the lens axes, degrees", (0.0, 0.0, 0.0)),
+    "width": Key(Several(_LENGTH, ("width", "height"), single=True), "a rectangular sheet of this width (and height)"),
+    "circle": Key(_LENGTH, "a round sheet of this diameter"),
+    "viewing": Key(_LENGTH, "distance from which the sheet is looked at", 1000.0),
+    "object": Key(_LENGTH, "distance behind the sheet of what shall be seen sharply"),
+    "process": Key(CHECK["process"].kind, "who makes it: its limits", "diamond-turning"),
+    "material": Key(PAIR["material"].kind, "what it is made of", "PMMA"),
+    "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
+    "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
+    "field": Key(CHECK["field"].kind, "half angle of the cone of light in which the law shall hold", radians(1.0)),
+}  # fmt: skip
+"""What a wish says: reader, meaning and default of each word."""
+
+SYNONYMS: Final = {
+    "offset": "delta", "tilt": "euler", "turn": "euler", "size": "width", "diameter": "circle", "outline": "circle",
+    "round": "circle", "distance": "viewing", "eye": "viewing", "from": "viewing", "lattice": "kind", "made": "process",
+}  # fmt: skip
+"""What people call a word of a wish elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What is wished for. Lengths in millimetres.
+
+    Parameters
+    ----------
+    eta, delta : (2,) tuple of float
+    euler : (3,) tuple of float, degrees
+    size : Outline
+    viewing : float, length
+        Distance of the eye from the sheet.
+    object : float or None, length
+        Distance behind the sheet of what shall be seen sharply; None: nothing in particular.
+    process, material : str
+    form : {"any", "slab", "plano", "biconvex"}
+    kind : {"square", "hexagonal"}
+        Pattern of the cells.
+    field : float, radians
+        Half angle of the cone of light in which the law shall hold.
+    """
+
+    eta: Pair2
+    size: Outline
+    delta: Pair2 = (0.0, 0.0)
+    euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    viewing: float = 1000.0
+    object: float | None = None
+    process: str = "diamond-turning"
+    material: str = "PMMA"
+    form: Literal["any", "slab", "plano", "biconvex"] = "any"
+    kind: Literal["square", "hexagonal"] = "square"
+    field: float = radians(1.0)
+
+    @property
+    def straight(self) -> bool:
+        """Whether the lens axes are the sheet's normal and no lens is offset: light along it stays on the axis."""
+        return self.delta == (0.0, 0.0) and self.euler[1] == 0.0
+
+    @property
+    def steps(self) -> bool:
+        """Whether neighbouring lens faces meet at different heights whatever the lenses are."""
+        turned = (self.euler[0] + self.euler[2]) % 90.0 != 0.0
+        return self.euler[1] != 0.0 or (self.eta[0] != self.eta[1] and (turned or self.kind == "hexagonal"))
+
+    def words(self) -> dict[str, Any]:
+        """The wish as it would be written: what differs from the defaults, lengths as bare millimetres."""
+        shape = "circle" if self.size.shape == "circle" else "width"
+        size = self.size.size[0] if self.size.size[0] == self.size.size[1] else list(self.size.size)
+        eta = self.eta[0] if self.eta[0] == self.eta[1] else list(self.eta)
+        found: dict[str, Any] = {"eta": eta, shape: size}
+        for name, key in KEYS.items():
+            if name not in ("eta", "width", "circle") and getattr(self, name) != key.default:
+                value = getattr(self, name)
+                found[name] = (
+                    list(value)
+                    if isinstance(value, tuple)
+                    else angle_text(value)
+                    if name == "field"
+                    else value
+                )
+        return found
+
+
+def angle_text(radians_: float) -> str:
+    """An angle as it would be written: in degrees where that is the same number."""
+    text = f"{degrees(radians_):g}"
+    return f"{text} deg" if radians(float(text)) == radians_ else f"{radians_!r} rad"
+
+
+def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
+    """Words of a wish from texts "KEY=VALUE, KEY=VALUE, …" as with --for; later ones replace earlier ones.
+
+    Values are numbers, [lists] or plain text: ``eta=[-.5, -2], circle=60 mm, process=moulding``.
+
+    Raises
+    ------
+    DesignError
+        A part that is not KEY=VALUE.
+    """
+    found: dict[str, Any] = {}
+    for text in texts:
+        for part in re.split(r",(?![^\[]*\])", text):
+            key, equals, value = part.partition("=")
+            if not part.strip():
+                continue
+            if not equals or not key.strip() or not value.strip():
+                raise DesignError([Mistake("CL118", f"{part.strip()!r} is not KEY=VALUE", path="--for",
+                                           allowed="such as 'eta=-1, circle=60 mm, process=moulding'")])  # fmt: skip
+            found[key.strip()] = written(value.strip())
+    return found
+
+
+def written(text: str) -> Any:
+    """A typed value: a number or [list] where it reads as one (0 may be left out before a point), else the text."""
+    whole = re.sub(r"(?<![\w.])\.(?=\d)", "0.", text.strip())
+    try:
+        return tomllib.loads(f"value = {whole}")["value"]
+    except ValueError:
+        return text.strip().strip("\"'")
+
+
+def read_word(name: str, value: object) -> Any:
+    """Value of one word of a wish, checked.
+
+    Raises
+    ------
+    DesignError
+    """
+    try:
+        return KEYS[name].kind.read(value, UNIT)
+    except Refusal as refusal:
+        raise DesignError([_refused(name, one) for one in (refusal, *refusal.others)]) from None
+
+
+def read_wish(words: Mapping[str, Any]) -> Wish:
+    """Read a wish; lengths bare in millimetres or with a unit.
+
+    Parameters
+    ----------
+    words : mapping
+        Some of `KEYS` to what a design file would hold.
+
+    Raises
+    ------
+    DesignError
+        With every mistake.
+    """
+    found, mistakes = _converted(words)
+    sizes = [name for name in ("width", "circle") if name in words]
+    if "eta" not in words:
+        mistakes.append(
+            Mistake("CL103", "a wish needs eta", "eta", "--for", allowed=KEYS["eta"].kind.allowed(UNIT))
+        )
+    if len(sizes) != 1:
+        what = "a wish needs the sheet's size" if not sizes else "width and circle exclude each other"
+        mistakes.append(Mistake("CL103" if not sizes else "CL112", what, "width", "--for",
+                                allowed='exactly one of width = a length or [width, height] and circle = a diameter'))  # fmt: skip
+    mistakes += _broken_rules(found)
+    if mistakes:
+        raise DesignError(mistakes)
+    width, circle = found.pop("width", None), found.pop("circle", None)
+    size = Outline("rectangle", width) if circle is None else Outline("circle", (circle, circle))
+    return Wish(size=size, **found)
+
+
+def _converted(words: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
+    """Values that could be read, and what is wrong with the others."""
+    found: dict[str, Any] = {}
+    mistakes: list[Mistake] = []
+    for name, value in words.items():
+        if name not in KEYS:
+            mistakes.append(_unknown(name))
+            continue
+        try:
+            found[name] = read_word(name, list(value) if isinstance(value, tuple) else value)
+        except DesignError as problem:
+            mistakes += problem.mistakes
+    return found, mistakes
+
+
+def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
+    """What the rules of designs say of the law and the material."""
+    homes = {"eta": "law.eta", "delta": "law.delta", "euler": "law.euler", "material": "pair.material"}
+    values = {
+        home: found.get(name, KEYS[name].default)
+        for name, home in homes.items()
+        if name in found or name != "eta"
+    }
+    asked = Asked({**values, "pair.wavelength": WAVELENGTH}, {}, UNIT)
+    return [
+        Mistake(m.code, m.message, m.key.split(".", 1)[1], "--for", allowed=m.allowed, hint=m.hint)
+        for rule in (law_is_a_pair, lens_faces_forward, material_is_known)
+        for m in rule(asked)
+    ]
+
+
+def _refused(name: str, refusal: Refusal) -> Mistake:
+    place = "".join(f"[{step}]" for step in refusal.where)
+    return Mistake(refusal.code, f"{name}{place} = {shown(refusal.value)} {refusal.complaint}", name, "--for",
+                   found=shown(refusal.value), allowed=refusal.allowed, hint=refusal.hint)  # fmt: skip
+
+
+def _unknown(name: str) -> Mistake:
+    meant = [SYNONYMS[name]] if name in SYNONYMS else near(name.lower(), KEYS, 0.6)
+    return Mistake("CL102", f"unknown word {name}{did_you_mean(meant, before='; ')}", name, "--for",
+                   allowed=f"a wish says {', '.join(KEYS)}", hint=meant[0] if meant else "")  # fmt: skip
