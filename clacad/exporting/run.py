@@ -103,7 +103,7 @@ def _forecast(
     quads = chosen_quads(grader, request, formats)
     rows = forecast(meshes, formats, quads, request)
     if not request.force and out is not None:
-        limits.refuse_over_limits(meshes, rows, out)
+        limits.refuse_over_limits(meshes.window, rows, out)
     return with_prospects(grader, rows, request.role)
 
 
