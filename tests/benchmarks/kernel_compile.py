@@ -19,7 +19,7 @@ import resource, sys, time
 sys.path[:0] = [{tests!r}, {tests!r} + "/benchmarks"]
 import numpy as np
 from oracle.windows import biconvex
-from trace_speed import beam
+from peer_jobs import beam
 from viewscenes import view_scene
 from clacad import tessellate, trace
 from clacad.rendering import view_through
