@@ -26,7 +26,7 @@ numba = without_settings("numba")
 FunctionCache: Any = numba.core.caching.FunctionCache
 
 SOURCES = (
-    "tracing/**/*.py", "**/*compiled*.py", "**/compiled/*.py",
+    "tracing/reference/*.py", "tracing/triangles/*.py", "tracing/layout.py", "tracing/ledger.py", "**/*compiled*.py", "**/compiled/*.py",
     "optics/*.py", "optics/surface/*.py", "sheet/window.py", "rendering/scene_arrays.py",
 )  # fmt: skip
 """Files that kernels are made of: their own, and those whose constants are compiled in."""

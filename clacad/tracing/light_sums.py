@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.law import Law, law_numbers
+from clacad.optics.law import Law, law_numbers, linear_numbers, with_linear_numbers
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.tracing.reference.law_rung import ordinary
 from clacad.tracing.reference.light_sums import GRADIENT, KNOWN, NORMAL, NUMBERS, OUT, SQUARE, sums_of
@@ -103,13 +103,7 @@ class LightSums:
         ValueError
             As `step`; or an η would be infinite.
         """
-        powers, offsets = np.split(_numbers(self.law) + self.step(), 2)
-        if not np.all(powers != 0.0):
-            raise ValueError(
-                "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
-            )
-        law = self.law
-        return Law(*(1.0 / powers), *(offsets / powers), law.phi, law.theta, law.psi, law.axes)
+        return with_linear_numbers(self.law, linear_numbers(self.law) + self.step())
 
 
 def summed(
@@ -161,16 +155,12 @@ def fitted(tracer: Tracer, rays: Rays, law: Law | None = None) -> LightSums:
     found = tracer.sums(rays, law)
     for _ in range(STEPS):
         nearer = found.nearer_law()
-        change = np.abs(_numbers(nearer) - _numbers(found.law)).max() / np.abs(_numbers(nearer)).max()
+        there = linear_numbers(nearer)
+        change = np.abs(there - linear_numbers(found.law)).max() / np.abs(there).max()
         found = tracer.sums(rays, nearer)
         if change < SETTLED:
             return found
     raise ValueError(f"the law that these rays show does not settle in {STEPS} steps")
-
-
-def _numbers(law: Law) -> Floats:
-    """1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y."""
-    return np.array([1.0, 1.0, law.delta_x, law.delta_y]) / [law.eta_x, law.eta_y, law.eta_x, law.eta_y]
 
 
 def _of_piece(law: Law, ray: Floats, result: TraceResult, compiled: bool) -> Summed:

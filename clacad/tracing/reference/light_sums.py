@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Bools, Floats
-from clacad.optics.law import Law, angle_between
+from clacad.optics.law import Law, angle_between, linear_numbers
 from clacad.optics.rays import Fate, TraceResult
 
 KNOWN = len(Fate)
@@ -44,13 +44,8 @@ def sums_of(law: Law, ray: Floats, result: TraceResult) -> tuple[Floats, float]:
 def _step_sums(law: Law, ray: Floats, out: Floats, known: Bools) -> Floats:
     """N and g: (14,)."""
     m = (ray[known] / np.linalg.norm(ray[known], axis=1)[:, None]) @ law.rotation
-    w = np.stack(
-        [
-            (m[:, 0] - law.delta_x * m[:, 2]) / law.eta_x,
-            (m[:, 1] - law.delta_y * m[:, 2]) / law.eta_y,
-            m[:, 2],
-        ]
-    )
+    power_x, power_y, offset_x, offset_y = linear_numbers(law)
+    w = np.stack([m[:, 0] * power_x - m[:, 2] * offset_x, m[:, 1] * power_y - m[:, 2] * offset_y, m[:, 2]])
     length = np.sqrt((w * w).sum(axis=0))
     x, y, z = w / length
     a, b, c = m.T / length
