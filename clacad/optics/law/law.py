@@ -270,10 +270,10 @@ def with_linear_numbers(law: Law, numbers: Floats) -> Law:
     ValueError
         1/η is 0 along an axis.
     """
-    powers, offsets = numbers[:2], numbers[2:]
-    if not np.all(powers != 0.0):
+    x, y, offset_x, offset_y = numbers.tolist()
+    if x == 0.0 or y == 0.0:
         raise ValueError(NO_POWER)
-    return Law(*(1.0 / powers), *(offsets / powers), law.phi, law.theta, law.psi, law.axes)
+    return Law(1.0 / x, 1.0 / y, offset_x / x, offset_y / y, law.phi, law.theta, law.psi, law.axes)
 
 
 def _refract_rows(law: Law, r: Floats, directions: Floats) -> Floats:
