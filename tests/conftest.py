@@ -68,9 +68,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(autouse=True)
 def _nothing_loaded() -> None:
     """Let the size of a trace choose its path, as in a fresh process, whatever ran before: the same bits every time."""
-    tracer = sys.modules.get("clacad.tracing.tracer")
-    if tracer is not None:
-        tracer._LOADED.clear()
+    paths = sys.modules.get("clacad.tracing.which_path")
+    if paths is not None:
+        paths.LOADED.clear()
+        paths.WAITED.clear()
 
 
 class NetworkUsed(Exception):

@@ -26,7 +26,7 @@ numba = without_settings("numba")
 FunctionCache: Any = numba.core.caching.FunctionCache
 
 SOURCES = (
-    "tracing/**/*.py", "**/*compiled*.py", "**/compiled/*.py",
+    "tracing/reference/*.py", "tracing/triangles/*.py", "tracing/layout.py", "tracing/ledger.py", "**/*compiled*.py", "**/compiled/*.py",
     "optics/*.py", "optics/surface/*.py", "sheet/window.py", "rendering/scene_arrays.py",
 )  # fmt: skip
 """Files that kernels are made of: their own, and those whose constants are compiled in."""
@@ -84,6 +84,14 @@ class SealedFiles:
                 return data if kept == key else None
         return None
 
+    def holds(self, key: Any) -> bool:
+        """Whether a whole file stands where such a signature is kept."""
+        path = self.path(key)
+        with suppress(OSError), open(path, "rb") as stream:
+            if _trusted(stream.fileno()):
+                return stream.read(SEAL) == self._seal(path, stream.read())
+        return False
+
     def save(self, key: Any, data: Any) -> None:
         """Keep compiled code; where it cannot be written that is said once, and it is compiled again next time."""
         path = self.path(key)
@@ -140,6 +148,15 @@ def keep(kernel: Any) -> Any:
     except RuntimeError:  # the compiler found no folder it may write to
         tell_not_kept()
     return kernel
+
+
+def is_kept(kernel: Any, arguments: tuple[Any, ...]) -> bool:
+    """Whether code for arguments of these types is on disk, so that calling the kernel loads and does not compile it."""
+    cached = getattr(kernel, "_cache", None)
+    if not isinstance(cached, SealedCache):
+        return False
+    types = tuple(kernel.typeof_pyval(argument) for argument in arguments)
+    return cached._cache_file.holds((types, kernel.targetctx.codegen().magic_tuple()))
 
 
 @cache

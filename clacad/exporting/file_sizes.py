@@ -13,7 +13,7 @@ import numpy as np
 
 from clacad.base.units import millimetres
 from clacad.exporting.tessellations import Meshes, instanceable, weld
-from clacad.formats.mesh.repeated_pieces import Places
+from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Places
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.window import Window
 
@@ -71,7 +71,7 @@ def _first_facets(rows: Iterator[Floats]) -> Floats:
 def _places_bytes(places: Places, scale: float) -> float:
     from clacad.formats.mesh import threemf
 
-    if places.count > threemf.FLAT_LIMIT:
+    if places.count > FLAT_LIMIT:
         offsets, standing = places.rows()
         lines = sum(len(row) for row in offsets) + len(standing)
         return 12.0 * lines

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.machine_rates import Rates
 from clacad.base.units import millimetres
@@ -22,13 +22,18 @@ from clacad.exporting.limits import (
     refuse_over_limits,
 )
 from clacad.exporting.request import DEFAULTS, Request
+from clacad.exporting.rough_sizes import RoughSheet
+from clacad.formats.step.step_mode import chosen_mode
 from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
     from clacad.exporting.roles import Prospect
     from clacad.exporting.tessellations import Meshes
-    from clacad.formats.step.step_files import Mode
+    from clacad.formats.step.step_mode import Mode
     from clacad.sheet.window import Window
+
+ROUGH_GRID = 8
+"""Quads a cell side of a mesh of shared vertices, as `check` foresees it."""
 
 LETTER_POINTS = 30
 """Points of the outline of a letter, about."""
@@ -195,25 +200,30 @@ def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     else:
         nodes = threemf_place_bytes(window) if places else 0
         size = threemf_bytes(meshes, quads) + nodes
+    return replace(_welded_row(name, size, held, facets, places, quads), places=nodes)
+
+
+def _welded_row(name: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
     memory = int(700 * held + 400 * places)
     seconds = costs.welded_seconds(name, held, places)
     return Forecast(
-        name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000),
-        stored=held, places=nodes,
+        name, size, False, facets, quads, seconds, (memory // 2 + 100_000_000, 2 * memory + 200_000_000), stored=held,
     )  # fmt: skip
 
 
 def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast:
     from clacad.exporting.file_sizes import step_bytes
-    from clacad.formats.step.step_files import chosen_mode
 
     mode = chosen_mode(window, step)
+    return _step_row(window, mode, step_bytes(window, mode, pcurves))
+
+
+def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         memory = (400_000_000, 900_000_000 + 250_000 * columns)
     else:
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
-    size = step_bytes(window, mode, pcurves)
     return Forecast("step", size, False, None, None, costs.step_seconds(size, mode), memory)
 
 
@@ -250,41 +260,47 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
 
 
 def outlook(window: Window) -> list[dict[str, Any]]:
-    """Forecast the common formats for `check`: roughly what an export with default settings would cost.
+    """Forecast the common formats for `check`: roughly, and at once, what an export with default settings would cost.
 
-    Meant to be quick: only meshes of 4 and 8 quads are counted, finer ones follow from them. Each row is
+    Nothing is meshed or drawn up (`rough_sizes`); what an export would write to the byte, its `--dry-run` says. Each row is
     `Forecast.to_dict()` with "refused": None or the sentence an export would be refused with.
     """
-    from clacad.exporting.tessellations import Meshes
-
     try:
         n1, n2 = window.lattice.count
         refuse_cells(int(n1), int(n2))
     except LimitRefused as refusal:  # said, not counted: counting facets walks along the outline
         return [{"format": name, "refused": str(refusal)} for name in ("step", "stl", "3mf")]
-    meshes = Meshes(window)
-    facets = _facets_of_finer(meshes.facets(4), meshes.facets(8))
-    quads = next(
-        (q for q in QUADS if 84 + 50 * facets[q] <= MOST_BYTES and facets[q] <= MOST_FACETS), QUADS[-1]
-    )
-    plain = _forecast_stl("stl", facets[quads], 1, quads, exact=quads <= 8)
-    rows = [_forecast_step(window, "auto"), plain, _forecast_one(meshes, "3mf", 8)]
-    return [row.to_dict() | {"refused": _refusal(meshes, row)} for row in timed(rows)]
+    sheet = RoughSheet.of_window(window)
+    most = min(MOST_BYTES // 50, MOST_FACETS)
+    quads = next((q for q in QUADS if sheet.facets(q) * sheet.cells <= most), QUADS[-1])
+    mode = chosen_mode(window, "auto")
+    if sheet.repeats:
+        held, times, places = sheet.piece(ROUGH_GRID), sheet.cells, sheet.cells * sheet.bodies
+    else:
+        held, times, places = sheet.facets(ROUGH_GRID) * sheet.cells, 1, 0
+    rows = [
+        _step_row(window, mode, about(sheet.step_bytes(mode == "fused"))),
+        _forecast_stl("stl", about(sheet.facets(quads) * sheet.cells), 1, quads, exact=False),
+        _welded_row(
+            "3mf",
+            about(sheet.threemf_bytes(ROUGH_GRID)),
+            about(held),
+            about(held * times),
+            places,
+            ROUGH_GRID,
+        ),
+    ]
+    return [row.to_dict() | {"refused": _refusal(window, row)} for row in timed(rows)]
 
 
-def _facets_of_finer(four: int, eight: int) -> dict[int, int]:
-    """Facets at every grid of `QUADS`, a sum of a linear and a square part, from those at 4 and at 8 quads a side.
-
-    Where a rim is told only by finer grids the two do not say so: then the number is taken to grow in proportion.
-    """
-    square = max(0.0, (eight - 2 * four) / 32)
-    linear = max(0.0, eight / 8 - 8 * square)
-    return {4: four, 8: eight} | {q: int(linear * q + square * q * q) for q in QUADS if q > 8}
+def about(number: int) -> int:
+    """Two digits of a number that is known no better."""
+    return int(float(f"{number:.1e}"))
 
 
-def _refusal(meshes: Meshes, row: Forecast) -> str | None:
+def _refusal(window: Window, row: Forecast) -> str | None:
     try:
-        refuse_over_limits(meshes, [row], Path())
+        refuse_over_limits(window, [row], Path())
     except LimitRefused as refusal:
         return str(refusal)
     return None

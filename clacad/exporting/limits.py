@@ -164,7 +164,7 @@ def facets_at_least(window: Window, quads: int) -> int:
     return quads * quads * structured * window.lattice.cell_count
 
 
-def refuse_over_limits(meshes: Meshes, rows: Sequence[Forecast], folder: Path) -> None:
+def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -> None:
     """Hold a forecast against the limits: facets, bytes a file, free memory, free disk.
 
     Raises
@@ -172,13 +172,12 @@ def refuse_over_limits(meshes: Meshes, rows: Sequence[Forecast], folder: Path) -
     LimitRefused
         With the number, the limit, and two ways to get under it.
     """
-    window = meshes.window
     memory, disk = free_memory(), free_disk(folder)
     for row in rows:
         if row.facets is not None and row.quads is not None and row.format in STL_FORMATS:
             _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
-        held = meshes.welded(row.quads or 4, row.format) if row.format in WELDED_FORMATS else 0
-        if held > MOST_WELDED:
+        held = row.facets if row.stored is None else row.stored
+        if row.format in WELDED_FORMATS and held is not None and held > MOST_WELDED:
             raise LimitRefused(
                 f"{row.format}: {count_text(held)} facets with shared vertices are more than "
                 f"{count_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or force it)"

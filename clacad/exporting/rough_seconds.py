@@ -10,6 +10,8 @@ from clacad.exporting import costs
 from clacad.exporting.format_names import MESHES, REPEATING, SOLIDS, STL_FORMATS
 from clacad.exporting.limits import MOST_FACETS, QUADS
 from clacad.exporting.roles import Role
+from clacad.exporting.rough_sizes import RoughSheet
+from clacad.formats.step.step_mode import FUSED_CELLS
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -45,21 +47,6 @@ def rough_span(design: Design, request: Request) -> Span:
     return Span(found.middle / wide, found.middle * wide, found.seen)
 
 
-def _cells(design: Design) -> int:
-    n1, n2 = design.lattice.count
-    return int(n1) * int(n2)
-
-
-def _bodies(design: Design) -> int:
-    return 1 if design.pair.form == "slab" else 2
-
-
-def _facets(design: Design, grid: int) -> int:
-    """Facets of one cell of all bodies, about: two triangles a square of the grid of each curved face."""
-    faces = 4 if design.pair.form == "biconvex" else 2
-    return faces * 2 * grid * grid * (3 if design.lattice.kind == "hexagonal" else 1)
-
-
 def _grid(design: Design, request: Request, name: str) -> int:
     """Facet grid of a format: as asked, or about what will be chosen."""
     asked = request.quads.get(name)
@@ -69,24 +56,22 @@ def _grid(design: Design, request: Request, name: str) -> int:
         return asked
     if request.role.get(name) is Role.PREVIEW:
         return QUADS[-1]
-    return next((q for q in QUADS if _facets(design, q) * _cells(design) <= MOST_FACETS), QUADS[-1])
+    sheet = RoughSheet.of_design(design)
+    return next((q for q in QUADS if sheet.facets(q) * sheet.cells <= MOST_FACETS), QUADS[-1])
 
 
 def _seconds(design: Design, request: Request, name: str, grids: dict[str, int]) -> float:
     """Modelled seconds of one format."""
-    cells, bodies = _cells(design), _bodies(design)
+    sheet = RoughSheet.of_design(design)
+    cells, bodies = sheet.cells, sheet.bodies
     if name == "step":
-        from clacad.formats.step.step_files import FUSED_CELLS
-
-        n1, n2 = design.lattice.count
         fused = request.step == "fused" or (request.step == "auto" and cells <= FUSED_CELLS)
-        size = bodies * (cells * 7000 if fused else 20_000 + 500 * int(n1 + n2))
-        return costs.step_seconds(size, "fused" if fused else "instanced")
+        return costs.step_seconds(sheet.step_bytes(fused), "fused" if fused else "instanced")
     if name in SOLIDS:
         return costs.solid_seconds(8000 * cells * bodies)
     if name not in MESHES:
         return costs.map_seconds(name, 100 * cells * bodies, 2 * bodies)
-    facets = _facets(design, grids[name])
+    facets = sheet.facets(grids[name])
     if name in STL_FORMATS:
         return costs.stl_seconds(facets * cells)
     if name in REPEATING:

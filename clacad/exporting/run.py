@@ -143,9 +143,9 @@ def _forecast(
     if where is not None and not request.force:
         for row in rows:
             with refused.of(row.format):
-                limits.refuse_over_limits(meshes, [row], where[0])
+                limits.refuse_over_limits(meshes.window, [row], where[0])
         if not refused:
-            limits.refuse_over_limits(meshes, rows, where[0])  # the disk holds all of them
+            limits.refuse_over_limits(meshes.window, rows, where[0])  # the disk holds all of them
     refused.complete()
     return with_prospects(grader, rows, request.role)
 

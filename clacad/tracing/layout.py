@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -156,10 +156,11 @@ def _laid_out(window: Window) -> Layout:
     offsets = np.array([lattice.offset(*step) for step in borders])
     lengths = np.hypot(offsets[:, 0], offsets[:, 1])
     shift = np.subtract(window.shifts[1], window.shifts[0])
+    sampled = _sample_cell(window)
     steps, residual = relocate(lattice, shift[None, :])
     return Layout(
         window=window,
-        bodies=tuple(_plan_body(window, body) for body in window.bodies),
+        bodies=tuple(_plan_body(window, body, sampled) for body in window.bodies),
         normals=offsets / lengths[:, None],
         halves=0.5 * lengths,
         margin=0.5 * window.land.seam,
@@ -177,11 +178,19 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 # -- bounds ------------------------------------------------------------------------------------
 
 
-def _plan_body(window: Window, body: Body) -> BodyPlan:
+class SampledCell(NamedTuple):
+    """Points of a cell where faces are sampled: x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,)."""
+
+    x: Floats
+    y: Floats
+    spacing: float
+    zone: Bools
+
+
+def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
     """A body as the tracer needs it: bounds from heights sampled over a cell, lengths over its own level."""
     level = body.front.vertex[2]
-    x, y, spacing = _sample_points(window)
-    zone = in_optical_tile(window, x, y)
+    x, y, spacing, zone = sampled
     front_z, front_slope = _sampled(body.front, x, y)
     back_z, back_slope = _sampled(body.back, x, y)
     solid = np.ones(x.shape, dtype=bool)
@@ -219,8 +228,8 @@ def _covered(gap: Floats, body: Body, spacing: float) -> bool:
     return bool(np.isfinite(gap).all() and gap.min() > bend * spacing * spacing)
 
 
-def _sample_points(window: Window) -> tuple[Floats, Floats, float]:
-    """Points over one cell, its borders and corners included, and their spacing."""
+def _sample_cell(window: Window) -> SampledCell:
+    """Points over one cell, its borders and corners included."""
     tile = window.lattice.tile()
     low, high = tile.min(axis=0), tile.max(axis=0)
     grid = np.stack(
@@ -236,9 +245,8 @@ def _sample_points(window: Window) -> tuple[Floats, Floats, float]:
             ox, oy = window.lattice.offset(*s)
             keep &= np.abs(grid @ np.array([ox, oy])) <= 2.0 * h * h
         grid = grid[keep]
-    points = np.concatenate([grid, edges])
-    spacing = float(np.max(high - low)) / (SAMPLES - 1)
-    return points[:, 0], points[:, 1], spacing
+    x, y = np.concatenate([grid, edges]).T
+    return SampledCell(x, y, float(np.max(high - low)) / (SAMPLES - 1), in_optical_tile(window, x, y))
 
 
 def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -13,7 +13,8 @@ from clacad.base.types import Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.sheet.window import Window
-from clacad.tracing.tracer import Path, Tracer
+from clacad.tracing.tracer import Tracer
+from clacad.tracing.which_path import Path
 
 if TYPE_CHECKING:
     from clacad.effects.engine.passes import Effect

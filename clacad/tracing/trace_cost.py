@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from clacad.tracing.tracer import IDEAL_FACES, worth_compiled
+from clacad.tracing.which_path import IDEAL_FACES, worth_compiled
 
 FIXED = 0.03
 """Archives opened, the result put together."""

@@ -1,25 +1,30 @@
 """Processor seconds and wall clock of what people call, each row in a process of its own.
 
     python tests/benchmarks/calls.py [ROW ...] [--against OTHER_TREE]
+    python tests/benchmarks/calls.py --python [WORD ...] [--against OTHER_TREE]
 
 Without rows all of them run; `--list` names them. A row runs with PYTHONPATH set to the tree, after the kernels of that tree
 were compiled, and counts its whole process: starting Python, loading modules, and every process it starts itself. Of rows
 that take less than ten seconds the best of three is said. With `--against` each row runs once in this tree and once in the
 other, in turns, so that both meet the same neighbours on a shared machine.
+
+With `--python` the rows are those calls of the library, and of its peers, whose names hold a word: `call_rates.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 SHORT, TIMES = 10.0, 3
@@ -139,6 +144,50 @@ def line(name: str, found: Seconds, other: Seconds | None) -> str:
     return words
 
 
+PYTHON_HEAD = (
+    "| call (one core) | first: processor s | wall s | again: processor s | wall s | ns a ray | by |"
+    "\n|---|---|---|---|---|---|---|"
+)
+
+
+THREADS = ("CLACAD_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""What says on how many cores this program and its peers run."""
+
+
+def called(name: str, tree: Path) -> dict[str, Any]:
+    """What `call_rates.py` of this tree finds for a row, the program imported from another or this one."""
+    script = Path(__file__).with_name("call_rates.py")
+    environment = os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": str(tree)}
+    told = subprocess.run(
+        [sys.executable, str(script), name], env=environment, cwd=tree, check=True, stdout=subprocess.PIPE, text=True
+    )  # fmt: skip
+    found: dict[str, Any] = json.loads(told.stdout.splitlines()[-1])
+    return found
+
+
+def python_line(found: Mapping[str, Any], by: str) -> str:
+    """One row of the table of calls of the library."""
+    if "left_out" in found:
+        return f"| {found['row']} | left out: {found['left_out']} | | | | | |"
+    again = min(found["best"], found["second"])
+    seconds = [*found["first"], *again]
+    cells = " | ".join(f"{one:.4f}" if one < 0.1 else f"{one:.2f}" for one in seconds)
+    return f"| {found['row']} | {cells} | {1e9 * again[0] / found['rays']:.0f} | {found['peer'] or by} |"
+
+
+def python_rows(words: Sequence[str], trees: Sequence[Path]) -> None:
+    """Print the table of calls of the library: every row in this tree and, of its own calls, in the other."""
+    from call_rates import ROWS as calls
+
+    print(PYTHON_HEAD, flush=True)
+    for name, (_, _, package) in calls.items():
+        if words and not any(word in name for word in words):
+            continue
+        for tree, by in zip(trees, ("this tree", "before"), strict=False):
+            if by == "this tree" or not (package or "sums, " in name):
+                print(python_line(called(name, tree), by), flush=True)
+
+
 def main() -> None:
     """Run rows and print a table."""
     parser = argparse.ArgumentParser(description="Processor seconds and wall clock of what people call.")
@@ -146,12 +195,18 @@ def main() -> None:
     parser.add_argument(
         "--against", type=Path, help="another tree of this program, measured in turns with this one"
     )
+    parser.add_argument(
+        "--python", action="store_true", help="calls of the library; ROW: words of their names"
+    )
     parser.add_argument("--list", action="store_true", help="name the rows")
     asked = parser.parse_args()
     if asked.list:
         print("\n".join(ROWS))
         return
     trees = [ROOT] if asked.against is None else [ROOT, asked.against.resolve()]
+    if asked.python:
+        python_rows(asked.rows, trees)
+        return
     head = "| row | processor s | wall s | peak MB | MB written |"
     head += " before: processor s | wall s | peak MB | ratio |" if len(trees) > 1 else ""
     print(f"{head}\n|{'---|' * (head.count('|') - 1)}", flush=True)

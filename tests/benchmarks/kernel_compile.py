@@ -19,9 +19,9 @@ import resource, sys, time
 sys.path[:0] = [{tests!r}, {tests!r} + "/benchmarks"]
 import numpy as np
 from oracle.windows import biconvex
-from trace_speed import beam
+from peer_jobs import beam
 from viewscenes import view_scene
-from clacad import tessellate, trace
+from clacad import Tracer, tessellate, trace
 from clacad.rendering import view_through
 from clacad.tracing.triangles.triangle_soup import TriangleSoup
 window = biconvex(count=(20, 20))
@@ -43,6 +43,9 @@ KERNELS = {
     "float32": (TRACE + 'precision="float32")', 'precision="float32"; accuracy'),
     "law": (TRACE + 'rung="law", path="numba")', "rung law, many rays"),
     "thin": (TRACE + 'rung="thin", path="numba")', "rung thin, many rays"),
+    "sums of law's rays (with law)": (
+        'Tracer(window, "law", path="numba", threads=1).sums(rays)', "Tracer.sums, whatever the rung"
+    ),
     "losses (with surfaces)": (
         TRACE + 'effects=("fresnel", "absorption", "polarisation"), path="numba")', "effects, many rays"
     ),

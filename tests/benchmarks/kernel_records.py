@@ -52,7 +52,7 @@ def rates() -> dict[str, Callable[[], Any]]:
     """What is timed."""
     from fates import all_directions
     from oracle.windows import biconvex, slab
-    from trace_speed import beam
+    from peer_jobs import beam
     from viewscenes import view_scene
 
     from clacad import tessellate, trace

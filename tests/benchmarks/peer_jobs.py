@@ -21,6 +21,20 @@ SPARE = 8
 """Copies of the rays made beforehand, for peers that work in place."""
 
 
+def beam(window, count: int, spread: float, inset: float) -> Rays:
+    """Rays about the middle of the field; inset 1: anywhere, less: that part of each cell about its middle."""
+    rng = np.random.default_rng(0)
+    cells = window.lattice.cells()
+    cell = window.lattice.centres(cells[rng.integers(0, len(cells), count)])
+    aim = np.column_stack(
+        [cell + inset * window.lattice.pitch[0] * rng.uniform(-0.5, 0.5, (count, 2)), np.zeros(count)]
+    )
+    direction = np.column_stack([rng.uniform(-spread, spread, (count, 2)), np.ones(count)])
+    direction[:, :2] += np.divide(window.thin.shift, window.thin.offset[2])
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return Rays(aim - 0.02 * direction, direction)
+
+
 def sphere_of(face) -> float:
     """Radius, positive where the centre lies on the +z side."""
     return face.surface.side / face.surface.curvature_x
@@ -147,6 +161,87 @@ def optiland_whole(
         ]  # fmt: skip
 
     return run, lambda: last[0], lambda: last[1]
+
+
+def centre_of(face) -> list[float]:
+    """Centre of a face's sphere."""
+    x, y, z = face.vertex
+    return [x, y, z + sphere_of(face)]
+
+
+def mitsuba_whole(
+    window: Window, rays: Rays
+) -> tuple[Job, Callable[[], np.ndarray], Callable[[], np.ndarray]]:
+    """Each face's sphere a scene of mitsuba, which says where rays meet it and its normal there (float32, LLVM); Snell in its arrays."""
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    dr.set_thread_count(1)
+    size, faces = abs(sphere_of(window.faces[0])), []  # lengths near 1, for float32
+    for body in window.bodies:
+        for face, eta in ((body.front, 1.0 / body.index), (body.back, body.index)):
+            sphere = {
+                "type": "sphere",
+                "center": [c / size for c in centre_of(face)],
+                "radius": abs(sphere_of(face)) / size,
+            }
+            faces.append((mi.load_dict({"type": "scene", "face": sphere}), eta))
+    p, d = rays.position.T / size, rays.direction.T
+    last: list[np.ndarray] = []
+
+    def run() -> None:
+        point, going = mi.Point3f(*p.astype(np.float32)), mi.Vector3f(*d.astype(np.float32))
+        for scene, eta in faces:
+            met = scene.ray_intersect(mi.Ray3f(point, going))
+            point, normal = met.p, mi.Vector3f(met.n)
+            along = dr.dot(normal, going)
+            normal = dr.select(along > 0.0, normal, -normal)
+            along = dr.abs(along)
+            going = eta * going + (dr.sqrt(1.0 - eta * eta * (1.0 - along * along)) - eta * along) * normal
+        dr.eval(point, going)
+        last[:] = [np.array(going).T, np.array(point).T * size]
+
+    return run, lambda: unit(last[0]), lambda: last[1]
+
+
+def raysect_whole(
+    window: Window, rays: Rays
+) -> tuple[Job, Callable[[], np.ndarray], Callable[[], np.ndarray]]:
+    """Each face's sphere a world of raysect, ray by ray: it has no arrays of rays."""
+    from raysect.core import Point3D, Ray, Vector3D, World, translate
+    from raysect.primitive import Sphere
+
+    faces = []
+    for body in window.bodies:
+        for face, eta in ((body.front, 1.0 / body.index), (body.back, body.index)):
+            world = World()
+            Sphere(abs(sphere_of(face)), world, translate(*centre_of(face)))
+            faces.append((world, eta))
+    last: list[np.ndarray] = []
+
+    def bent(going: Vector3D, normal: Vector3D, eta: float) -> Vector3D:
+        along = normal.dot(going)
+        if along < 0.0:
+            along, normal = -along, -normal
+        turn = (1.0 - eta * eta * (1.0 - along * along)) ** 0.5 - eta * along
+        return Vector3D(*(eta * g + turn * n for g, n in zip(going, normal, strict=True)))
+
+    def one(point: Point3D, going: Vector3D) -> tuple[Point3D, Vector3D]:
+        for world, eta in faces:
+            met = world.hit(Ray(point, going))
+            point = met.hit_point.transform(met.primitive_to_world)
+            going = bent(going, met.normal.transform(met.primitive_to_world), eta)
+        return point, going
+
+    def run() -> None:
+        made = [
+            one(Point3D(*p), Vector3D(*d))
+            for p, d in zip(rays.position.tolist(), rays.direction.tolist(), strict=True)
+        ]
+        last[:] = [np.array([[*v] for _, v in made]), np.array([[*p] for p, _ in made])]
+
+    return run, lambda: unit(last[0]), lambda: last[1]
 
 
 def facets_of(mesh) -> list[np.ndarray]:

@@ -20,7 +20,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from oracle.windows import PITCH, biconvex, slab
+from oracle.windows import biconvex, slab
+from peer_jobs import beam
 
 from clacad.mesh import tessellate
 from clacad.optics.rays import Rays
@@ -56,18 +57,6 @@ def floor_loop(rows, out):
                 e[i] -= g * b[i]
                 f[i] = g * f[i] + t
         out[:, first : first + 256] = block
-
-
-def beam(window, count: int, spread: float, inset: float) -> Rays:
-    """Rays about the middle of the field; inset 1: anywhere, less: that part of each cell about its middle."""
-    rng = np.random.default_rng(0)
-    cells = window.lattice.cells()
-    cell = window.lattice.centres(cells[rng.integers(0, len(cells), count)])
-    aim = np.column_stack([cell + inset * PITCH * rng.uniform(-0.5, 0.5, (count, 2)), np.zeros(count)])
-    direction = np.column_stack([rng.uniform(-spread, spread, (count, 2)), np.ones(count)])
-    direction[:, :2] += np.divide(window.thin.shift, window.thin.offset[2])
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    return Rays(aim - 0.02 * direction, direction)
 
 
 def kernel(window, rays: Rays, mesh=None, normals="facet") -> Callable[[], object]:

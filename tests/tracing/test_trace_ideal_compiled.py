@@ -13,7 +13,7 @@ from oracle.windows import PITCH, beam, biconvex
 
 from clacad.optics.law import Law
 from clacad.optics.rays import Fate, Rays
-from clacad.tracing import tracer
+from clacad.tracing import tracer, which_path
 from clacad.tracing.trace import trace
 from clacad.tracing.trace_cost import task, trace_seconds
 
@@ -150,7 +150,7 @@ def left_to_numpy(monkeypatch):
         return by_numpy(layout, some, *more)
 
     monkeypatch.setattr(tracer, "_by_numpy", counted)
-    monkeypatch.setattr(tracer, "_LOADED", set())
+    which_path.LOADED.clear()
     return given
 
 
@@ -171,7 +171,7 @@ def test_ordinary_light_needs_no_numpy(rung, name, left_to_numpy):
     missed = int((result.fate == Fate.MISSED).sum())
     slipping = 0.05 if name == "hexagonal" and rung == "thin" else 1e-3  # its patches lean and step
     assert sum(left_to_numpy) <= missed + slipping * len(rays)
-    assert rung in tracer._LOADED
+    assert rung in which_path.LOADED
     left_to_numpy.clear()
     trace(window, rays, rung=rung)
     assert sum(left_to_numpy) < len(rays), "once a kernel is loaded it is used"
@@ -181,7 +181,7 @@ def test_ordinary_light_needs_no_numpy(rung, name, left_to_numpy):
 def test_a_forecast_knows_which_path_a_trace_of_an_ideal_rung_takes(rung):
     many, few = 1_000_000, 100_000
     for number, compiled in ((many, True), (few, False)):
-        assert tracer.compiled_suits(rung, "size", number, tracer.IDEAL_FACES) is compiled
+        assert which_path.worth_compiled(number, which_path.IDEAL_FACES) is compiled
         assert task(rung, rays=number) == f"trace {rung}" + ("" if compiled else " numpy")
     assert task(rung, ("fresnel",), many) == f"trace {rung} numpy fresnel"
     assert trace_seconds(10 * many, rung) < trace_seconds(10 * many, rung, ("fresnel",)) / 4

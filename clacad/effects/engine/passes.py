@@ -271,12 +271,13 @@ class _BlockRun:
 
 def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) -> tuple[int, str]:
     """Threads for the blocks and the tracer's path, as `trace` would choose them for all rays together."""
-    from clacad.tracing.tracer import compiled_suits
+    from clacad.tracing.layout import lay_out
+    from clacad.tracing.which_path import compiled_suits
 
     threads, path = options.pop("threads", None), options.pop("path", None)
     if rung in ("law", "thin"):
         return 1, "numpy"
-    if not compiled_suits(rung, path, len(rays), 2 * len(window.bodies)):
+    if not compiled_suits(rung, path, len(rays), 2 * len(window.bodies), lay_out(window)):
         return 1, "numpy"
     from clacad.tracing.compiled.threads import thread_count
 

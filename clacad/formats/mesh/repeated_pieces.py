@@ -11,6 +11,9 @@ from clacad.base.types import Floats, Ints
 from clacad.sheet.lattice import Lattice
 from clacad.storage.errors import FileDisagrees
 
+FLAT_LIMIT = 50_000
+"""Up to this many places components of 3MF are written in one level, which every reader tried understands."""
+
 
 @dataclass(frozen=True, eq=False)
 class Piece:

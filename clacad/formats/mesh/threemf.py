@@ -21,14 +21,11 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.formats.mesh.file_mesh import ONE_PLACE, FileMesh, Part
-from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Piece, Places
 from clacad.storage.archive import Attributes, open_archive, parse_xml
 from clacad.storage.element_runs import NUMBER, WHOLE, ElementRun
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
 from clacad.storage.spending import Spending
-
-FLAT_LIMIT = 50_000
-"""Up to this many places components are written in one level, which every reader tried understands."""
 
 MOST_PLACES = 4_000_000
 """Places at which the parts of one file may stand."""

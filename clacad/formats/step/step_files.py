@@ -20,6 +20,7 @@ from clacad.base.units import millimetres
 from clacad.formats.step.part21 import Part21, StepColour
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
+from clacad.formats.step.step_mode import Mode, chosen_mode
 from clacad.sheet.window import Body, Window
 from clacad.solid.describe_body import (
     describe_body,
@@ -31,14 +32,10 @@ from clacad.solid.describe_body import (
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.tiling_borders import Layer
 
-__all__ = ["StepBodyFacts", "chosen_mode", "read_step", "step_text_length", "write_step"]
+__all__ = ["StepBodyFacts", "read_step", "step_text_length", "write_step"]
 
-Mode = Literal["auto", "fused", "instanced"]
 Schema = Literal["AP242", "AP214"]
 Part = tuple[int, int]
-
-FUSED_CELLS = 2500
-"""Cells up to which mode "auto" writes fused solids."""
 
 PROGRAM = "clacad"
 
@@ -120,15 +117,6 @@ def _write(
     bodies = (_write_fused if mode == "fused" else _write_instanced)(window, part, pcurves, merge)
     part.close()
     return {"merge": merge, **_total(bodies)}
-
-
-def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
-    """Resolve mode "auto"."""
-    if mode not in ("auto", "fused", "instanced"):
-        raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
-    if mode == "auto":
-        return "fused" if window.lattice.cell_count <= FUSED_CELLS else "instanced"
-    return mode
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from clacad.optics.law.angle import angle_between
 from clacad.optics.law.fitting import Fit, difference_of_laws
 from clacad.optics.law.imaging import apparent_map, image_planes, image_point, stretch, stretch_on_sheet
-from clacad.optics.law.law import Law, law_numbers
+from clacad.optics.law.law import Law, law_numbers, linear_numbers, with_linear_numbers
 from clacad.optics.law.orientation import euler_angles, rotation, rotation_degrees
 from clacad.optics.law.planar import refract_2d, small_angle_2d
 
@@ -24,10 +24,12 @@ __all__ = [
     "image_planes",
     "image_point",
     "law_numbers",
+    "linear_numbers",
     "refract_2d",
     "rotation",
     "rotation_degrees",
     "small_angle_2d",
     "stretch",
     "stretch_on_sheet",
+    "with_linear_numbers",
 ]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from clacad.optics.law.law import Law
 
 NAMES = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
-_NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
+NO_POWER = "the exit directions do not depend on the incoming ones along an axis: eta is infinite"
 _STARTS = 6  # valleys looked into
 _START_RAYS = 1024  # enough rays to find the valley; all rays find its floor
 _LEAST_DAMPING = 1e-14  # of the largest singular value squared
@@ -149,7 +149,7 @@ def _held_fit(a: Floats, b: Floats, axes: Law) -> LawParameters:
         power[i], offset[i] = np.linalg.lstsq(columns, w[:, i] * m[:, 2], rcond=1e-13)[0]
     power, offset, _ = _gauss_newton(power, offset, np.eye(3), m, w, turn=False)
     if not np.all(power != 0.0):
-        raise ValueError(_NO_POWER)
+        raise ValueError(NO_POWER)
     (eta_x, eta_y), (delta_x, delta_y) = (1.0 / power).tolist(), (offset * (1.0 / power)).tolist()
     return LawParameters(eta_x, eta_y, delta_x, delta_y, axes.phi, axes.theta, axes.psi, axes.axes)
 
@@ -171,7 +171,7 @@ def _free_fit(a: Floats, b: Floats) -> LawParameters:
     matrix = r @ np.array([[power[0], 0, -offset[0]], [0, power[1], -offset[1]], [0, 0, 1]]) @ r.T
     found = decompose(matrix, r[:, 2])
     if found is None:
-        raise ValueError(_NO_POWER)
+        raise ValueError(NO_POWER)
     return found.law
 
 

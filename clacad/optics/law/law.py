@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Cells, Floats
 from clacad.optics.law.compose import canonical, compose
-from clacad.optics.law.fitting import Fit, fit_law
+from clacad.optics.law.fitting import NO_POWER, Fit, fit_law
 from clacad.optics.law.orientation import Axes, rotation
 
 _HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny components stay representable
@@ -254,6 +254,26 @@ class Law:
 def law_numbers(law: Law) -> Floats:
     """(13,) numbers that `Law.refract` works with: η_x, η_y, δ_x, δ_y, then the rotation row by row."""
     return np.array([law.eta_x, law.eta_y, law.delta_x, law.delta_y, *law.rotation.ravel()])
+
+
+def linear_numbers(law: Law) -> Floats:
+    """(4,) numbers in which a law is linear before its directions are normalised: 1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y."""
+    eta_x, eta_y = law.eta_x, law.eta_y
+    return np.array([1.0 / eta_x, 1.0 / eta_y, law.delta_x / eta_x, law.delta_y / eta_y])
+
+
+def with_linear_numbers(law: Law, numbers: Floats) -> Law:
+    """The law of those four numbers, turned as another.
+
+    Raises
+    ------
+    ValueError
+        1/η is 0 along an axis.
+    """
+    x, y, offset_x, offset_y = numbers.tolist()
+    if x == 0.0 or y == 0.0:
+        raise ValueError(NO_POWER)
+    return Law(1.0 / x, 1.0 / y, offset_x / x, offset_y / y, law.phi, law.theta, law.psi, law.axes)
 
 
 def _refract_rows(law: Law, r: Floats, directions: Floats) -> Floats:

@@ -52,6 +52,7 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
+from clacad.tracing.reference.law_rung import ordinary
 
 ETA_X, ETA_Y, DELTA_X, DELTA_Y, R0 = range(5)
 """Places in `law_numbers`."""
@@ -59,14 +60,11 @@ ETA_X, ETA_Y, DELTA_X, DELTA_Y, R0 = range(5)
 SANE = STEEP
 """Row of a block that is positive where a direction is of ordinary size and goes forwards."""
 
-LARGE = 2.0**100
-"""Laws with a number beyond this, or an η below its inverse, are left to numpy."""
-
 
 def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
     """Write the rows of rays (n) that plainly cross a kept cell in z = 0; return the others (k,), not yet written."""
     law = law_numbers(layout.window.law)
-    if not (np.abs(law[: ETA_Y + 1]).min() > 1.0 / LARGE and np.abs(law).max() < LARGE):
+    if not ordinary(law):
         return np.arange(len(rays))
     return rows_left(law_chunk, _sheet_plane(layout), law, rays, ledger, threads)
 
@@ -105,6 +103,14 @@ def law_chunk(
 
 
 @exact
+def less_product(x: float, a: float, b: float) -> float:
+    """Give x − a b with the product unrounded."""
+    product = a * b
+    total, rest = two_sum(x, -product)
+    return total + (rest - multiply_add(a, b, -product))
+
+
+@exact
 def _refract(law: Floats, s: Floats, m: int) -> None:
     """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and how surely there are any into GZ."""
     dx, dy, dz, out_x, out_y, out_z, sure = s[DX], s[DY], s[DZ], s[LEFT_X], s[LEFT_Y], s[ROOT], s[GZ]
@@ -116,12 +122,7 @@ def _refract(law: Floats, s: Floats, m: int) -> None:
         u, v, w = dx[i], dy[i], dz[i]
         x, y, z = (a * u + d * v) + g * w, (b * u + e * v) + h * w, (c * u + f * v) + k * w
         sure[i] = z - NEAR * (abs(u) + abs(v) + abs(w))
-        product = delta_x * z
-        total, rest = two_sum(x, -product)
-        x = (total + (rest - multiply_add(delta_x, z, -product))) / eta_x
-        product = delta_y * z
-        total, rest = two_sum(y, -product)
-        y = (total + (rest - multiply_add(delta_y, z, -product))) / eta_y
+        x, y = less_product(x, delta_x, z) / eta_x, less_product(y, delta_y, z) / eta_y
         u, v, w = (a * x + b * y) + c * z, (d * x + e * y) + f * z, (g * x + h * y) + k * z
         length = sqrt(u * u + v * v + w * w)
         out_x[i], out_y[i], out_z[i] = u / length, v / length, w / length

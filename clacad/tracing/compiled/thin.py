@@ -70,11 +70,11 @@ ORDERS = 64.0
 
 def trace_thin_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
     """Write the rows of rays (n) that plainly pass both lenses; return the others (k,), not yet written."""
-    sheet, lenses = _thin_pair(layout)
+    sheet, lenses = thin_pair(layout)
     return rows_left(thin_chunk, sheet, lenses, rays, ledger, threads)
 
 
-def _thin_pair(layout: Layout) -> tuple[Packed, Floats]:
+def thin_pair(layout: Layout) -> tuple[Packed, Floats]:
     """The lenses (2, LENS_NUMBERS), and a sheet whose two bodies are the room they take; kept with the layout."""
     kept: tuple[Packed, Floats] | None = layout.kept.get("thin pair")
     if kept is not None:

@@ -6,11 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.base.types import Rows
+from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Fate
 from clacad.tracing.layout import Layout, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.launch import launch
+
+LARGE = 2.0**100
+"""Laws with a number beyond this, or an η below its inverse, are left to numpy."""
+
+
+def ordinary(law: Floats) -> bool:
+    """Whether compiled code, which carries no powers of two apart, holds a law's numbers; see `law_numbers`."""
+    return bool(np.abs(law[:2]).min() > 1.0 / LARGE and np.abs(law).max() < LARGE)
 
 
 @dataclass(frozen=True)

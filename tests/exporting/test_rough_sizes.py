@@ -1,0 +1,75 @@
+"""What `check` says at once of an export is near what is forecast closely, and loads nothing that writes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import clacad
+from clacad.exporting.forecast import forecast, outlook
+from clacad.exporting.rough_sizes import RoughSheet
+from clacad.exporting.tessellations import Meshes
+from clacad.prescription.prescribe import prescribe
+
+ROOT = Path(__file__).parents[2]
+NAMES = (
+    "paper-base",
+    "baffled",
+    "plano",
+    "hexagonal",
+    "tilted-seam",
+    "tilted-biconvex",
+    "fig5-phi-45",
+    "window-100mm",
+)
+
+
+def off(one: float, other: float) -> float:
+    """Factor between two numbers."""
+    return max(one, other) / min(one, other)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
+    asked = clacad.load(ROOT / "designs" / f"{name}.toml")
+    window = prescribe(asked)
+    meshes = Meshes(window)
+    step, threemf = forecast(meshes, ("step", "3mf"), 8)
+    said = {row["format"]: row for row in outlook(window)}
+    assert off(said["step"]["bytes"], step.bytes) < (2.0 if window.lattice.cell_count <= 2500 else 1.25)
+    assert off(said["3mf"]["bytes"], threemf.bytes) < 1.5
+    assert off(said["3mf"]["facets"], threemf.facets or 0) < 1.45
+    sheet = RoughSheet.of_window(window)
+    assert off(sheet.facets(64) * sheet.cells, meshes.facets(64)) < 1.1
+    for rough in (sheet, RoughSheet.of_design(asked)):
+        assert (rough.lenses, rough.bodies, rough.count, rough.hexagonal) == (
+            sum(face.array is not None for face in window.faces), len(window.bodies), tuple(window.lattice.count), window.lattice.hexagonal,
+        )  # fmt: skip
+
+
+def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
+    program = (
+        "import json, sys; from clacad.cli.design_commands import check_design; from pathlib import Path; "
+        "check_design(Path('designs/plano.toml'), [], json=False, quiet=True); print(json.dumps(sorted(sys.modules)))"
+    )
+    loaded = json.loads(
+        subprocess.run(
+            [sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=ROOT
+        ).stdout
+    )
+    heavy = (
+        "clacad.mesh",
+        "clacad.solid",
+        "clacad.topology",
+        "clacad.formats.step.step_files",
+        "scipy",
+        "numba",
+        "manifold3d",
+    )
+    assert not [
+        name for name in loaded if name in heavy or name.startswith(tuple(f"{one}." for one in heavy))
+    ]

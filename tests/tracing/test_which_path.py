@@ -1,0 +1,79 @@
+"""When kernels are loaded without being asked for, and when the number of rays alone decides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from oracle.windows import slab
+
+import clacad
+from clacad.optics.rays import Rays
+from clacad.tracing import tracer as tracers
+from clacad.tracing import which_path
+from clacad.tracing.compiled import kept_kernels
+
+
+@pytest.fixture
+def by_numpy(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of rays that numpy traced."""
+    given: list[int] = []
+    kept = tracers._by_numpy
+    monkeypatch.setattr(
+        tracers, "_by_numpy", lambda a, rays, *more: given.append(len(rays)) or kept(a, rays, *more)
+    )
+    return given
+
+
+def upright(count: int) -> Rays:
+    place = np.random.default_rng(1).uniform(-1e-4, 1e-4, (count, 2))
+    return Rays(np.column_stack([place, np.full(count, -0.05)]), np.tile([0.0, 0.0, 1.0], (count, 1)))
+
+
+@pytest.mark.parametrize("rung", ["law", "surfaces"])
+def test_kernels_are_loaded_once_numpy_has_worked_for_as_long_as_that_takes(
+    rung: Any, by_numpy: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(which_path, "LOADING", 3500)
+    monkeypatch.setattr(kept_kernels, "rung_is_kept", lambda *_: True)
+    window, rays = slab(count=(4, 4)), upright(1000 if rung == "surfaces" else 500)
+    clacad.trace(window, rays, rung, path="numpy")
+    assert not which_path.WAITED, "what was asked to be numpy's did not wait"
+    fates = [clacad.trace(window, rays, rung).fate for _ in range(3)]
+    assert by_numpy == [len(rays)] * 2, "2000 + 2000 ray-surfaces are more than loading is worth"
+    assert all((fate == fates[0]).all() for fate in fates)
+
+
+def test_kernels_that_are_not_kept_are_waited_for_longer(
+    by_numpy: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(which_path, "LOADING", 100)
+    monkeypatch.setattr(kept_kernels, "rung_is_kept", lambda *_: False)
+    window, rays = slab(count=(4, 4)), upright(1000)
+    for _ in range(3):
+        clacad.trace(window, rays)
+    assert by_numpy == [1000] * 3
+
+
+@pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
+def test_what_is_kept_is_known_before_it_is_loaded(
+    rung: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = slab(count=(4, 4))
+    layout = clacad.tracing.layout.lay_out(window)
+    clacad.trace(window, upright(10), rung, path="numba")
+    assert kept_kernels.rung_is_kept(rung, layout)
+    for module, name in ((clacad.tracing.compiled.chunk, "trace_chunk"), (clacad.tracing.compiled.law_rung, "law_chunk"), (clacad.tracing.compiled.thin, "thin_chunk")):  # fmt: skip
+        monkeypatch.setattr(getattr(module, name)._cache._cache_file, "_folder", str(tmp_path))
+    assert not kept_kernels.rung_is_kept(rung, layout)
+
+
+def test_the_number_of_rays_alone_decides_where_it_is_said_to() -> None:
+    layout: Any = None
+    for _ in range(2):
+        assert which_path.compiled_suits("surfaces", "size", 750_001, 4, layout)
+        assert not which_path.compiled_suits("surfaces", "size", 750_000, 4, layout)
+        which_path.LOADED.add("surfaces")
+    assert which_path.compiled_suits("surfaces", None, 1, 4, layout)
+    assert not which_path.compiled_suits("surfaces", "numpy", 10**9, 4, layout)
