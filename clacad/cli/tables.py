@@ -93,7 +93,9 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
         for entry in files
         if "role" in entry
     ]
-    return table(lines) + ("\nwhat they are for\n" + table(roles) if roles else "")
+    lacking = [[entry["name"], sentence] for entry in files for sentence in entry.get("left_out", ())]
+    text = table(lines) + ("\nwhat they are for\n" + table(roles) if roles else "")
+    return text + ("\nwhat they do not hold\n" + table(lacking) if lacking else "")
 
 
 def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None, stored: int | None) -> str:

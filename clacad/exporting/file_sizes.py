@@ -158,6 +158,22 @@ def pov_bytes(window: Window) -> int:
         return 0
 
 
+def prescription_bytes(window: Window, name: str) -> int:
+    """Size of the prescription of one telescopelet, drawn up as it is; 0 for one that optiland cannot hold."""
+    import json
+
+    from clacad.formats.sequential.optiland_json import optiland_document
+    from clacad.formats.sequential.zmx import zmx_lines
+    from clacad.storage.errors import ExportError
+
+    if name == "zmx":
+        return sum(len(line) + 2 for line in zmx_lines(window))
+    try:
+        return len(json.dumps(optiland_document(window), indent=1).encode()) + 1
+    except ExportError:  # said when it is written, so that the other formats still come out
+        return 0
+
+
 def xyz_bytes(window: Window, per_cell: int) -> int:
     """Size of the point files: the points of one cell of each face as they are, times the cells."""
     from clacad.formats.maps.sag import point_lines, structured_faces

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.machine_rates import Rates
 from clacad.base.units import millimetres
 from clacad.exporting import costs
-from clacad.exporting.format_names import MARKED_MESHES, SOLIDS, WELDED_FORMATS
+from clacad.exporting.format_names import MARKED_MESHES, PRESCRIPTIONS, SOLIDS, WELDED_FORMATS
 from clacad.exporting.limits import (
     MOST_BYTES,
     MOST_FACETS,
@@ -132,6 +132,8 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
         return _forecast_welded(meshes, name, quads)
     if name == "step":
         return _forecast_step(window, asked.step, asked.pcurves)
+    if name in PRESCRIPTIONS:
+        return _forecast_prescription(window, name)
     if name in SOLIDS:
         return _forecast_fixture(window, name)
     return _forecast_map(window, name, asked.grey_levels)
@@ -147,6 +149,15 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
         return row
     size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
     return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))
+
+
+def _forecast_prescription(window: Window, name: str) -> Forecast:
+    """Price of one telescopelet for a lens-design program: small, whatever the sheet."""
+    from clacad.exporting.file_sizes import prescription_bytes
+
+    memory = (400_000_000, 2_000_000_000) if name == "optiland" else (80_000_000, 200_000_000)
+    size = prescription_bytes(window, name)
+    return Forecast(name, size, name == "zmx", None, None, costs.prescription_seconds(name), memory)
 
 
 def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:

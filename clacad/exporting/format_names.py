@@ -9,7 +9,7 @@ from clacad.storage.errors import UnknownFormat
 
 FORMATS = (
     "step", "stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "brep",
-    "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf",
+    "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf", "zmx", "optiland",
 )  # fmt: skip
 """Words by which formats are asked for."""
 
@@ -27,6 +27,9 @@ REPEATING = ("3mf", "glb")
 
 MARKED_MESHES = ("marked-stl", "marked-3mf")
 """Meshes with their name and an arrow engraved in the border."""
+
+PRESCRIPTIONS = ("zmx", "optiland")
+"""One telescopelet as lens-design programs read it."""
 
 SOLIDS = ("baffle", "frame", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""
@@ -51,4 +54,8 @@ def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
         from clacad.formats.maps.gds import require_gdstk
 
         require_gdstk()
+    if "optiland" in asked:
+        from clacad.formats.sequential.optiland_json import require_optiland
+
+        require_optiland()
     return tuple(dict.fromkeys(asked))

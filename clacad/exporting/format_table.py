@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from clacad.formats.mesh.repeated_pieces import Piece
 
 
+OPTILAND_SECONDS = 600.0
+"""After which a process that loads optiland and traces a few rays is given up."""
+
+
 @dataclass(frozen=True, eq=False)
 class Job:
     """What every format needs: the window, the place to write, the meshes, the worker.
@@ -339,10 +343,47 @@ def _pov(job: Job) -> list[FileRecord]:
     return [job.record(path, "pov", unit="0.001 design unit", checks=())]
 
 
+# -- a second opinion ------------------------------------------------------------------------------
+
+
+def _zmx(job: Job) -> list[FileRecord]:
+    from clacad.formats.sequential.stations import left_out
+    from clacad.formats.sequential.zmx import check_zmx, write_zmx
+
+    path = job.stage.path(f"{job.stem}.zmx")
+    write_zmx(job.window, path)
+    check_zmx(job.window, path)
+    facts = {"mode": "cell", "left_out": left_out(job.window)}
+    return [job.record(path, "zmx", facts=facts, checks=("light",))]
+
+
+def _optiland(job: Job) -> list[FileRecord]:
+    """Written here, read back and traced by optiland in a process of its own."""
+    import numpy as np
+
+    from clacad.formats.sequential import optiland_json
+
+    path = job.stage.path(f"{job.stem}.optiland.json")
+    told = optiland_json.write_optiland(job.window, path)["clacad"]
+    job.progress(f"read back {path.name}", 0.5)
+    start, direction = (rows.tolist() for rows in optiland_json.rays_for(job.window))
+    found = job.worker.run(
+        f"{optiland_json.__name__}:optiland_directions",
+        str(path),
+        start,
+        direction,
+        timeout=OPTILAND_SECONDS,
+    )
+    optiland_json.check_optiland(job.window, path.name, np.array(found, dtype=np.float64))
+    series = [told["faces"]] if told["largest_slope_error"] else []
+    facts = {"mode": "cell", "left_out": [*told["left_out"], *series]}
+    return [job.record(path, "optiland", facts=facts, checks=("light",))]
+
+
 WRITERS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
-    "marked-stl": _marked_stl, "marked-3mf": _marked_threemf,
+    "marked-stl": _marked_stl, "marked-3mf": _marked_threemf, "zmx": _zmx, "optiland": _optiland,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""

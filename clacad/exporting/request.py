@@ -73,7 +73,8 @@ class Request:
     formats : sequence of str
         step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
         `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
-        marked-stl (the same as meshes, one file a body), marked-3mf (in one file).
+        marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
+        telescopelet for lens-design programs; optiland needs the extra `optiland`).
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
         cell side whose STL stays within 2 GB and 50 M facets. Files declared previews are left out.
@@ -109,7 +110,7 @@ class Request:
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
-        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, ...", "F,G",
+        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, ...", "F,G",
     ))  # fmt: skip
     slope_error: float | Literal["auto"] = _declared("auto", Option(
         "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the finest that the limits allow.", "E",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from clacad.base.machine_rates import Rates, Span, total
 from clacad.exporting import costs
-from clacad.exporting.format_names import MESHES, REPEATING, SOLIDS, STL_FORMATS
+from clacad.exporting.format_names import MESHES, PRESCRIPTIONS, REPEATING, SOLIDS, STL_FORMATS
 from clacad.exporting.limits import MOST_FACETS, QUADS
 from clacad.exporting.roles import Role
 
@@ -84,6 +84,8 @@ def _seconds(design: Design, request: Request, name: str, grids: dict[str, int])
         return costs.step_seconds(size, "fused" if fused else "instanced")
     if name in SOLIDS:
         return costs.solid_seconds(8000 * cells * bodies)
+    if name in PRESCRIPTIONS:
+        return costs.prescription_seconds(name)
     if name not in MESHES:
         return costs.map_seconds(name, 100 * cells * bodies, 2 * bodies)
     facets = _facets(design, grids[name])
