@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from clacad.formats.step.step_files import Mode
     from clacad.sheet.window import Window
 
+DRAWING = 400_000
+"""Bytes of DXF and PDF together, about; views are drawn to a fixed number of points."""
+
 LETTER_POINTS = 30
 """Points of the outline of a letter, about."""
 
@@ -132,6 +135,8 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
         return _forecast_welded(meshes, name, quads)
     if name == "step":
         return _forecast_step(window, asked.step, asked.pcurves)
+    if name == "drawing":
+        return Forecast(name, DRAWING, False, None, None, costs.drawing_seconds(), (150_000_000, 500_000_000))
     if name in PRESCRIPTIONS:
         return _forecast_prescription(window, name)
     if name in SOLIDS:

@@ -10,6 +10,7 @@ from clacad.storage.errors import UnknownFormat
 FORMATS = (
     "step", "stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "brep",
     "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf", "zmx", "optiland",
+    "drawing",
 )  # fmt: skip
 """Words by which formats are asked for."""
 
@@ -54,6 +55,10 @@ def known_formats(asked: Sequence[str]) -> tuple[str, ...]:
         from clacad.formats.maps.gds import require_gdstk
 
         require_gdstk()
+    if "drawing" in asked:
+        from clacad.formats.drawing.dxf import require_drawing
+
+        require_drawing()
     if "optiland" in asked:
         from clacad.formats.sequential.optiland_json import require_optiland
 

@@ -27,6 +27,7 @@ from clacad.storage.staging import flush
 from clacad.storage.worker import Worker
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.exporting.tessellations import Tessellation
     from clacad.formats.mesh.repeated_pieces import Piece
 
@@ -50,6 +51,8 @@ class Job:
     request : Request
         What was asked.
     progress : callable
+    design : Design
+        As asked; the window has the cells that are written.
     """
 
     window: Window
@@ -59,6 +62,7 @@ class Job:
     worker: Worker
     request: Request
     progress: Progress
+    design: Design
 
     @property
     def scale(self) -> float:
@@ -380,10 +384,35 @@ def _optiland(job: Job) -> list[FileRecord]:
     return [job.record(path, "optiland", facts=facts, checks=("light",))]
 
 
+def _drawing(job: Job) -> list[FileRecord]:
+    """One DXF with all sheets, and one PDF."""
+    from clacad.formats.drawing.dxf import check_drawing_dxf, write_drawing_dxf
+    from clacad.formats.drawing.layout import sheets
+    from clacad.formats.drawing.sheets_pdf import check_drawing_pdf, write_drawing_pdf
+    from clacad.formats.study_file import study_of
+    from clacad.sheet.feasibility import feasibility
+
+    study = study_of(job.stage.folder, job.design.sha256)
+    made = sheets(job.design, job.window, feasibility(job.window), job.request.paper, study)
+    dxf, pdf = (job.stage.path(f"{job.stem}.drawing.{kind}") for kind in ("dxf", "pdf"))
+    job.progress(f"write {dxf.name}", 0.0)
+    written = write_drawing_dxf(made, dxf)
+    check_drawing_dxf(dxf, written)
+    job.progress(f"write {pdf.name}", 0.5)
+    write_drawing_pdf(made, pdf)
+    check_drawing_pdf(pdf, len(made))
+    facts = {"paper": job.request.paper, "sheets": len(made), "tolerance_study": study is not None}
+    return [
+        job.record(dxf, "drawing-dxf", facts=facts | {"dimensions": written}, checks=("dimensions",)),
+        job.record(pdf, "drawing-pdf", facts=facts, checks=("pages",)),
+    ]
+
+
 WRITERS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
     "marked-stl": _marked_stl, "marked-3mf": _marked_threemf, "zmx": _zmx, "optiland": _optiland,
+    "drawing": _drawing,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""

@@ -74,7 +74,8 @@ class Request:
         step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
         `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
         marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
-        telescopelet for lens-design programs; optiland needs the extra `optiland`).
+        telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
+        (DXF and PDF, needs the extras `dxf` and `pdf`).
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
         cell side whose STL stays within 2 GB and 50 M facets. Files declared previews are left out.
@@ -103,6 +104,8 @@ class Request:
         GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
     grey_levels : int
         GDSII: number of layers from the lowest to the highest point of a face.
+    paper : "a4", "a3" or "a2"
+        Sheets of the drawing.
     role : mapping; of `export` also "master", "preview" or None
         What the files of each format are for, as in {"stl": "preview"}; asked for as one, of all. Not declared: a mesh
         is a master where the light through it is forecast within the design's limits, else a preview (4 quads a cell
@@ -110,7 +113,7 @@ class Request:
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
-        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, ...", "F,G",
+        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, drawing, ...", "F,G",
     ))  # fmt: skip
     slope_error: float | Literal["auto"] = _declared("auto", Option(
         "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the finest that the limits allow.", "E",
@@ -142,6 +145,9 @@ class Request:
     ))  # fmt: skip
     grey_levels: int = _declared(64, Option(
         "--grey-levels", "GDSII: layers from lowest to highest.", "N", least=2, most=256, rare=True,
+    ))  # fmt: skip
+    paper: Literal["a4", "a3", "a2"] = _declared("a3", Option(
+        "--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True,
     ))  # fmt: skip
     role: Mapping[str, Role] = _declared(dict, Option(
         "--role", "What files are for: master or preview; of all or per format: stl=preview. Default: what the light "

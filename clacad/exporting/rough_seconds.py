@@ -84,6 +84,8 @@ def _seconds(design: Design, request: Request, name: str, grids: dict[str, int])
         return costs.step_seconds(size, "fused" if fused else "instanced")
     if name in SOLIDS:
         return costs.solid_seconds(8000 * cells * bodies)
+    if name == "drawing":
+        return costs.drawing_seconds()
     if name in PRESCRIPTIONS:
         return costs.prescription_seconds(name)
     if name not in MESHES:

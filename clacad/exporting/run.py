@@ -51,7 +51,14 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
             job = Job(
-                window, safe_name(design.name), stage, meshes.at(limits.QUADS[-1]), worker, request, report
+                window,
+                safe_name(design.name),
+                stage,
+                meshes.at(limits.QUADS[-1]),
+                worker,
+                request,
+                report,
+                design,
             )
             Rates.here().note(costs.PREPARE, prepare_seconds(quads), time.process_time() - used)
             records, failures, seconds = _produced(job, meshes, rows)

@@ -67,7 +67,7 @@ FAMILIES = (
     Family("zmx, optiland", None, "", "one telescopelet; optiland: faces of two radii within 1e-13 rad of slope"),
     Family("table, pov", None, "", "the surfaces' own numbers; see row surfaces"),
     Family("sag, xyz", None, "", "exact heights and slopes at points; the reader interpolates"),
-    Family("mask, baffle, frame", None, "", "no refracting surface"),
+    Family("mask, baffle, frame, drawing", None, "", "no refracting surface"),
 )
 
 
