@@ -98,6 +98,7 @@ def export(
     quads: Annotated[str | None, declared("quads")] = None,
     role: Annotated[str | None, declared("role")] = None,
     step: Annotated[str, declared("step")] = DEFAULTS.step,
+    fused: Annotated[bool, declared("fused")] = DEFAULTS.fused,
     cells: Cells = None,
     overwrite: Overwrite = DEFAULTS.overwrite,
     force: Annotated[bool, declared("force")] = DEFAULTS.force,
@@ -121,7 +122,7 @@ def export(
         "formats": formats, "slope_error": slope_error, "quads": quads, "role": role, "step": step, "cells": cells,
         "overwrite": overwrite, "force": force, "step_schema": step_schema, "pcurves": pcurves,
         "saddle_bevel": saddle_bevel, "gpu_instancing": gpu_instancing, "grey_levels": grey_levels,
-        "paper": paper,
+        "paper": paper, "fused": fused,
     }  # fmt: skip
     words = ExportWords(out, options, dry_run, target, normals)
     return export_design(design, set or [], words, json=json, quiet=quiet)

@@ -31,7 +31,7 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
     """Size of the 3MF file without places: the text of the first facets of each body, deflated."""
     from clacad.formats.mesh import threemf
 
-    repeated = instanceable(meshes.window)
+    repeated = meshes.repeats("3mf")
     mesh = meshes.at(quads).cell if repeated else meshes.at(quads).mesh
     total = 950.0
     packed = zlib.compressobj(6)

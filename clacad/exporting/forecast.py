@@ -192,12 +192,11 @@ def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     """Price of a mesh of shared vertices: PLY, GLB or 3MF."""
     from clacad.exporting.file_sizes import glb_place_bytes, threemf_bytes, threemf_place_bytes
-    from clacad.exporting.tessellations import instanceable
     from clacad.formats.mesh.ply import ply_bytes
 
     window = meshes.window
     held = meshes.welded(quads, name)
-    instanced = name != "ply" and instanceable(window)
+    instanced = meshes.repeats(name)
     places = window.lattice.cell_count * len(window.bodies) if instanced else 0
     facets = held * window.lattice.cell_count if instanced else held
     # Half a vertex a facet, and more where walls and rims give corners normals of their own.

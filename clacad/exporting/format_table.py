@@ -199,7 +199,7 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
 
     name = f"{job.stem}.{kind}"
     path = job.stage.path(name)
-    repeated = instanceable(job.window) if instanced is None else instanced
+    repeated = (instanceable(job.window) and not job.request.fused) if instanced is None else instanced
     job.progress(f"write {name}", 0.0)
     write(job.tessellation.pieces(repeated, normals=kind != "3mf"), path, job.scale, job.stem)
     job.progress(f"read back {name}", 0.5)
@@ -213,6 +213,10 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
         facts |= {"saddle_policy": "bevel", "saddle_bevel": bevel} if promise.bevel else {}
         facts["triangles_stored"] = job.tessellation.cell.facet_count
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
+    facts |= {
+        "objects": len(job.window.bodies),
+        "instances": job.window.lattice.cell_count if repeated else None,
+    }
     return job.record(path, kind, unit=unit, facts=facts, checks=verdict.checks)
 
 

@@ -86,6 +86,9 @@ class Request:
         that does. Formats that repeat one cell (3MF, GLB) are held to the limits by the one they store.
     step : "auto", "fused" or "instanced"
         auto is fused up to 2,500 cells.
+    fused : bool
+        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB, which otherwise
+        repeat one cell where the sheet is nothing but equal cells.
     cells : (a, b) or None
         The same design with another count, centred.
     overwrite : bool
@@ -125,6 +128,10 @@ class Request:
     step: Literal["auto", "fused", "instanced"] = _declared("auto", Option(
         "--step", "auto, fused or instanced.", words=("auto", "fused", "instanced"),
     ))  # fmt: skip
+    fused: bool = _declared(False, Option(
+        "--fused", "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default: STEP is fused up "
+        "to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.", rare=True,
+    ))  # fmt: skip
     cells: tuple[int, int] | None = _declared(None, Option(
         "--cells", "A x B cells of the design, centred; default all.", "AxB",
     ))  # fmt: skip
@@ -153,6 +160,21 @@ class Request:
         "--role", "What files are for: master or preview; of all or per format: stl=preview. Default: what the light "
         "through them allows.", "R|F=R,...",
     ))  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Let `fused` decide about STEP.
+
+        Raises
+        ------
+        BadRequest
+            Fused and instanced are asked for at once.
+        """
+        if self.fused and self.step == "instanced":
+            raise BadRequest(
+                "fused and step = instanced: STEP is either one or the other; leave one of them out"
+            )
+        if self.fused:
+            object.__setattr__(self, "step", "fused")
 
     def to_dict(self) -> dict[str, Any]:
         """Options as the manifest keeps them; those that few ask for only where they were asked for."""

@@ -93,6 +93,6 @@ def _seconds(design: Design, request: Request, name: str, grids: dict[str, int])
     facets = _facets(design, grids[name])
     if name in STL_FORMATS:
         return costs.stl_seconds(facets * cells)
-    if name in REPEATING:
+    if name in REPEATING and not request.fused:
         return costs.welded_seconds(name, facets, cells * bodies)
-    return costs.welded_seconds("ply", facets * cells, 0)
+    return costs.welded_seconds("ply" if name == "ply" else "glb", facets * cells, 0)

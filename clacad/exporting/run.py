@@ -45,7 +45,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
-        meshes = Meshes(window, request.saddle_bevel)
+        meshes = Meshes(window, request.saddle_bevel, request.fused)
         rows = _forecast(made, meshes, formats, request, Path(out))
         quads = {row.quads for row in rows if row.quads is not None}
         with Stage(out, overwrite=request.overwrite) as stage:
@@ -99,7 +99,9 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     formats = known_formats(request.formats)
     if not request.force:
         limits.refuse_early(made, formats, request.quads)
-    return _forecast(made, Meshes(_prescribed(made), request.saddle_bevel), formats, request, out)
+    return _forecast(
+        made, Meshes(_prescribed(made), request.saddle_bevel, request.fused), formats, request, out
+    )
 
 
 def _forecast(
