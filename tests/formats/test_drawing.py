@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -162,6 +164,35 @@ def test_the_same_design_gives_the_same_bytes_and_a_false_dimension_is_refused(t
     path.write_text(text.replace("\n14.936", "\n15.936"), encoding="utf-8")
     with pytest.raises(FileDisagrees, match="a dimension says"):
         check_drawing_dxf(path, count)
+
+
+def test_neither_hash_seed_nor_home_changes_a_byte_of_the_dxf(tmp_path):
+    script = (
+        "import sys; from pathlib import Path; import clacad\n"
+        "from clacad.formats.drawing.dxf import write_drawing_dxf\n"
+        "from clacad.formats.drawing.layout import sheets\n"
+        "from clacad.sheet.feasibility import feasibility\n"
+        f"design = clacad.load({str(DESIGNS / 'slab.toml')!r}).with_cells((2, 2)); window = clacad.prescribe(design)\n"
+        "write_drawing_dxf(sheets(design, window, feasibility(window), 'a3', None), Path(sys.argv[1]))\n"
+    )
+    found = []
+    for seed in ("1", "4242"):
+        home = tmp_path / seed
+        home.mkdir()
+        changed = {
+            "PYTHONHASHSEED": seed,
+            "HOME": str(home),
+            "XDG_CACHE_HOME": str(home),
+            "TZ": "Pacific/Auckland",
+        }
+        subprocess.run(
+            [sys.executable, "-c", script, str(home / "x.dxf")],
+            check=True,
+            env=os.environ | changed,
+            timeout=120,
+        )
+        found.append((home / "x.dxf").read_bytes())
+    assert found[0] == found[1]
 
 
 def test_without_its_packages_the_drawing_names_the_extras_before_any_work(tmp_path, monkeypatch):

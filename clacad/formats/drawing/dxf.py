@@ -75,6 +75,10 @@ def write_drawing_dxf(made: Sequence[Sheet], path: Path) -> int:
         pen = _Pen(document)
         for number, sheet in enumerate(made):
             pen.sheet(sheet, number * (sheet.paper[0] + GAP))
+        for name in sorted(
+            document.entitydb.dxf_types_in_use()
+        ):  # ezdxf would take them in the order of a set
+            document.classes.add_class(name)
         document.saveas(path)
     finally:
         ezdxf.options.write_fixed_meta_data_for_testing = fixed
@@ -148,18 +152,18 @@ class _Pen:
         text.set_placement(self._at(words.at), align=where[words.anchor])
 
     def _measure(self, mark: Measure, scale: float | None) -> None:
-        """A DIMENSION whose picture is what the board shows."""
+        """A DIMENSION whose picture is what the board shows: ezdxf's own would measure words by fonts of this machine."""
         assert scale is not None, "a dimension stands on a view to scale"
         factor = 1.0 / (scale * self._unit)
         dimension = self.space.add_linear_dim(
             base=self._at(mark.base), p1=self._at(mark.ends[0]), p2=self._at(mark.ends[1]), angle=90 if mark.upright else 0,
             text=mark.words, dimstyle="CLACAD", override={"dimlfac": factor}, dxfattribs={"layer": "DIMENSIONS"},
         )  # fmt: skip
-        dimension.render()
-        made = dimension.dimension
-        made.dxf.actual_measurement = made.get_measurement()
-        picture = made.get_geometry_block()
-        picture.delete_all_entities()
+        dimension.commit()
+        made, picture = dimension.dimension, self.document.blocks.new_anonymous_block(type_char="D")
+        made.dxf.geometry = picture.name
+        made.dxf.text_midpoint = self._at(next(one.at for one in mark.drawn if isinstance(one, Words)))
+        made.dxf.actual_measurement = float(np.asarray(made.get_measurement())) * factor
         for one in mark.drawn:
             self._mark(picture, one, scale, 1.0)
         self.dimensions += 1
