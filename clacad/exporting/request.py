@@ -86,9 +86,6 @@ class Request:
         that does. Formats that repeat one cell (3MF, GLB) are held to the limits by the one they store.
     step : "auto", "fused" or "instanced"
         auto is fused up to 2,500 cells.
-    fused : bool
-        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB, which otherwise
-        repeat one cell where the sheet is nothing but equal cells.
     cells : (a, b) or None
         The same design with another count, centred.
     overwrite : bool
@@ -107,12 +104,15 @@ class Request:
         GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
     grey_levels : int
         GDSII: number of layers from the lowest to the highest point of a face.
-    paper : "a4", "a3" or "a2"
-        Sheets of the drawing.
     role : mapping; of `export` also "master", "preview" or None
         What the files of each format are for, as in {"stl": "preview"}; asked for as one, of all. Not declared: a mesh
         is a master where the light through it is forecast within the design's limits, else a preview (4 quads a cell
         side where nothing else is said of one that is declared); everything else with optics is a master.
+    paper : "a4", "a3" or "a2"
+        Sheets of the drawing.
+    fused : bool
+        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB, which otherwise
+        repeat one cell where the sheet is nothing but equal cells.
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
@@ -127,10 +127,6 @@ class Request:
     ))  # fmt: skip
     step: Literal["auto", "fused", "instanced"] = _declared("auto", Option(
         "--step", "auto, fused or instanced.", words=("auto", "fused", "instanced"),
-    ))  # fmt: skip
-    fused: bool = _declared(False, Option(
-        "--fused", "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default: STEP is fused up "
-        "to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.", rare=True,
     ))  # fmt: skip
     cells: tuple[int, int] | None = _declared(None, Option(
         "--cells", "A x B cells of the design, centred; default all.", "AxB",
@@ -153,12 +149,16 @@ class Request:
     grey_levels: int = _declared(64, Option(
         "--grey-levels", "GDSII: layers from lowest to highest.", "N", least=2, most=256, rare=True,
     ))  # fmt: skip
-    paper: Literal["a4", "a3", "a2"] = _declared("a3", Option(
-        "--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True,
-    ))  # fmt: skip
     role: Mapping[str, Role] = _declared(dict, Option(
         "--role", "What files are for: master or preview; of all or per format: stl=preview. Default: what the light "
         "through them allows.", "R|F=R,...",
+    ))  # fmt: skip
+    paper: Literal["a4", "a3", "a2"] = _declared("a3", Option(
+        "--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True,
+    ))  # fmt: skip
+    fused: bool = _declared(False, Option(
+        "--fused", "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default: STEP is fused up "
+        "to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.", rare=True,
     ))  # fmt: skip
 
     def __post_init__(self) -> None:
