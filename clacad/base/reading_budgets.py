@@ -78,6 +78,7 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType({
     "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),
     "mask": Budget("masks (SVG, DXF)", GIGABYTE, 20_000_000, "places and points"),
     "gds": Budget("masks of grey levels (GDSII)", GIGABYTE, 40_000_000, "records", 120.0, 20.0, 3 * GIGABYTE, 100),
+    "prescription": Budget("sequential prescriptions (ZMX)", MEGABYTE, 20_000, "lines"),
     "rays": Budget("rays (npz), unpacked", 80 * GIGABYTE, 1_000_000_000, "rays", None),
     "picture": Budget("pictures (PNG, JPEG, WebP, TIFF, BMP, GIF)", 500 * MEGABYTE, 1 << 27, "pixels", None),
     "design": Budget("designs and scenes (TOML, JSON)", 1 << 20, 200_000, "lines and keys", None),

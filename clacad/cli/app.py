@@ -118,6 +118,7 @@ def export(
     quads: Annotated[str | None, declared("quads")] = None,
     role: Annotated[str | None, declared("role")] = None,
     step: Annotated[str, declared("step")] = DEFAULTS.step,
+    fused: Annotated[bool, declared("fused")] = DEFAULTS.fused,
     cells: Cells = None,
     overwrite: Overwrite = DEFAULTS.overwrite,
     force: Annotated[bool, declared("force")] = DEFAULTS.force,
@@ -127,6 +128,7 @@ def export(
     saddle_bevel: Annotated[str | None, declared("saddle_bevel")] = None,
     gpu_instancing: Annotated[bool, declared("gpu_instancing")] = DEFAULTS.gpu_instancing,
     grey_levels: Annotated[int, declared("grey_levels")] = DEFAULTS.grey_levels,
+    paper: Annotated[str, declared("paper")] = DEFAULTS.paper,
     target: Annotated[str | None, typer.Option("--target", metavar="E", help="Coarsest facets whose light is within this "
                                                "rms direction error of the exact surfaces, e.g. '0.5 mrad'.")] = None,
     normals: Annotated[str, typer.Option("--normals", help="With --target, what the file is read by: facet or vertex.")]
@@ -140,6 +142,7 @@ def export(
         "formats": formats, "slope_error": slope_error, "quads": quads, "role": role, "step": step, "cells": cells,
         "overwrite": overwrite, "force": force, "step_schema": step_schema, "pcurves": pcurves,
         "saddle_bevel": saddle_bevel, "gpu_instancing": gpu_instancing, "grey_levels": grey_levels,
+        "paper": paper, "fused": fused,
     }  # fmt: skip
     words = ExportWords(out, options, dry_run, target, normals)
     return export_design(design, set or [], words, json=json, quiet=quiet)

@@ -77,7 +77,7 @@ def _asked(design: Design, formats: tuple[str, ...], typed: Mapping[str, Any]) -
         "formats": formats, "slope_error": parse_slope_error(typed["slope_error"]),
         "quads": asked_quads(_numbers(quads), formats), "step": one_of("step", typed["step"]),
         "cells": parse_cells(typed["cells"]), "step_schema": one_of("step_schema", typed["step_schema"], str.lower),
-        "saddle_bevel": parse_length(typed["saddle_bevel"], design), "role": asked_roles(role, formats),
+        "saddle_bevel": parse_length(typed["saddle_bevel"], design), "role": asked_roles(role, formats), "paper": one_of("paper", typed["paper"], str.lower),
     }  # fmt: skip
     return Request(**{**typed, **read})
 

@@ -93,7 +93,31 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
         for entry in files
         if "role" in entry
     ]
-    return table(lines) + ("\nwhat they are for\n" + table(roles) if roles else "")
+    found = [[entry["name"], holds_text(entry)] for entry in files if holds_text(entry)]
+    lacking = [[entry["name"], sentence] for entry in files for sentence in entry.get("left_out", ())]
+    told = "\nwhat a workshop finds in them\n" + table(found) if found else ""
+    text = table(lines) + told + ("\nwhat they are for\n" + table(roles) if roles else "")
+    return text + ("\nwhat they do not hold\n" + table(lacking) if lacking else "")
+
+
+def holds_text(entry: Mapping[str, Any]) -> str:
+    """Solids or objects that a program finds in a file of a manifest, and what would make one of many; "" where none is."""
+    from clacad.formats.step.step_files import FUSED_CELLS
+
+    instanced = entry.get("mode") == "instanced"
+    if entry["format"] == "step" and "solids" in entry:
+        solids, faces = int(entry["solids"]), int(entry["faces"])
+        words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
+        if instanced:
+            return f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells (--fused: one a connected piece)"
+        return f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells (--step instanced repeats one cell)"
+    if "objects" not in entry:
+        return ""
+    objects, bodies = int(entry["objects"]), " and ".join(map(str, entry["bodies"]))
+    words = f"{objects} object{'s' * (objects != 1)} ({bodies})"
+    if not instanced:
+        return f"{words}, one mesh each"
+    return f"{words}, each one cell repeated {int(entry['instances']):,} times (--fused: one mesh each)"
 
 
 def role_text(entry: Mapping[str, Any], limit: float | None, facets: int | None, stored: int | None) -> str:

@@ -33,8 +33,9 @@ def run_tolerance(
 ) -> int:  # fmt: skip
     """Make many sheets with the design's tolerances, print contributors and yield, write the tables."""
     design = load_counted(path, overrides)
+    from clacad.formats.study_file import TOLERANCES
     from clacad.verification.tolerance import Farm, tolerance, write_study
-    from clacad.verification.tolerance.study_files import TOLERANCES, study_document
+    from clacad.verification.tolerance.study_files import study_document
 
     kept = _kept(where, TOLERANCES)
     again = kept is not None and kept.exists()

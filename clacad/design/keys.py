@@ -131,7 +131,11 @@ ROOT: Final[dict[str, Key]] = {
     ),
 }
 LAW: Final[dict[str, Key]] = {
-    "eta": Key(Several(_ETA, _XY, not_all=(0.0, 1.0), example="[-1.0, -1.0]"), "eta_i = -f2_i/f1_i in the lens frame", REQUIRED),
+    "eta": Key(
+        Several(_ETA, _XY, not_all=(0.0, 1.0), example="[-1.0, -1.0]"),
+        "eta_i = -f2_i/f1_i in the lens frame",
+        REQUIRED,
+    ),
     "delta": Key(Several(_DELTA, _XY), "delta_i = d_i/f1_i, offset of lens 2", (0.0, 0.0)),
     "euler": Key(Several(_EULER, ("phi", "theta", "psi")), "turns about z, x, z", (0.0, 0.0, 0.0)),
     "euler_axes": Key(Word(("fixed", "moving")), "whether the turns are about fixed or moving axes", "fixed"),

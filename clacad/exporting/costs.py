@@ -52,6 +52,16 @@ PER_DRAWN = {"tiff": 4.4e-7, "png": 2.2e-7, "xyz": 1.3e-6, "table": 4e-8, "mask"
 """Seconds a pixel or point; of tables and masks, a hundredth of a lenslet."""
 
 
+def prescription_seconds(name: str) -> float:
+    """One telescopelet's faces as text, and light through them; optiland takes its time to load and to compile."""
+    return BASE + (6.0 if name == "optiland" else 0.03)
+
+
+def drawing_seconds() -> float:
+    """Views, dimensions and tables of any sheet, as DXF and PDF, and the libraries that make them."""
+    return BASE + 2.5
+
+
 def map_seconds(name: str, drawn: int, faces: int) -> float:
     """Height maps, points, tables, masks; one cell of a face as a grid of sag costs the same however many there are."""
     return BASE + (0.015 * faces if name in ("sag", "pov") else PER_DRAWN.get(name, 4e-7) * drawn)

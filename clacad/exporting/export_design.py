@@ -37,7 +37,7 @@ def export(
     step: Literal["auto", "fused", "instanced"] = "auto", cells: tuple[int, int] | None = None, overwrite: bool = False,
     force: bool = False, progress: Progress | None = None, step_schema: Literal["ap242", "ap214"] = "ap242",
     pcurves: bool = True, saddle_bevel: float = 0.0, gpu_instancing: bool = False, grey_levels: int = 64,
-    role: AskedRole = None,
+    role: AskedRole = None, paper: Literal["a4", "a3", "a2"] = "a3", fused: bool = False,
 ) -> Manifest:  # fmt: skip
     """Write a design's files into a folder: all at once, each read back and compared with the design first.
 
@@ -46,7 +46,7 @@ def export(
     design : Design
     out : path
         Folder; made if missing. Nothing is written outside it.
-    formats, slope_error, quads, step, …, role
+    formats, slope_error, quads, step, …, paper, fused
         The options of `clacad.exporting.request.Request`, one by one.
     progress : callable or None
         Called with a stage's name and the share done.
@@ -69,5 +69,6 @@ def export(
         formats=tuple(formats), slope_error=slope_error, quads=asked_quads(quads, formats), step=step, cells=cells,
         overwrite=overwrite, force=force, step_schema=step_schema, pcurves=pcurves, saddle_bevel=saddle_bevel,
         gpu_instancing=gpu_instancing, grey_levels=grey_levels, role=asked_roles(role, formats),
+        paper=paper, fused=fused,
     )  # fmt: skip
     return run_export(design, os.fspath(out), request, progress)

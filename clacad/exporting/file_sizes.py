@@ -31,7 +31,7 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
     """Size of the 3MF file without places: the text of the first facets of each body, deflated."""
     from clacad.formats.mesh import threemf
 
-    repeated = instanceable(meshes.window)
+    repeated = meshes.repeats("3mf")
     mesh = meshes.at(quads).cell if repeated else meshes.at(quads).mesh
     total = 950.0
     packed = zlib.compressobj(6)
@@ -154,6 +154,22 @@ def pov_bytes(window: Window) -> int:
 
     try:
         return sum(len(line.encode()) + 1 for line in pov_lines(window, None))
+    except ExportError:  # said when it is written, so that the other formats still come out
+        return 0
+
+
+def prescription_bytes(window: Window, name: str) -> int:
+    """Size of the prescription of one telescopelet, drawn up as it is; 0 for one that optiland cannot hold."""
+    import json
+
+    from clacad.formats.sequential.optiland_json import optiland_document
+    from clacad.formats.sequential.zmx import zmx_lines
+    from clacad.storage.errors import ExportError
+
+    if name == "zmx":
+        return sum(len(line) + 2 for line in zmx_lines(window))
+    try:
+        return len(json.dumps(optiland_document(window), indent=1).encode()) + 1
     except ExportError:  # said when it is written, so that the other formats still come out
         return 0
 

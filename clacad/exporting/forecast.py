@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from clacad.base.machine_rates import Rates
 from clacad.base.units import millimetres
 from clacad.exporting import costs
-from clacad.exporting.format_names import MARKED_MESHES, SOLIDS, WELDED_FORMATS
+from clacad.exporting.format_names import MARKED_MESHES, PRESCRIPTIONS, SOLIDS, WELDED_FORMATS
 from clacad.exporting.limits import (
     MOST_BYTES,
     MOST_FACETS,
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 ROUGH_GRID = 8
 """Quads a cell side of a mesh of shared vertices, as `check` foresees it."""
+DRAWING = 400_000
+"""Bytes of DXF and PDF together, about; views are drawn to a fixed number of points."""
 
 LETTER_POINTS = 30
 """Points of the outline of a letter, about."""
@@ -137,6 +139,10 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
         return _forecast_welded(meshes, name, quads)
     if name == "step":
         return _forecast_step(window, asked.step, asked.pcurves)
+    if name == "drawing":
+        return Forecast(name, DRAWING, False, None, None, costs.drawing_seconds(), (150_000_000, 500_000_000))
+    if name in PRESCRIPTIONS:
+        return _forecast_prescription(window, name)
     if name in SOLIDS:
         return _forecast_fixture(window, name)
     return _forecast_map(window, name, asked.grey_levels)
@@ -152,6 +158,15 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
         return row
     size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
     return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))
+
+
+def _forecast_prescription(window: Window, name: str) -> Forecast:
+    """Price of one telescopelet for a lens-design program: small, whatever the sheet."""
+    from clacad.exporting.file_sizes import prescription_bytes
+
+    memory = (400_000_000, 2_000_000_000) if name == "optiland" else (80_000_000, 200_000_000)
+    size = prescription_bytes(window, name)
+    return Forecast(name, size, name == "zmx", None, None, costs.prescription_seconds(name), memory)
 
 
 def _forecast_marked(meshes: Meshes, name: str, quads: int) -> Forecast:
@@ -181,12 +196,11 @@ def _forecast_stl(name: str, facets: int, files: int, quads: int, exact: bool) -
 def _forecast_welded(meshes: Meshes, name: str, quads: int) -> Forecast:
     """Price of a mesh of shared vertices: PLY, GLB or 3MF."""
     from clacad.exporting.file_sizes import glb_place_bytes, threemf_bytes, threemf_place_bytes
-    from clacad.exporting.tessellations import instanceable
     from clacad.formats.mesh.ply import ply_bytes
 
     window = meshes.window
     held = meshes.welded(quads, name)
-    instanced = name != "ply" and instanceable(window)
+    instanced = meshes.repeats(name)
     places = window.lattice.cell_count * len(window.bodies) if instanced else 0
     facets = held * window.lattice.cell_count if instanced else held
     # Half a vertex a facet, and more where walls and rims give corners normals of their own.

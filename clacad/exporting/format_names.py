@@ -9,7 +9,8 @@ from clacad.storage.errors import UnknownFormat
 
 FORMATS = (
     "step", "stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "brep",
-    "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf",
+    "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf", "zmx", "optiland",
+    "drawing",
 )  # fmt: skip
 """Words by which formats are asked for."""
 
@@ -27,6 +28,9 @@ REPEATING = ("3mf", "glb")
 
 MARKED_MESHES = ("marked-stl", "marked-3mf")
 """Meshes with their name and an arrow engraved in the border."""
+
+PRESCRIPTIONS = ("zmx", "optiland")
+"""One telescopelet as lens-design programs read it."""
 
 SOLIDS = ("baffle", "frame", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""

@@ -27,8 +27,13 @@ from clacad.storage.staging import flush
 from clacad.storage.worker import Worker
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.exporting.tessellations import Tessellation
     from clacad.formats.mesh.repeated_pieces import Piece
+
+
+OPTILAND_SECONDS = 600.0
+"""After which a process that loads optiland and traces a few rays is given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,8 @@ class Job:
     request : Request
         What was asked.
     progress : callable
+    design : Design
+        As asked; the window has the cells that are written.
     """
 
     window: Window
@@ -55,6 +62,7 @@ class Job:
     worker: Worker
     request: Request
     progress: Progress
+    design: Design
 
     @property
     def scale(self) -> float:
@@ -191,7 +199,7 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
 
     name = f"{job.stem}.{kind}"
     path = job.stage.path(name)
-    repeated = instanceable(job.window) if instanced is None else instanced
+    repeated = (instanceable(job.window) and not job.request.fused) if instanced is None else instanced
     job.progress(f"write {name}", 0.0)
     write(job.tessellation.pieces(repeated, normals=kind != "3mf"), path, job.scale, job.stem)
     job.progress(f"read back {name}", 0.5)
@@ -205,6 +213,10 @@ def _indexed(job: Job, kind: str, write: Writer, single: bool, instanced: bool |
         facts |= {"saddle_policy": "bevel", "saddle_bevel": bevel} if promise.bevel else {}
         facts["triangles_stored"] = job.tessellation.cell.facet_count
     facts |= {"mode": "instanced" if repeated else "fused", "float": "f32" if single else "f64"}
+    facts |= {
+        "objects": len(job.window.bodies),
+        "instances": job.window.lattice.cell_count if repeated else None,
+    }
     return job.record(path, kind, unit=unit, facts=facts, checks=verdict.checks)
 
 
@@ -339,10 +351,72 @@ def _pov(job: Job) -> list[FileRecord]:
     return [job.record(path, "pov", unit="0.001 design unit", checks=())]
 
 
+# -- a second opinion ------------------------------------------------------------------------------
+
+
+def _zmx(job: Job) -> list[FileRecord]:
+    from clacad.formats.sequential.stations import left_out
+    from clacad.formats.sequential.zmx import check_zmx, write_zmx
+
+    path = job.stage.path(f"{job.stem}.zmx")
+    write_zmx(job.window, path)
+    check_zmx(job.window, path)
+    facts = {"mode": "cell", "left_out": left_out(job.window)}
+    return [job.record(path, "zmx", facts=facts, checks=("light",))]
+
+
+def _optiland(job: Job) -> list[FileRecord]:
+    """Written here, read back and traced by optiland in a process of its own."""
+    import numpy as np
+
+    from clacad.formats.sequential import optiland_json
+
+    path = job.stage.path(f"{job.stem}.optiland.json")
+    told = optiland_json.write_optiland(job.window, path)["clacad"]
+    job.progress(f"read back {path.name}", 0.5)
+    start, direction = (rows.tolist() for rows in optiland_json.rays_for(job.window))
+    found = job.worker.run(
+        f"{optiland_json.__name__}:optiland_directions",
+        str(path),
+        start,
+        direction,
+        timeout=OPTILAND_SECONDS,
+    )
+    optiland_json.check_optiland(job.window, path.name, np.array(found, dtype=np.float64))
+    series = [told["faces"]] if told["largest_slope_error"] else []
+    facts = {"mode": "cell", "left_out": [*told["left_out"], *series]}
+    return [job.record(path, "optiland", facts=facts, checks=("light",))]
+
+
+def _drawing(job: Job) -> list[FileRecord]:
+    """One DXF with all sheets, and one PDF."""
+    from clacad.formats.drawing.dxf import check_drawing_dxf, write_drawing_dxf
+    from clacad.formats.drawing.layout import sheets
+    from clacad.formats.drawing.sheets_pdf import check_drawing_pdf, write_drawing_pdf
+    from clacad.formats.study_file import study_of
+    from clacad.sheet.feasibility import feasibility
+
+    study = study_of(job.stage.folder, job.design.sha256)
+    made = sheets(job.design, job.window, feasibility(job.window), job.request.paper, study)
+    dxf, pdf = (job.stage.path(f"{job.stem}.drawing.{kind}") for kind in ("dxf", "pdf"))
+    job.progress(f"write {dxf.name}", 0.0)
+    written = write_drawing_dxf(made, dxf)
+    check_drawing_dxf(dxf, written)
+    job.progress(f"write {pdf.name}", 0.5)
+    write_drawing_pdf(made, pdf)
+    check_drawing_pdf(pdf, len(made))
+    facts = {"paper": job.request.paper, "sheets": len(made), "tolerance_study": study is not None}
+    return [
+        job.record(dxf, "drawing-dxf", facts=facts | {"dimensions": written}, checks=("dimensions",)),
+        job.record(pdf, "drawing-pdf", facts=facts, checks=("pages",)),
+    ]
+
+
 WRITERS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
     "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
-    "marked-stl": _marked_stl, "marked-3mf": _marked_threemf,
+    "marked-stl": _marked_stl, "marked-3mf": _marked_threemf, "zmx": _zmx, "optiland": _optiland,
+    "drawing": _drawing,
 }  # fmt: skip
 """Format word → the function that writes, reads back and compares its files."""

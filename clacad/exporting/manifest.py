@@ -32,7 +32,8 @@ class FileRecord:
     facts : mapping
         Keys of the manifest that the format has: mode, solids, faces, triangles, quads, slope_error_rms,
         sag_error_max, float, volume, volume_exact (file's unit cubed), saddles, wedges, merged_steps,
-        fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true ones).
+        fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true ones),
+        left_out (sentences: what the format cannot hold), objects and instances (meshes; of each object).
     checks : tuple of str
         What was compared with the design, and agreed, when the file was read back.
     role : mapping

@@ -9,10 +9,9 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from clacad.exporting import limits
-from clacad.exporting.format_names import MESHES, REPEATING, STL_FORMATS
+from clacad.exporting.format_names import MESHES, STL_FORMATS
 from clacad.exporting.light_forecast import FINE, POWERS, Grader
 from clacad.exporting.roles import Prospect, Role, role_of
-from clacad.exporting.tessellations import instanceable
 
 if TYPE_CHECKING:
     from clacad.exporting.forecast import Forecast
@@ -38,12 +37,12 @@ class Sizes:
 
     def facets(self, format: str, quads: int) -> int:
         """Facets that a file of a format stores, about; those of one cell where the format repeats it."""
-        square, linear = self._cell if self._repeats(format) else self._sheet
+        square, linear = self._cell if self.meshes.repeats(format) else self._sheet
         return int(square * quads * quads + linear * quads)
 
     def bytes(self, format: str, quads: int) -> int:
         """Size of the file, about, from one that is small enough to be drawn up."""
-        drawn = min(quads, FINE if self._repeats(format) else COUNTED[1])
+        drawn = min(quads, FINE if self.meshes.repeats(format) else COUNTED[1])
         row = self._drawn(format, drawn)
         facets = self.facets(format, quads)
         if format in STL_FORMATS:
@@ -68,9 +67,6 @@ class Sizes:
         if (format, quads) not in self._rows:
             self._rows[format, quads] = forecast(self.meshes, [format], quads)[0]
         return self._rows[format, quads]
-
-    def _repeats(self, format: str) -> bool:
-        return format in REPEATING and instanceable(self.meshes.window)
 
     @cached_property
     def _cell(self) -> tuple[float, float]:

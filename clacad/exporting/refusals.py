@@ -139,6 +139,21 @@ def _coupon(window: Window, _asked: Request, _worker: Worker) -> None:
     _solids(window.with_cells(PATCH_CELLS), "coupon")
 
 
+def _drawing(_window: Window, _asked: Request, _worker: Worker) -> None:
+    """The packages that write it."""
+    from clacad.formats.drawing.dxf import require_drawing
+
+    require_drawing()
+
+
+def _optiland(window: Window, _asked: Request, _worker: Worker) -> None:
+    """The package that reads it back, and faces that its surfaces hold."""
+    from clacad.formats.sequential.optiland_json import optiland_document, require_optiland
+
+    require_optiland()
+    optiland_document(window)
+
+
 def _solids(window: Window, what: str) -> None:
     """Bodies of no more cells than OCC takes, of faces that can be described."""
     from clacad.exporting.file_sizes import step_bytes
@@ -161,6 +176,6 @@ DRAWING_SECONDS = 300.0
 
 _NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
     "gds": _gds, "baffle": _baffle, "frame": _frame, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
-    "brep": _brep, "coupon": _coupon,
+    "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland,
 }  # fmt: skip
 """Format → what refuses it; formats of a mere shape are refused by their price alone."""

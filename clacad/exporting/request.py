@@ -73,7 +73,9 @@ class Request:
     formats : sequence of str
         step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
         `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
-        marked-stl (the same as meshes, one file a body), marked-3mf (in one file).
+        marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
+        telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
+        (DXF and PDF, needs the extras `dxf` and `pdf`).
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" is the finest of 4, 8, 16, 32, 64 quads a
         cell side whose STL stays within 2 GB and 50 M facets. Files declared previews are left out.
@@ -106,10 +108,15 @@ class Request:
         What the files of each format are for, as in {"stl": "preview"}; asked for as one, of all. Not declared: a mesh
         is a master where the light through it is forecast within the design's limits, else a preview (4 quads a cell
         side where nothing else is said of one that is declared); everything else with optics is a master.
+    paper : "a4", "a3" or "a2"
+        Sheets of the drawing.
+    fused : bool
+        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB, which otherwise
+        repeat one cell where the sheet is nothing but equal cells.
     """
 
     formats: tuple[str, ...] = _declared(("step", "stl"), Option(
-        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, ...", "F,G",
+        "--format", "step, stl, 3mf, glb, ply, sag, tiff, png, xyz, table, mask, pov, zmx, drawing, ...", "F,G",
     ))  # fmt: skip
     slope_error: float | Literal["auto"] = _declared("auto", Option(
         "--slope-error", "rms facet slope error, e.g. '5 mrad', or 'auto' (default): the finest that the limits allow.", "E",
@@ -146,6 +153,28 @@ class Request:
         "--role", "What files are for: master or preview; of all or per format: stl=preview. Default: what the light "
         "through them allows.", "R|F=R,...",
     ))  # fmt: skip
+    paper: Literal["a4", "a3", "a2"] = _declared("a3", Option(
+        "--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True,
+    ))  # fmt: skip
+    fused: bool = _declared(False, Option(
+        "--fused", "One solid a connected piece in STEP, one mesh a body in 3MF and GLB, however large; default: STEP is fused up "
+        "to 2,500 cells, 3MF and GLB repeat one cell where the sheet is equal cells.", rare=True,
+    ))  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Let `fused` decide about STEP.
+
+        Raises
+        ------
+        BadRequest
+            Fused and instanced are asked for at once.
+        """
+        if self.fused and self.step == "instanced":
+            raise BadRequest(
+                "fused and step = instanced: STEP is either one or the other; leave one of them out"
+            )
+        if self.fused:
+            object.__setattr__(self, "step", "fused")
 
     def to_dict(self) -> dict[str, Any]:
         """Options as the manifest keeps them; those that few ask for only where they were asked for."""

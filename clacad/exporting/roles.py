@@ -2,7 +2,7 @@
 
 Parts are made from an optical master, so light through it must obey the law. A preview is for looking, quoting and fit
 checks. A scan is a measured surface: judged, never called fit for making. Everything else (baffle, frame, coupon,
-pictures' scenes) carries no light of the law.
+pictures' scenes) carries no light of the law, or is made into no part (a prescription for a lens-design program, a drawing).
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ WORDS: Mapping[str, Role] = {
 }  # fmt: skip
 """Words by which a role is declared; nobody declares "other"."""
 
-NOT_OPTICAL = frozenset({"baffle", "frame", "coupon", "pov", "scene"})
+NOT_OPTICAL = frozenset(
+    {"baffle", "frame", "coupon", "pov", "scene", "zmx", "optiland", "drawing", "drawing-dxf", "drawing-pdf"}
+)
 """Formats and bodies that carry no light of the law, by the words of manifests."""
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from clacad.base.machine_rates import Rates, Span, total
 from clacad.exporting import costs
-from clacad.exporting.format_names import MESHES, REPEATING, SOLIDS, STL_FORMATS
+from clacad.exporting.format_names import MESHES, PRESCRIPTIONS, REPEATING, SOLIDS, STL_FORMATS
 from clacad.exporting.limits import MOST_FACETS, QUADS
 from clacad.exporting.roles import Role
 from clacad.exporting.rough_sizes import RoughSheet
@@ -69,11 +69,15 @@ def _seconds(design: Design, request: Request, name: str, grids: dict[str, int])
         return costs.step_seconds(sheet.step_bytes(fused), "fused" if fused else "instanced")
     if name in SOLIDS:
         return costs.solid_seconds(8000 * cells * bodies)
+    if name == "drawing":
+        return costs.drawing_seconds()
+    if name in PRESCRIPTIONS:
+        return costs.prescription_seconds(name)
     if name not in MESHES:
         return costs.map_seconds(name, 100 * cells * bodies, 2 * bodies)
     facets = sheet.facets(grids[name])
     if name in STL_FORMATS:
         return costs.stl_seconds(facets * cells)
-    if name in REPEATING:
+    if name in REPEATING and not request.fused:
         return costs.welded_seconds(name, facets, cells * bodies)
-    return costs.welded_seconds("ply", facets * cells, 0)
+    return costs.welded_seconds("ply" if name == "ply" else "glb", facets * cells, 0)

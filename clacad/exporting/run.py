@@ -46,13 +46,20 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
         window = _prescribed(made)
-        meshes = Meshes(window, request.saddle_bevel)
+        meshes = Meshes(window, request.saddle_bevel, request.fused)
         rows = _forecast(made, meshes, formats, request, (Path(out), worker))
         quads = {row.quads for row in rows if row.quads is not None}
         with Stage(out, overwrite=request.overwrite) as stage:
             stage.path(MANIFEST)  # a foreign manifest is refused before any work
             job = Job(
-                window, safe_name(design.name), stage, meshes.at(limits.QUADS[-1]), worker, request, report
+                window,
+                safe_name(design.name),
+                stage,
+                meshes.at(limits.QUADS[-1]),
+                worker,
+                request,
+                report,
+                design,
             )
             Rates.here().note(costs.PREPARE, prepare_seconds(quads), time.process_time() - used)
             records, failures, seconds = _produced(job, meshes, rows)
@@ -94,7 +101,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     formats = known_formats(request.formats)
     if not request.force:
         limits.refuse_uncountable(made)
-    meshes = Meshes(_prescribed(made), request.saddle_bevel)
+    meshes = Meshes(_prescribed(made), request.saddle_bevel, request.fused)
     if out is None:
         return _forecast(made, meshes, formats, request, None)
     with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:

@@ -103,10 +103,10 @@ class Tessellation:
 
 
 class Meshes:
-    """The tessellations of one window that were asked for, each made once."""
+    """The tessellations of one window that were asked for, each made once; `fused`: no format repeats a cell."""
 
-    def __init__(self, window: Window, saddle_bevel: float = 0.0) -> None:
-        self.window, self._bevel = window, saddle_bevel
+    def __init__(self, window: Window, saddle_bevel: float = 0.0, fused: bool = False) -> None:
+        self.window, self._bevel, self._fused = window, saddle_bevel, fused
         self._made: dict[int, Tessellation] = {}
 
     def at(self, quads: int) -> Tessellation:
@@ -119,8 +119,11 @@ class Meshes:
 
     def welded(self, quads: int, format: str) -> int:
         """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
-        repeats = format in REPEATING and instanceable(self.window)
-        return self.at(quads).cell.facet_count if repeats else self.facets(quads)
+        return self.at(quads).cell.facet_count if self.repeats(format) else self.facets(quads)
+
+    def repeats(self, format: str) -> bool:
+        """Whether a file of a format holds one cell and where it stands."""
+        return format in REPEATING and not self._fused and instanceable(self.window)
 
 
 def _array(body: Body) -> int:

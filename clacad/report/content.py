@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import shown
 from clacad.base.text import plain
-from clacad.report.fabrication import FabricationLine, fabrication, orientation
+from clacad.formats.drawing.orientation import orientation
+from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
 from clacad.sheet.feasibility import describe
 from clacad.verification.limit_sources import Origin

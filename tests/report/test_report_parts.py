@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
+from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
+from clacad.formats.drawing.orientation import orientation
 from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe
 from clacad.report import drawing
-from clacad.report.body_outlines import across_cell, heights, outlines
-from clacad.report.fabrication import fabrication, orientation
+from clacad.report.fabrication import fabrication
 from clacad.report.parts_in_3d import packed, parts, picture
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import whole_extent

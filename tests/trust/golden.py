@@ -26,7 +26,21 @@ from pathlib import Path
 from typing import Any
 
 RECORD = Path(__file__).with_name("golden.json")
-FORMATS = ("stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "step")
+FORMATS = (
+    "stl",
+    "stl-parts",
+    "3mf",
+    "ply",
+    "glb",
+    "sag",
+    "tiff",
+    "png",
+    "xyz",
+    "table",
+    "mask",
+    "step",
+    "zmx",
+)
 SLAB = {
     "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-0.5, -1.0], "delta": [0.01, -0.02], "euler": [30.0, 0.5, 20.0]},
     "pair": {"form": "slab", "separation": 10.0, "index": 1.5}, "lattice": {"pitch": 0.5, "count": [2, 2]},

@@ -205,7 +205,8 @@ def test_a_defocus_of_one_percent_breaks_position_independence():
     )
     right, wrong = prescribe(near), scaled_lens_2(prescribe(near), 1.01)
     spread = [
-        measure(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS, POINT_RAYS).points[0].spread for w in (right, wrong)
+        measure(near, w, lambda lit, w=w: trace(w, lit.rays), RAYS, POINT_RAYS).points[0].spread
+        for w in (right, wrong)
     ]
     assert spread[0] < 1e-5
     assert spread[1] > 10.0 * spread[0]

@@ -64,9 +64,12 @@ FAMILIES = (
     Family("gds", Holding("face", "levels", 64), "facet", "heights in 64 layers"),
     Family("marked-stl, marked-3mf", None, "", "as stl and 3mf: the lenses are the same facets"),
     Family("step, brep, coupon, marked", None, "", "exact faces; see row step"),
+    Family(
+        "zmx, optiland", None, "", "one telescopelet; optiland: faces of two radii within 1e-13 rad of slope"
+    ),
     Family("table, pov", None, "", "the surfaces' own numbers; see row surfaces"),
     Family("sag, xyz", None, "", "exact heights and slopes at points; the reader interpolates"),
-    Family("mask, baffle, frame", None, "", "no refracting surface"),
+    Family("mask, baffle, frame, drawing", None, "", "no refracting surface"),
 )
 
 

@@ -301,7 +301,9 @@ def _fresnel_number(design: Design, facts: Feasibility) -> Check:
             "separation", value, 1.0, relation=">=", where="thin", limit_source=DEFAULT,
         )  # fmt: skip
     if value < limit:
-        sentence += f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad, and takes up to "
+        sentence += (
+            f": diffraction blurs as much as {1e3 * max(facts.diffraction_blur):.3g} mrad, and takes up to "
+        )
         sentence += f"{100.0 * max(facts.viewing.lost):.2g} % of the light to other cells, along that axis"
     state: State = "warn" if value < limit else "pass"
     return Check("fresnel_number", state, sentence, value, limit, relation=">=", where="thin")

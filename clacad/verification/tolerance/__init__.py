@@ -11,6 +11,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from clacad.formats.study_file import read_study
+
 if TYPE_CHECKING:
     from clacad.verification.tolerance.checkpoint import Checkpoint, OtherStudy
     from clacad.verification.tolerance.farm import Farm
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from clacad.verification.tolerance.parameter_sweep import Sweep, parse_vary, sweep
     from clacad.verification.tolerance.perturbations import Parameter, draw, parameters
     from clacad.verification.tolerance.study import NoTolerances, Study, tolerance
-    from clacad.verification.tolerance.study_files import read_study, write_study, write_sweep
+    from clacad.verification.tolerance.study_files import write_study, write_sweep
     from clacad.verification.tolerance.study_plots import plot_sweep, plot_tolerances
 
 _HOME = {
@@ -27,7 +29,7 @@ _HOME = {
     "MEASURES": "light_measures", "Bench": "light_measures", "bench": "light_measures", "Parameter": "perturbations", "draw": "perturbations",
     "parameters": "perturbations", "plot_sweep": "study_plots", "plot_tolerances": "study_plots", "Study": "study",
     "tolerance": "study", "Sweep": "parameter_sweep", "parse_vary": "parameter_sweep", "sweep": "parameter_sweep", "as_made": "misaligned",
-    "telescopelet": "misaligned", "read_study": "study_files", "write_study": "study_files", "write_sweep": "study_files",
+    "telescopelet": "misaligned", "write_study": "study_files", "write_sweep": "study_files",
 }  # fmt: skip
 
 __all__ = [

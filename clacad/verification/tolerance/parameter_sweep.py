@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 from clacad import __version__
 from clacad.base.types import Progress
+from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
-from clacad.verification.tolerance.study import FORMAT, worked
+from clacad.verification.tolerance.study import worked
 
 if TYPE_CHECKING:
     from clacad.design import Design

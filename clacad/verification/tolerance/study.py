@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
+from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance.checkpoint import Checkpoint
 from clacad.verification.tolerance.farm import Farm, WorkersLost
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 
-FORMAT = 1
 PIECE = 8
 """Sheets a worker makes at a time."""
 

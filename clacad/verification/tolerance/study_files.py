@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -14,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from clacad import __version__
+from clacad.formats.study_file import FORMAT, TOLERANCES
 from clacad.storage.atomic import Stage, canonical_json
 from clacad.verification.tolerance.light_measures import MEASURES
 from clacad.verification.tolerance.parameter_sweep import CannotVary, Sweep, shown
-from clacad.verification.tolerance.study import FORMAT, RANKED, Study, finite
+from clacad.verification.tolerance.study import RANKED, Study, finite
 
-TOLERANCES, SWEEP = "tolerances", "sweep"
+SWEEP = "sweep"
 CHECKPOINT = ".checkpoint"
 
 
@@ -120,16 +120,6 @@ def write_study(study: Study, folder: str | os.PathLike[str], *, overwrite: bool
         },
         overwrite,
     )
-
-
-def read_study(folder: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """What `write_study` wrote to a folder (`study_document`), or None where there is none."""
-    try:
-        found = json.loads((Path(folder) / f"{TOLERANCES}.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    known = isinstance(found, dict) and found.get("kind") == TOLERANCES and found.get("format") == FORMAT
-    return found if known else None
 
 
 def write_sweep(

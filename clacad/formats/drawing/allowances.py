@@ -1,0 +1,53 @@
+"""How far a part may be off, in millimetres and as a drawing says it: from the [tolerances] of its design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from clacad.base.units import millimetres
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+
+@dataclass(frozen=True, slots=True)
+class Allowances:
+    """Each ± half; 0 where the design says nothing.
+
+    Parameters
+    ----------
+    thickness : (body 1, body 2), mm
+        Of the centre thickness.
+    separation : float, mm
+        Lens to lens.
+    radius : (array 1, array 2)
+        Of every radius, relative.
+    decentre : (array 1, array 2), mm
+    rotation, tilt : float, radians
+        Of array 2 against array 1, about the normal and about x and y.
+    roughness : float, mm
+        Greatest rms height of the lens faces.
+    """
+
+    thickness: tuple[float, float] = (0.0, 0.0)
+    separation: float = 0.0
+    radius: tuple[float, float] = (0.0, 0.0)
+    decentre: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+    tilt: float = 0.0
+    roughness: float = 0.0
+
+
+NO_ALLOWANCES = Allowances()
+"""Of a design that states none."""
+
+
+def allowances(design: Design) -> Allowances:
+    """What a design allows; its lens faces may be as rough as [tolerances] or [body] say, the larger of the two."""
+    spec, mm = design.tolerances, millimetres(design.unit_m)
+    return Allowances(
+        (spec.thickness[0] * mm, spec.thickness[1] * mm), spec.separation * mm, spec.radius,
+        (spec.decentre[0] * mm, spec.decentre[1] * mm), spec.rotation, spec.tilt,
+        max(spec.roughness, design.body.roughness) * mm,
+    )  # fmt: skip

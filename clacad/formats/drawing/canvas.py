@@ -1,0 +1,243 @@
+"""A little drawing board for dimensioned drawings: shapes, dimension lines with numbers, leaders; kept, and given as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from clacad.base.types import Floats
+
+Point = tuple[float, float]
+
+CHARACTER = 6.3
+"""Width of a character of the 11 px type, on average, px."""
+
+STYLE = (
+    "text{font:11px system-ui,'Segoe UI',Helvetica,Arial,sans-serif;fill:#1c2733}.note{fill:#5c6b78}.title{font-weight:bold}"
+    ".body{fill:#cfe3f1;stroke:#1b6ca8;stroke-width:1}.cut{fill:#e3eff7;stroke:#1b6ca8;stroke-width:1}"
+    ".dim{stroke:#1c2733;stroke-width:.8;fill:none}.ext{stroke:#8b98a5;stroke-width:.6;fill:none}"
+    ".axis{stroke:#8b98a5;stroke-width:.8;stroke-dasharray:9 3 2 3;fill:none}.ray{stroke:#c2571a;stroke-width:.9;fill:none}"
+    ".focus{stroke:#2b7a4b;stroke-width:1;stroke-dasharray:4 3;fill:none}.head{fill:#1c2733}.mark{fill:#c2571a}"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A line through points (k, 2), px, or the closed outline that they are."""
+
+    points: Floats
+    kind: str
+    closed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """A circle, px."""
+
+    at: Point
+    radius: float
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """Text at a place, px; `anchor` is start, middle or end; `room`: width, px, of the ground that it is laid on, or 0."""
+
+    at: Point
+    words: str
+    anchor: str = "middle"
+    kind: str = ""
+    room: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleNote:
+    """The place where a view says its scale, which the paper decides."""
+
+    at: Point
+    anchor: str = "end"
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """A dimension: the two points it is taken between, a point of its line, its words, and what it is drawn with."""
+
+    ends: tuple[Point, Point]
+    base: Point
+    upright: bool
+    words: str
+    drawn: tuple[Shape | Words, ...]
+
+
+Mark = Shape | Ring | Words | ScaleNote | Measure
+
+
+class Canvas:
+    """Drawing board in pixels, y downwards; it keeps what is drawn, for a page or for paper.
+
+    scale : float or None
+        Pixels a millimetre of the part, where the view is to scale.
+    """
+
+    def __init__(self, width: float, height: float, label: str, scale: float | None = None) -> None:
+        self.width, self.height, self.label, self.scale = width, height, label, scale
+        self.marks: list[Mark] = []
+
+    def polygon(self, points: Floats, kind: str) -> None:
+        """Draw a closed outline (k, 2)."""
+        self.marks.append(Shape(np.asarray(points, dtype=np.float64), kind, closed=True))
+
+    def line(self, points: Floats | Sequence[Point], kind: str) -> None:
+        """Draw a line through points (k, 2)."""
+        self.marks.append(Shape(np.asarray(points, dtype=np.float64), kind))
+
+    def circle(self, at: Point, radius: float, kind: str) -> None:
+        """Draw a circle."""
+        self.marks.append(Ring(at, radius, kind))
+
+    def text(self, at: Point, words: str, anchor: str = "middle", kind: str = "") -> None:
+        """Write words; `anchor` is start, middle or end."""
+        self.marks.append(Words(at, words, anchor, kind))
+
+    def scale_note(self, at: Point, anchor: str = "end") -> None:
+        """Say the scale here."""
+        self.marks.append(ScaleNote(at, anchor))
+
+    def across(self, x0: float, x1: float, y: float, words: str, start: tuple[float, float]) -> None:
+        """Dimension between two x at height y; extension lines come from `start` (y at x0, y at x1)."""
+        drawn: list[Shape | Words] = [
+            _line([(x, from_y), (x, y + (4 if y > from_y else -4))], "ext")
+            for x, from_y in zip((x0, x1), start, strict=True)
+        ]
+        room = abs(x1 - x0)
+        wide = CHARACTER * len(words)
+        drawn += _measure((x0, y), (x1, y), inside=room > 26)
+        if room > wide + 18:
+            drawn.append(_backed((0.5 * (x0 + x1), y - 4), words, "middle"))
+        elif max(x0, x1) + wide + 22 < self.width:
+            drawn.append(_backed((max(x0, x1) + (4 if room > 26 else 16), y + 4), words, "start"))
+        else:
+            drawn.append(_backed((min(x0, x1) - (4 if room > 26 else 16), y + 4), words, "end"))
+        ends = ((x0, start[0]), (x1, start[1]))
+        self.marks.append(Measure(ends, (x0, y), False, words, tuple(drawn)))
+
+    def upright(self, y0: float, y1: float, x: float, words: str, start: tuple[float, float]) -> None:
+        """Dimension between two y at place x; extension lines come from `start` (x at y0, x at y1)."""
+        drawn: list[Shape | Words] = [
+            _line([(from_x, y), (x + (4 if x > from_x else -4), y)], "ext")
+            for y, from_x in zip((y0, y1), start, strict=True)
+        ]
+        room = abs(y1 - y0)
+        drawn += _measure((x, y0), (x, y1), inside=room > 26)
+        right = x >= 0.5 * self.width
+        middle = 0.5 * (y0 + y1) if room > 14 else min(y0, y1) - 16
+        drawn.append(_backed((x + (5 if right else -5), middle + 4), words, "start" if right else "end"))
+        ends = ((start[0], y0), (start[1], y1))
+        self.marks.append(Measure(ends, (x, y0), True, words, tuple(drawn)))
+
+    def leader(self, tip: Point, elbow: Point, words: str, anchor: str = "start") -> None:
+        """Words at the end of a line that points at something."""
+        self.line([elbow, tip], "dim")
+        self.marks.append(_head(tip, np.subtract(tip, elbow)))
+        if words:
+            self.marks.append(
+                _backed((elbow[0] + (3 if anchor == "start" else -3), elbow[1] + 4), words, anchor)
+            )
+
+    def datum(self, tip: Point, way: Point, letter: str) -> None:
+        """A boxed letter that stands `way` off the edge it names."""
+        middle = (tip[0] + way[0], tip[1] + way[1])
+        half = 6.0
+        near = tuple(np.asarray(middle) - half * np.sign(way))
+        self.line([near, tip], "dim")
+        self.marks.append(_head(tip, np.subtract(tip, near)))
+        corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+        self.polygon(np.asarray(corners) + middle, "dim")
+        self.text((middle[0], middle[1] + 4.0), letter)
+
+    def body(self, zoom: float = 1.0) -> str:
+        """The marks as SVG; `zoom`: what is drawn at 96 px an inch is enlarged so much."""
+        return "\n".join(_svg(mark, self.scale, zoom) for mark in self.marks)
+
+    def svg(self) -> str:
+        """The drawing as one element that says what it shows."""
+        rules = "".join(f".drawing {rule}}}" for rule in STYLE.split("}") if rule)
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="drawing" viewBox="0 0 {self.width:.0f} {self.height:.0f}" '
+            f'width="{self.width:.0f}" height="{self.height:.0f}" role="img" aria-label="{escape(self.label, quote=True)}">'
+            f"<style>{rules}</style>\n{self.body()}\n</svg>"
+        )
+
+
+def scale_text(pixels_per_mm: float) -> str:
+    """Scale of a drawing on the page, taken at 96 px an inch."""
+    ratio = pixels_per_mm * 25.4 / 96.0
+    return f"{ratio:.3g} : 1" if ratio >= 1 else f"1 : {1 / ratio:.3g}"
+
+
+def _line(points: Sequence[Point], kind: str) -> Shape:
+    return Shape(np.asarray(points, dtype=np.float64), kind)
+
+
+def _backed(at: Point, words: str, anchor: str) -> Words:
+    return Words(at, words, anchor, room=CHARACTER * len(words))
+
+
+def _measure(a: Point, b: Point, inside: bool) -> list[Shape]:
+    """Dimension line with its heads, from inside or, where there is no room, from outside."""
+    way = np.subtract(b, a)
+    length = float(np.hypot(*way))
+    if length == 0.0:
+        return []
+    unit = way / length
+    if inside:
+        return [_line([a, b], "dim"), _head(a, -unit), _head(b, unit)]
+    return [
+        Shape(np.array([np.asarray(a) - 14 * unit, a]), "dim"), Shape(np.array([b, np.asarray(b) + 14 * unit]), "dim"),
+        _head(a, unit), _head(b, -unit),
+    ]  # fmt: skip
+
+
+def _head(tip: Point, way: Floats) -> Shape:
+    unit = np.asarray(way, dtype=np.float64)
+    unit = unit / max(float(np.hypot(*unit)), 1e-9)
+    aside = np.array([-unit[1], unit[0]])
+    corners = np.array([tip, tip - 7 * unit + 2.2 * aside, tip - 7 * unit - 2.2 * aside])
+    return Shape(corners, "head", closed=True)
+
+
+def _svg(mark: Mark, scale: float | None, zoom: float) -> str:
+    """One mark as SVG."""
+    if isinstance(mark, Shape):
+        element = "polygon" if mark.closed else "polyline"
+        return f'<{element} class="{mark.kind}" points="{_points(mark.points)}"/>'
+    if isinstance(mark, Ring):
+        return (
+            f'<circle class="{mark.kind}" cx="{mark.at[0]:.1f}" cy="{mark.at[1]:.1f}" r="{mark.radius:.1f}"/>'
+        )
+    if isinstance(mark, Measure):
+        return "\n".join(_svg(one, scale, zoom) for one in mark.drawn)
+    if isinstance(mark, ScaleNote):
+        mark = said_scale(mark, scale, zoom)
+    ground = ""
+    if mark.room:
+        left = mark.at[0] - {"start": 0.0, "middle": 0.5 * mark.room, "end": mark.room}[mark.anchor]
+        ground = (
+            f'<rect x="{left - 1:.1f}" y="{mark.at[1] - 10:.1f}" width="{mark.room + 2:.1f}" height="13" fill="#fff" '
+            'fill-opacity=".85"/>\n'
+        )
+    named = f' class="{mark.kind}"' if mark.kind else ""
+    return f'{ground}<text{named} x="{mark.at[0]:.1f}" y="{mark.at[1]:.1f}" text-anchor="{mark.anchor}">{escape(mark.words)}</text>'
+
+
+def said_scale(note: ScaleNote, scale: float | None, zoom: float) -> Words:
+    """The words of a scale note on a page that is enlarged by `zoom`."""
+    words = "not to scale" if scale is None else f"{scale_text(scale * zoom)}, mm"
+    return Words(note.at, words, note.anchor, "note")
+
+
+def _points(points: Floats) -> str:
+    return " ".join(f"{x:.2f},{y:.2f}" for x, y in np.asarray(points, dtype=np.float64))

@@ -1,0 +1,211 @@
+"""A drawing as DXF (R2010), by ezdxf: sheets side by side in model space, mm of paper; dimensions are dimensions.
+
+A DIMENSION measures its own two points; its factor (DIMLFAC) turns paper into part, so that a CAD program reads true sizes
+off any view. Needs the extra `dxf`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clacad.formats.drawing.canvas import Mark, Measure, Ring, ScaleNote, Shape, Words, said_scale
+from clacad.formats.drawing.layout import MARGIN, Placed, Sheet
+from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
+
+GAP = 20.0
+"""Between two sheets, mm."""
+
+LAYERS = {
+    "OUTLINE": (5, 35), "DIMENSIONS": (7, 18), "TEXT": (7, 18), "AXES": (8, 18), "LIGHT": (30, 18), "FRAME": (7, 50),
+}  # fmt: skip
+"""Layer: colour (AutoCAD's index), line weight (hundredths of a millimetre)."""
+
+LAYER_OF = {
+    "body": "OUTLINE", "cut": "OUTLINE", "axis": "AXES", "ext": "DIMENSIONS", "dim": "DIMENSIONS", "head": "DIMENSIONS",
+    "ray": "LIGHT", "focus": "LIGHT",
+}  # fmt: skip
+
+TYPE = 7.6
+"""Height of capital letters, px of the drawing boards."""
+
+DIGITS = 1e-4
+"""Relative rounding of a dimension's words, which have five digits."""
+
+
+def require_drawing() -> None:
+    """Say which extras are missing.
+
+    Raises
+    ------
+    NotPossible
+    """
+    lacking = {extra: name for name, extra in (("ezdxf", "dxf"), ("typst", "pdf")) if find_spec(name) is None}
+    if lacking:
+        raise NotPossible(
+            f"format drawing needs the package{'s' if len(lacking) > 1 else ''} {' and '.join(lacking.values())}\n"
+            f'  install with: pip install "clacad[{",".join(lacking)}]"'
+        )
+
+
+def write_drawing_dxf(made: Sequence[Sheet], path: Path) -> int:
+    """Write all sheets; the number of dimensions. The same sheets give the same bytes.
+
+    Raises
+    ------
+    OSError
+    """
+    import ezdxf
+    from ezdxf import units
+
+    fixed = ezdxf.options.write_fixed_meta_data_for_testing
+    ezdxf.options.write_fixed_meta_data_for_testing = True  # no clock and no chance in the header
+    try:
+        document = ezdxf.new("R2010")
+        document.units = units.MM
+        for name, (colour, weight) in LAYERS.items():
+            document.layers.add(name, color=colour, lineweight=weight)
+        document.styles.add("CLACAD", font="LiberationSans-Regular.ttf")
+        document.dimstyles.duplicate_entry("Standard", "CLACAD")
+        pen = _Pen(document)
+        for number, sheet in enumerate(made):
+            pen.sheet(sheet, number * (sheet.paper[0] + GAP))
+        for name in sorted(
+            document.entitydb.dxf_types_in_use()
+        ):  # ezdxf would take them in the order of a set
+            document.classes.add_class(name)
+        document.saveas(path)
+    finally:
+        ezdxf.options.write_fixed_meta_data_for_testing = fixed
+    return pen.dimensions
+
+
+class _Pen:
+    """Draws marks of boards into a document: px of a board become mm of model space, y upwards."""
+
+    def __init__(self, document: Any) -> None:
+        self.document, self.space = document, document.modelspace()
+        self.dimensions = 0
+        self._left, self._top, self._unit = 0.0, 0.0, 1.0
+
+    def sheet(self, sheet: Sheet, x: float) -> None:
+        wide, tall = sheet.paper
+        for margin in (0.0, MARGIN):
+            corners = [
+                (margin, margin),
+                (wide - margin, margin),
+                (wide - margin, tall - margin),
+                (margin, tall - margin),
+            ]
+            self.space.add_lwpolyline(
+                [(x + u, v) for u, v in corners], close=True, dxfattribs={"layer": "FRAME"}
+            )
+        for placed in sheet.placed:
+            self._board(sheet, placed, x)
+
+    def _board(self, sheet: Sheet, placed: Placed, x: float) -> None:
+        self._left, self._top, self._unit = x + placed.x, sheet.paper[1] - placed.y, sheet.unit
+        for mark in placed.canvas.marks:
+            if isinstance(mark, Measure):
+                self._measure(mark, placed.canvas.scale)
+            else:
+                self._mark(self.space, mark, placed.canvas.scale, sheet.zoom)
+
+    def _at(self, point: Any) -> tuple[float, float]:
+        return self._left + float(point[0]) * self._unit, self._top - float(point[1]) * self._unit
+
+    def _mark(self, into: Any, mark: Mark, scale: float | None, zoom: float) -> None:
+        if isinstance(mark, Shape):
+            self._shape(into, mark)
+        elif isinstance(mark, Ring):
+            layer = {"layer": LAYER_OF.get(mark.kind, "OUTLINE")}
+            into.add_circle(self._at(mark.at), mark.radius * self._unit, dxfattribs=layer)
+        elif isinstance(mark, ScaleNote):
+            self._words(into, said_scale(mark, scale, zoom))
+        elif isinstance(mark, Words):
+            self._words(into, mark)
+
+    def _shape(self, into: Any, shape: Shape) -> None:
+        points = [self._at(point) for point in shape.points]
+        layer = {"layer": LAYER_OF.get(shape.kind, "OUTLINE")}
+        if shape.kind in ("head", "mark"):
+            into.add_solid([*points, points[-1]], dxfattribs=layer)
+        else:
+            into.add_lwpolyline(points, close=shape.closed, dxfattribs=layer)
+
+    def _words(self, into: Any, words: Words) -> None:
+        from ezdxf.enums import TextEntityAlignment
+
+        where = {
+            "start": TextEntityAlignment.LEFT,
+            "middle": TextEntityAlignment.CENTER,
+            "end": TextEntityAlignment.RIGHT,
+        }
+        height = TYPE * self._unit * (1.15 if words.kind == "title" else 1.0)
+        attributes = {"layer": "TEXT", "style": "CLACAD", "width": 0.85}
+        text = into.add_text(words.words, height=height, dxfattribs=attributes)
+        text.set_placement(self._at(words.at), align=where[words.anchor])
+
+    def _measure(self, mark: Measure, scale: float | None) -> None:
+        """A DIMENSION whose picture is what the board shows: ezdxf's own would measure words by fonts of this machine."""
+        assert scale is not None, "a dimension stands on a view to scale"
+        factor = 1.0 / (scale * self._unit)
+        dimension = self.space.add_linear_dim(
+            base=self._at(mark.base), p1=self._at(mark.ends[0]), p2=self._at(mark.ends[1]), angle=90 if mark.upright else 0,
+            text=mark.words, dimstyle="CLACAD", override={"dimlfac": factor}, dxfattribs={"layer": "DIMENSIONS"},
+        )  # fmt: skip
+        dimension.commit()
+        made, picture = dimension.dimension, self.document.blocks.new_anonymous_block(type_char="D")
+        made.dxf.geometry = picture.name
+        made.dxf.text_midpoint = self._at(next(one.at for one in mark.drawn if isinstance(one, Words)))
+        made.dxf.actual_measurement = float(np.asarray(made.get_measurement())) * factor
+        for one in mark.drawn:
+            self._mark(picture, one, scale, 1.0)
+        self.dimensions += 1
+
+
+# -- reading back --------------------------------------------------------------------------------------
+
+
+def dimensions_in(path: Path) -> Iterator[tuple[str, float]]:
+    """Words of each dimension of a drawing, and the length (mm of the part) between the points it is taken at.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    import ezdxf
+
+    try:
+        document = ezdxf.readfile(path)
+    except (OSError, ezdxf.DXFError, ValueError) as error:
+        raise UnreadableFile(f"{path.name}: {error}") from error
+    faults = document.audit().errors
+    if faults:
+        raise UnreadableFile(f"{path.name}: {faults[0].message}")
+    for entity in document.modelspace().query("DIMENSION"):
+        measured = float(np.asarray(entity.get_measurement()))
+        yield entity.dxf.text, measured * float(entity.override().get("dimlfac", 1.0))
+
+
+def check_drawing_dxf(path: Path, written: int) -> None:
+    """Read a drawing back: every dimension is there, and says what lies between its points.
+
+    Raises
+    ------
+    FileDisagrees, UnreadableFile
+    """
+    found = list(dimensions_in(path))
+    if len(found) != written:
+        raise FileDisagrees(f"{path.name}: {len(found)} dimensions were read back, {written} were written")
+    for words, measured in found:
+        stated = re.search(r"-?\d[\d.]*(?:e[-+]?\d+)?(?=$| ±)", words)
+        if stated is None or not abs(float(stated[0]) - measured) <= DIGITS * max(measured, 1e-9) + 1e-9:
+            raise FileDisagrees(
+                f"{path.name}: a dimension says {words!r} where {measured:.6g} mm lie between its points"
+            )

@@ -1,0 +1,55 @@
+"""A drawing as PDF: each sheet as SVG, set by Typst as in the report. Needs the extra `pdf`."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from clacad.formats.drawing.canvas import STYLE
+from clacad.formats.drawing.layout import MARGIN, Sheet
+from clacad.storage.errors import FileDisagrees
+
+
+def sheet_svg(sheet: Sheet) -> str:
+    """A sheet of paper as SVG, a millimetre a unit."""
+    wide, tall = sheet.paper
+    inner = f'x="{MARGIN:g}" y="{MARGIN:g}" width="{wide - 2 * MARGIN:g}" height="{tall - 2 * MARGIN:g}"'
+    boards = "\n".join(
+        f'<g transform="translate({one.x:.4f} {one.y:.4f}) scale({sheet.unit:.7f})">\n{one.canvas.body(sheet.zoom)}\n</g>'
+        for one in sheet.placed
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide:g} {tall:g}" width="{wide:g}mm" height="{tall:g}mm">'
+        f'<style>{STYLE}</style>\n<rect {inner} fill="none" stroke="#1c2733" stroke-width=".5"/>\n{boards}\n</svg>'
+    )
+
+
+def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
+    """Write all sheets, a page each; the same sheets give the same bytes."""
+    import typst
+
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        lines = []
+        for number, sheet in enumerate(made):
+            (place / f"{number}.svg").write_text(sheet_svg(sheet), encoding="utf-8")
+            wide, tall = sheet.paper
+            lines.append(
+                f'#page(width: {wide:g}mm, height: {tall:g}mm, margin: 0mm, image("{number}.svg", width: {wide:g}mm))'
+            )
+        main = '#set document(title: "drawing", author: "clacad", date: none)\n' + "\n".join(lines)
+        (place / "main.typ").write_text(main, encoding="utf-8")
+        path.write_bytes(bytes(typst.compile(str(place / "main.typ"), root=folder, ignore_system_fonts=True)))
+
+
+def check_drawing_pdf(path: Path, pages: int) -> None:
+    """Refuse what is no whole PDF of so many pages.
+
+    Raises
+    ------
+    FileDisagrees
+    """
+    data = path.read_bytes()
+    if not data.startswith(b"%PDF") or b"%%EOF" not in data[-64:] or b"/Count %d" % pages not in data:
+        raise FileDisagrees(f"{path.name}: no whole PDF of {pages} pages")

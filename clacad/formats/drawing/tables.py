@@ -1,0 +1,238 @@
+"""What stands beside the views on a drawing: faces, sags, errors and what they cost, notes, the title block."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.base.units import millimetres
+from clacad.formats.drawing.allowances import Allowances
+from clacad.formats.drawing.canvas import CHARACTER, Canvas
+from clacad.formats.drawing.orientation import orientation
+from clacad.formats.drawing.views import mm_text
+from clacad.formats.maps.pose_table import euler_degrees
+from clacad.formats.maps.sag import structured_faces
+from clacad.optics.surface import conic_constants, principal_radii, sag
+from clacad.sheet.lattice import Circle
+from clacad.sheet.window import Face, Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+LINE = 15.0
+"""Height of a row, px."""
+
+SAG_STEPS = 8
+"""Rows of the sag table: eighths of half a pitch."""
+
+COSTS = {"image_shift": "image shift", "blur": "blur", "law_rms": "law rms"}
+"""Measures of a tolerance study that the table of errors shows, in mrad."""
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Canvas:
+    """Rows of words under a title, each column as wide as its widest word at least."""
+    lines = [list(head), *(list(row) for row in rows)]
+    widths = [14.0 + CHARACTER * max(len(line[k]) for line in lines) for k in range(len(head))]
+    wanted = 1.1 * CHARACTER * len(title)  # the title is bold
+    spare = max(0.0, wanted - sum(widths)) / len(widths)
+    edges = np.cumsum([6.0, *(width + spare for width in widths)])
+    canvas = Canvas(float(edges[-1]) + 6.0, 26.0 + LINE * len(lines), title)
+    canvas.text((6.0, 13.0), title, "start", "title")
+    for number, line in enumerate(lines):
+        y = 20.0 + LINE * (number + 1)
+        canvas.line([(6.0, y), (float(edges[-1]), y)], "dim" if number in (0, len(lines) - 1) else "ext")
+        for word, x in zip(line, edges, strict=False):
+            canvas.text((float(x) + 3.0, y - 4.0), word, "start", "note" if number == 0 else "")
+    return canvas
+
+
+def _radius(value: float, mm: float, half: float) -> str:
+    return "flat" if abs(value) == inf else mm_text(value * mm, abs(value) * mm * half)
+
+
+def faces_table(window: Window, allowed: Allowances) -> Canvas:
+    """Every face: radii and conic constants along its own axes, where its apex stands in its cell, how it is turned."""
+    mm = millimetres(window.unit)
+    head = [
+        "face",
+        "radius x",
+        "radius y",
+        "conic x",
+        "conic y",
+        "apex in its cell x, y, z",
+        "phi, theta, psi / deg",
+    ]
+    rows = []
+    for body in window.bodies:
+        for side, face in (("front", body.front), ("back", body.back)):
+            half = 0.0 if face.array is None else allowed.radius[face.array]
+            radii = [_radius(face.side * r, mm, half) for r in principal_radii(face.surface)]
+            conics = ["-" if k is None else f"{k:.5g}" for k in conic_constants(face.surface)]
+            place = ", ".join(mm_text(v * mm) for v in face.vertex)
+            turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face)) if face.array is not None else "-"
+            flat = face.array is None
+            rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])
+    return table("faces (mm; radius above 0: bends towards +z; lens axes)", head, rows)
+
+
+def sag_table(window: Window) -> Canvas:
+    """Heights of each lens over its apex along its own axes x and y, out to the corner distance of its cell."""
+    mm = millimetres(window.unit)
+    curved = structured_faces(window)
+    reach = window.lattice.circumradius
+    head = ["distance", *(f"{label} {axis}" for _, _, label in curved for axis in "xy")]
+    rows = []
+    for k in range(1, SAG_STEPS + 1):
+        at = reach * k / SAG_STEPS
+        rows.append(
+            [mm_text(at * mm), *(_sag(face, at, axis, mm) for _, face, _ in curved for axis in (0, 1))]
+        )
+    return table("sag table (mm along lens x and y, height over the apex towards +z)", head, rows)
+
+
+def _sag(face: Face, at: float, axis: int, mm: float) -> str:
+    x, y = (at, 0.0) if axis == 0 else (0.0, at)
+    value = float(sag(face.surface, np.array([x]), np.array([y]))[0]) * mm
+    return f"{value:.6g}" if np.isfinite(value) else "none"
+
+
+def errors_table(
+    design: Design, window: Window, allowed: Allowances, study: Mapping[str, Any] | None
+) -> Canvas:
+    """What may go wrong by how much, and what each costs as far as a tolerance study has told."""
+    if study is not None:
+        return _studied(design, study)
+    two = len(window.bodies) > 1
+    named = {
+        "decentre of array 1, array 2 (x and y)": [f"±{mm_text(v)} mm" for v in allowed.decentre if v > 0.0],
+        "rotation of array 2 about the normal of A": [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else [],
+        "tilt of array 2 against A": [f"±{1e3 * allowed.tilt:.3g} mrad"] if allowed.tilt else [],
+        "lens to lens": [f"±{mm_text(allowed.separation)} mm"] if two and allowed.separation else [],
+        "centre thickness of the bodies": [f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0],
+        "radii of array 1, array 2": [f"±{100 * v:.3g} %" for v in allowed.radius if v > 0.0],
+    }  # fmt: skip
+    rows = [[name, ", ".join(values), "not studied"] for name, values in named.items() if values]
+    rows = rows or [["none stated: [tolerances] of the design is empty", "-", "not studied"]]
+    return table(
+        "errors allowed (what each costs: clacad tolerance, into this folder)",
+        ["error", "allowed", "costs"],
+        rows,
+    )
+
+
+def _studied(design: Design, study: Mapping[str, Any]) -> Canvas:
+    """Parameters of a study with what each changes over its tolerance, the dearest for the law first."""
+    changes = {
+        measure: {row["parameter"]: row["change"] for row in study["ranking"].get(measure, ())}
+        for measure in COSTS
+    }
+    parameters = sorted(study["parameters"], key=lambda p: -(changes["law_rms"].get(p["name"]) or 0.0))
+    rows = []
+    for p in parameters:
+        if p["unit"] == "rad":
+            stated = f"{1e3 * p['tolerance']:.3g} mrad"
+        elif p["unit"]:
+            stated = f"{mm_text(p['tolerance'] * millimetres(design.unit_m))} mm"
+        else:
+            stated = f"{p['tolerance']:.3g}"
+        costs = [changes[measure].get(p["name"]) for measure in COSTS]
+        rows.append([p["name"], ("" if p["one_sided"] else "±") + stated, *("-" if c is None else f"{1e3 * c:.3g}" for c in costs)])  # fmt: skip
+    title = "errors allowed, and what each alone changes (mrad), by a tolerance study of this design"
+    return table(title, ["error", "allowed", *COSTS.values()], rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """What a title block says beside the part's own numbers.
+
+    number : str
+        Of the drawing.
+    version : str
+        Of the program that drew it.
+    paper : str
+    """
+
+    number: str
+    version: str
+    paper: str
+
+
+def title_block(window: Window, heading: Heading, sheet: int, sheets: int) -> Canvas:
+    """Name, form, material, sizes, number, sheet."""
+    n1, n2 = window.lattice.count
+    materials = ", ".join(dict.fromkeys(_material(body.material, body.index) for body in window.bodies))
+    rows = [
+        ["part", window.name],
+        [
+            "kind",
+            f"confocal lenslet array pair, {window.form}, {n1} x {n2} cells ({window.lattice.cell_count:,} kept)",
+        ],
+        ["bodies", ", ".join(body.name for body in window.bodies)],
+        ["material", materials],
+        ["units, scale", "mm, as each view says; views by their names"],
+        ["drawing", f"{heading.number}, clacad {heading.version}"],
+        ["sheet", f"{sheet} of {sheets}, {heading.paper.upper()}"],
+    ]
+    wide = 24.0 + CHARACTER * max(len(row[1]) for row in rows)
+    canvas = Canvas(90.0 + wide, LINE * len(rows) + 4.0, "title block")
+    for number, (name, value) in enumerate(rows):
+        y = 2.0 + LINE * (number + 1)
+        canvas.text((6.0, y - 4.0), name, "start", "note")
+        canvas.text((92.0, y - 4.0), value, "start", "title" if number == 0 else "")
+        if number + 1 < len(rows):
+            canvas.line([(0.0, y), (canvas.width, y)], "ext")
+    corners = [
+        (0.0, 2.0),
+        (canvas.width, 2.0),
+        (canvas.width, canvas.height),
+        (0.0, canvas.height),
+        (0.0, 2.0),
+    ]
+    canvas.line(corners, "dim")
+    canvas.line([(86.0, 2.0), (86.0, canvas.height)], "ext")
+    return canvas
+
+
+def _material(material: Any, index: float) -> str:
+    return f"n = {index:.6g}" if material is None else f"{material.name}, n = {index:.6g}"
+
+
+def notes(window: Window, allowed: Allowances, slope_rms: float, width: float) -> Canvas:
+    """Datums, finish, tolerances, how the part is held; lines broken at `width` px."""
+    mm = millimetres(window.unit)
+    rough = (
+        f"Rq at most {1e6 * allowed.roughness:.3g} nm"
+        if allowed.roughness > 0.0
+        else "roughness not stated by the design"
+    )
+    slope = f", slope error at most {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else ""
+    sides = "B: the round side" if isinstance(window.outline, Circle) else (
+        "B: the -y side; C: the -x side; the mark is at the corner +x, +y"
+    )  # fmt: skip
+    said = [
+        f"Datum A: the plane z = {mm_text(window.z_range[0] * mm)} through the lowest points of the side of lens 1; {sides}.",
+        f"Surface finish of lens faces: {rough}{slope}. Sides and land: as cut, opaque where the design says so.",
+        "± is an error that the design allows. Dimensions without ± are theoretically exact; agree on the workshop's own class.",
+        *orientation(window),
+    ]
+    most = int((width - 24.0) / CHARACTER)
+    lines = [(line, k) for text in said for k, line in enumerate(_broken(text, most))]
+    canvas = Canvas(width, 26.0 + LINE * len(lines), "notes")
+    canvas.text((6.0, 13.0), "notes", "start", "title")
+    for number, (line, k) in enumerate(lines):
+        canvas.text((6.0 if k == 0 else 16.0, 16.0 + LINE * (number + 1)), line, "start")
+    return canvas
+
+
+def _broken(text: str, most: int) -> list[str]:
+    """Words in lines of at most `most` characters."""
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > most:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".lstrip()
+    return lines

@@ -1,0 +1,347 @@
+"""Dimensioned drawings, true to scale, of the assembly, of one telescopelet and of its lenses.
+
+Outlines come from the faces that are traced and written; every number beside a dimension line is measured on them
+or is one of the derived numbers. Lengths are in millimetres; ± stands where the design's [tolerances] say how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.digits import digits
+from clacad.base.types import Floats
+from clacad.base.units import millimetres
+from clacad.formats.drawing.allowances import NO_ALLOWANCES, Allowances
+from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
+from clacad.formats.drawing.canvas import Canvas
+from clacad.sheet.bundle import central_cell
+from clacad.sheet.feasibility import body_range
+from clacad.sheet.lattice import Circle
+from clacad.sheet.volume_and_extent import body_extent, whole_extent
+from clacad.sheet.window import Body, Window
+
+if TYPE_CHECKING:
+    from clacad.sheet.feasibility import Feasibility
+
+WIDTH = 760.0
+MOST_CELLS = 240
+"""Cells across the sheet up to which the assembly is drawn lens by lens."""
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What of the light is drawn through a telescopelet.
+
+    Parameters
+    ----------
+    rays : list of (k, 3) arrays, lengths
+        Traced paths through the cell in the middle.
+    focus : float, length
+        Height of the common focal plane over lens 1.
+    """
+
+    rays: list[Floats]
+    focus: float
+
+
+def mm_text(value: float, half: float = 0.0) -> str:
+    """A length in millimetres as a drawing shows it, with what it may be off."""
+    return f"{value:.5g} ±{half:.2g}" if half > 0.0 else f"{value:.5g}"
+
+
+def assembly(window: Window) -> Canvas:
+    """The whole sheet from the side, cut through a row of cells, with its outer sizes and those of its bodies."""
+    mm = millimetres(window.unit)
+    x0, x1, _, _ = whole_extent(window)
+    low, high = window.z_range
+    left, right = 40.0, 130.0
+    scale = min((WIDTH - left - right) / ((x1 - x0) * mm), 260.0 / ((high - low) * mm))
+    tall = (high - low) * mm * scale
+    top = 34.0
+    canvas = Canvas(WIDTH, top + tall + 74.0, "assembly in cross-section with dimensions, to scale", scale)
+    left += 0.5 * ((WIDTH - left - right) - (x1 - x0) * mm * scale)
+
+    def at(x: Floats | float, z: Floats | float) -> Floats:
+        return _points(left + (np.asarray(x) - x0) * mm * scale, top + (high - np.asarray(z)) * mm * scale)
+
+    _, y = across_cell(window, 0)
+    for body in window.bodies:
+        _draw_body(canvas, window, body, y, at)
+    end = left + (x1 - x0) * mm * scale
+    bottom = top + tall
+    canvas.datum((left + 0.2 * (end - left), bottom), (0.0, 17.0), "A")
+    canvas.across(left, end, bottom + 30, mm_text((x1 - x0) * mm), (bottom, bottom))
+    canvas.upright(top, bottom, end + 62, mm_text((high - low) * mm), (end, end))
+    if len(window.bodies) > 1:
+        for body in window.bodies:
+            a, b = body_range(window, body)
+            ya, yb = float(at(x0, b)[1]), float(at(x0, a)[1])
+            canvas.upright(ya, yb, end + 16, mm_text((b - a) * mm), (end, end))
+    canvas.text((left, 14), f"{row_text(window)}, lens 1 below", "start", "note")
+    canvas.scale_note((WIDTH - 6, 14))
+    canvas.leader((left - 22, bottom - min(30.0, tall + 12)), (left - 22, bottom), "")
+    canvas.text((left - 22, bottom + 14), "+z", "middle", "note")
+    canvas.text((left, bottom + 60), "Light comes from below. Section along x through the row of cells nearest the middle.",
+                "start", "note")  # fmt: skip
+    return canvas
+
+
+def row_text(window: Window) -> str:
+    """Which cells the section goes through, as its title says it: those of the row that is drawn, not of the lattice."""
+    n1, n2 = window.lattice.count
+    row = window.lattice.row(central_cell(window)[1])
+    cells = f"{len(row)} cells of {mm_text(window.lattice.pitch[0] * millimetres(window.unit))}"
+    return (
+        cells
+        if len(row) == n1
+        else f"{cells} in the row shown (of {n1} x {n2} of the lattice, cut to the outline)"
+    )
+
+
+def _points(across: Floats, down: Floats) -> Floats:
+    """Points (…, 2) of a drawing, px."""
+    return np.stack(np.broadcast_arrays(across, down), axis=-1)
+
+
+def _draw_body(canvas: Canvas, window: Window, body: Body, y: float, at: Callable[..., Floats]) -> None:
+    a0, a1, _, _ = body_extent(window, body)
+    if window.lattice.count[0] <= MOST_CELLS:
+        samples = min(4001, max(401, 12 * window.lattice.count[0] + 1))
+        x = np.linspace(a0, a1, samples) * (1.0 - 1e-12)
+        pieces = outlines(x, *heights(window, body, x, y))
+        if 0 < len(pieces) <= 60:
+            for piece in pieces:
+                canvas.polygon(at(piece[:, 0], piece[:, 1]), "body")
+            return
+    low, high = body_range(window, body)
+    corners = np.array([[a0, low], [a1, low], [a1, high], [a0, high]])
+    canvas.polygon(at(corners[:, 0], corners[:, 1]), "cut")
+
+
+def plan(window: Window) -> Canvas:
+    """The sheet seen along the light, with its axes: which way round it goes."""
+    mm = millimetres(window.unit)
+    x0, x1, y0, y1 = whole_extent(window)
+    scale = 190.0 / (max(x1 - x0, y1 - y0) * mm)
+    wide, tall = (x1 - x0) * mm * scale, (y1 - y0) * mm * scale
+    canvas = Canvas(
+        380.0, tall + 92.0, "the sheet seen along the light, with axes and outer sizes, to scale", scale
+    )
+    left, top = 105.0, 24.0
+    if isinstance(window.outline, Circle):
+        canvas.circle((left + 0.5 * wide, top + 0.5 * tall), 0.5 * wide, "body")
+        canvas.datum((left + wide, top + 0.5 * tall), (13.0, 0.0), "B")
+    else:
+        canvas.polygon(
+            np.array([[left, top], [left + wide, top], [left + wide, top + tall], [left, top + tall]]), "body"
+        )
+        canvas.polygon(np.array([[left, top], [left + 12.0, top], [left, top + 12.0]]), "mark")
+        canvas.text((left - 6.0, top + 10.0), "mark", "end", "note")
+        canvas.datum((left + 0.2 * wide, top + tall), (0.0, 14.0), "B")
+        canvas.datum((left + wide, top + 0.2 * tall), (13.0, 0.0), "C")
+    middle = np.array([left + 0.5 * wide, top + 0.5 * tall])
+    for tip, words in (((-48.0, 0.0), "+x"), ((0.0, -48.0), "+y")):
+        end = middle + np.array(tip)
+        canvas.leader((float(end[0]), float(end[1])), (float(middle[0]), float(middle[1])), "")
+        canvas.text((float(end[0]) - 10 if tip[0] else float(end[0]) + 12, float(end[1]) + 4), words)
+    canvas.circle((float(middle[0]), float(middle[1])), 5.0, "dim")
+    canvas.text((float(middle[0]) + 10, float(middle[1]) + 18), "+z away", "start", "note")
+    bottom = top + tall
+    canvas.across(left, left + wide, bottom + 26, mm_text((x1 - x0) * mm), (bottom, bottom))
+    canvas.upright(top, bottom, left + wide + 22, mm_text((y1 - y0) * mm), (left + wide, left + wide))
+    canvas.text((6, bottom + 54), "seen along the light, from the side of lens 1", "start", "note")
+    canvas.scale_note((374, bottom + 54))
+    return canvas
+
+
+def telescopelet(
+    window: Window, facts: Feasibility, light: Light | None = None, allowed: Allowances = NO_ALLOWANCES
+) -> Canvas:
+    """One telescopelet cut along x, light from the left, with separation, thicknesses, pitch and focal plane."""
+    mm = millimetres(window.unit)
+    pitch = window.lattice.pitch[0] * mm
+    low, high = window.z_range
+    shift = abs(window.shifts[1][0]) * mm
+    scale = min(600.0 / ((high - low) * mm), 190.0 / (pitch + shift))
+    left, top = 74.0, 40.0
+    tall = (pitch + shift) * scale
+    canvas = Canvas(
+        WIDTH, top + tall + 96.0, "one telescopelet in cross-section with dimensions, to scale", scale
+    )
+    left += 0.5 * (600.0 - (high - low) * mm * scale)
+    x, y = across_cell(window, 0)
+    above = 0.5 * pitch + max(0.0, window.shifts[1][0] * mm)
+    middle = 0.5 * (x[0] + x[-1])
+
+    def at(x: Floats | float, z: Floats | float) -> Floats:
+        down = top + (above - (np.asarray(x) - middle) * mm) * scale
+        return _points(left + (np.asarray(z) - low) * mm * scale, down)
+
+    spans = _spans(window, at, canvas)
+    bottom = top + tall
+    for (name, (a, b)), half in zip(spans.items(), allowed.thickness, strict=False):
+        za, zb = float(at(0.0, a)[0]), float(at(0.0, b)[0])
+        canvas.across(za, zb, bottom + 26, f"{name} {mm_text((b - a) * mm, half)}", (bottom, bottom))
+    centres = [0.0, _second(window)]
+    za, zb = (float(at(0.0, c)[0]) for c in centres)
+    apart = allowed.separation if window.form != "slab" else 0.0
+    words = f"lens to lens {mm_text((centres[1] - centres[0]) * mm, apart)}"
+    canvas.across(za, zb, bottom + 56, words, (bottom, bottom))
+    ya, yb = float(at(x[-1], 0.0)[1]), float(at(x[0], 0.0)[1])
+    edge = float(at(0.0, low)[0])
+    canvas.upright(ya, yb, edge - 44, mm_text(pitch), (edge, edge))
+    if light is not None:
+        _focal_plane(canvas, window, light, at, middle)
+    canvas.text((6, 14), f"f in air, lens 1: {_pair(facts.lenses[0].built_focal_length, mm)}; lens 2: "
+                f"{_pair(facts.lenses[1].built_focal_length, mm)} (x, y)", "start", "note")  # fmt: skip
+    canvas.scale_note((WIDTH - 6, 14))
+    return canvas
+
+
+def _pair(values: tuple[float, float], mm: float) -> str:
+    return ", ".join(mm_text(v * mm) if isfinite(v) else "none" for v in values)
+
+
+def _second(window: Window) -> float:
+    """Height of the middle of lens 2."""
+    if window.form != "biconvex":
+        return float(next(f for f in window.faces if f.array == 1).vertex[2])
+    return float(window.thin.offset[2])
+
+
+def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[str, tuple[float, float]]:
+    """Draw the bodies over one cell; extents along z of each, at the middle of its cell.
+
+    A slab is drawn, and its extent taken, over the cells of both its lenses, each face along the middle of its own
+    lens: displaced ones do not face one another.
+    """
+    found = {}
+    for number, body in enumerate(window.bodies):
+        paired = len(window.bodies) > 1
+        x, y = across_cell(window, number if paired else 0)
+        if not paired:
+            other, other_y = across_cell(window, 1)
+            x = np.union1d(x, other)
+            front, back = heights(window, body, x, y)[0], heights(window, body, x, other_y)[1]
+        else:
+            front, back = heights(window, body, x, y)
+        for piece in outlines(x, front, back):
+            canvas.polygon(at(piece[:, 0], piece[:, 1]), "body")
+        low, high = (front[len(x) // 2], back[len(x) // 2]) if paired else (np.nanmin(front), np.nanmax(back))
+        if isfinite(low) and isfinite(high):
+            found[body.name] = (float(low), float(high))
+    return found
+
+
+def _focal_plane(canvas: Canvas, window: Window, light: Light, at: Callable[..., Floats], middle: float
+                 ) -> None:  # fmt: skip
+    """Common focal plane along x, where it lies between the lenses, and traced rays."""
+    for ray in light.rays:
+        path = at(ray[:, 0] + middle, ray[:, 2])
+        for end, towards in ((0, 1), (-1, -2)):  # a little of the way outside is enough
+            way = path[end] - path[towards]
+            path[end] = path[towards] + way * min(1.0, 34.0 / max(abs(float(way[0])), 1e-9))
+        canvas.line(path, "ray")
+    place = light.focus
+    if isfinite(place) and window.z_range[0] < place < window.z_range[1]:
+        half = 0.5 * window.lattice.pitch[0]
+        top, bottom = at(middle + half, place), at(middle - half, place)
+        canvas.line([tuple(top), tuple(bottom)], "focus")
+        canvas.text(
+            (float(top[0]), float(top[1]) - 6),
+            f"focal plane {mm_text(place * millimetres(window.unit))} from lens 1",
+        )
+
+
+def lens_detail(
+    window: Window, facts: Feasibility, array: int, allowed: Allowances = NO_ALLOWANCES
+) -> Canvas:
+    """One lens over its cell, enlarged, with pitch, sag, thickness and apex radii; light from below."""
+    lens = facts.lenses[array]
+    body = window.bodies[min(array, len(window.bodies) - 1)]
+    mm = millimetres(window.unit)
+    x, y = across_cell(window, array)
+    front, back = heights(window, body, x, y)
+    pitch = window.lattice.pitch[0] * mm
+    left = 84.0
+    curved = _curved_side(body, array)
+    deep = front if curved is None else (front if curved == 0 else back)
+    depth = (_depth(front, back) if curved is None else _depth(deep, deep)) * mm
+    scale = min(200.0 / pitch, 120.0 / depth) if depth > 0 else 200.0 / pitch
+    left += 0.5 * (200.0 - pitch * scale)
+    bottom = _low(front)
+    if curved == 1:  # the flat side of a thick body is far below: only its top is drawn
+        bottom = max(bottom, _low(back) - 40.0 / scale / mm)
+    drawn_top = np.where(np.isfinite(back), np.minimum(back, bottom + 130.0 / scale / mm), np.nan)
+    if curved == 0:
+        drawn_top = np.minimum(drawn_top, bottom + max(60.0 / scale / mm, 1.5 * depth / mm))
+    tall = (float(np.nanmax(drawn_top)) - bottom) * mm * scale if np.isfinite(drawn_top).any() else 40.0
+    base = 54.0 + max(tall, 30.0)
+    label = f"lens {array + 1} over its cell with dimensions, to scale"
+    canvas = Canvas(380.0, base + 80.0, label, scale)
+
+    def at(x_: Floats | float, z: Floats | float) -> Floats:
+        down = base - (np.asarray(z) - bottom) * mm * scale
+        return _points(left + (np.asarray(x_) - x[0]) * mm * scale, down)
+
+    for piece in outlines(x, np.maximum(front, bottom), drawn_top):
+        canvas.polygon(at(piece[:, 0], piece[:, 1]), "body" if curved is None else "cut")
+    half = allowed.thickness[min(array, len(allowed.thickness) - 1)]
+    _detail_dimensions(canvas, x, front, back, at, mm, curved, base, half)
+    canvas.text((6, 14), f"lens {array + 1}, on {body.name}", "start", "title")
+    canvas.scale_note((374, 14))
+    radius = ", ".join(mm_text(r * mm) if isfinite(r) else "flat" for r in lens.radius)
+    conic = ", ".join("–" if k is None else digits(k, count=4) for k in lens.conic)
+    canvas.text((6, base + 56.0), f"apex radius x, y: {radius}", "start")
+    canvas.text((6, base + 72.0), f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}", "start")
+    return canvas
+
+
+def _curved_side(body: Body, array: int) -> int | None:
+    """Side of a body that carries this lens where the other side does not: 0 front, 1 back; None where both do."""
+    sides = [k for k, face in enumerate((body.front, body.back)) if face.array == array]
+    return sides[0] if len(sides) == 1 else None
+
+
+def _depth(front: Floats, back: Floats) -> float:
+    if not (np.isfinite(front) & np.isfinite(back)).any():
+        return 0.0
+    return float(np.nanmax(back) - np.nanmin(front))
+
+
+def _detail_dimensions(
+    canvas: Canvas, x: Floats, front: Floats, back: Floats, at: Callable[..., Floats], mm: float, curved: int | None,
+    base: float, half: float,
+) -> None:  # fmt: skip
+    """Draw pitch, and sag of a lens on a plate, or thicknesses of a lens of its own at the middle and the edge."""
+    pitch = (x[-1] - x[0]) * mm
+    (xa, ya), (xb, _) = at(x[0], _low(front)), at(x[-1], _low(front))
+    canvas.across(
+        float(xa), float(xb), base + 30.0, mm_text(pitch), (min(float(ya), base), min(float(ya), base))
+    )
+    solid = np.flatnonzero(np.isfinite(front) & np.isfinite(back) & (back >= front))
+    if not len(solid):
+        canvas.text((190, 110), "no material along this line")
+        return
+    first, mid = int(solid[0]), int(solid[len(solid) // 2])
+    if curved is not None:
+        face = front if curved == 0 else back
+        ends = float(at(0.0, face[first])[1]), float(at(0.0, face[mid])[1])
+        canvas.upright(*ends, float(xb) + 18, mm_text(abs(face[mid] - face[first]) * mm),
+                       (float(at(x[-1], 0.0)[0]), float(at(x[mid], 0.0)[0])))  # fmt: skip
+        return
+    za, zb = float(at(0.0, front[mid])[1]), float(at(0.0, back[mid])[1])
+    canvas.upright(za, zb, float(xb) + 18, mm_text((back[mid] - front[mid]) * mm, half),
+                   (float(at(x[mid], 0.0)[0]), float(at(x[mid], 0.0)[0])))  # fmt: skip
+    za, zb = float(at(0.0, front[first])[1]), float(at(0.0, back[first])[1])
+    canvas.upright(za, zb, float(xa) - 18, mm_text((back[first] - front[first]) * mm),
+                   (float(at(x[first], 0.0)[0]), float(at(x[first], 0.0)[0])))  # fmt: skip
+
+
+def _low(values: Floats) -> float:
+    return float(np.nanmin(values)) if np.isfinite(values).any() else 0.0
