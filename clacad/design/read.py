@@ -15,6 +15,7 @@ from clacad.config.key_positions import KeyPath, located, split_key
 from clacad.config.mistakes import Mistake, in_order
 from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
+from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
 from clacad.design.sections import (
@@ -193,6 +194,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         pair["thickness"] = pair["thickness"][0]
     if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
         pair["web"] = 0.0
+    pair["face"] = faces_read(pair["face"])
     law["euler_degrees"] = law.pop("euler")
     if lattice["outline"] is not None:
         ((shape, size),) = lattice["outline"]

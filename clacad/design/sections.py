@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from clacad.design.given_faces import FaceSpec
+
 Pair2 = tuple[float, float]
 
 
@@ -69,6 +71,12 @@ class PairSpec:
         Name in the table of materials.
     wavelength : float, metres
         Design wavelength.
+    prescription : {"derived", "given"}
+        Whether the recipe finds the faces, or `face` gives them.
+    face : tuple of FaceSpec
+        The given faces in the order light meets them: 2 of a slab, else 4.
+    vertex : (2,) tuple of float or None, length
+        Given offset of lens 2 in the lens frame; None: δ f1.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -83,6 +91,14 @@ class PairSpec:
     index: float | None
     material: str | None
     wavelength: float
+    prescription: Literal["derived", "given"] = "derived"
+    face: tuple[FaceSpec, ...] = ()
+    vertex: Pair2 | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether the faces stand as given."""
+        return self.prescription == "given"
 
     @property
     def thicknesses(self) -> Pair2 | None:
