@@ -14,7 +14,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.design.given_faces import FaceSpec
 from clacad.design.sections import PairSpec
-from clacad.optics.surface import Biconic, Surface, as_quadric
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, as_quadric
 from clacad.prescription.cell_heights import face_range, least_thickness, zone_points
 from clacad.prescription.radii import LensPair, NoSuchLens, Pair2
 from clacad.sheet.window import Body, Face, Window, lens_height
@@ -42,6 +42,8 @@ class GivenFaces:
 def given_surface(face: FaceSpec, side: int) -> Surface:
     """The surface of a given face: a quadric wherever its points are those of one."""
     (cx, cy), (kx, ky) = face.curvature, face.conic
+    if any(face.a4):
+        return EvenPolynomial(cx, cy, kx, ky, face.a4, side)
     biconic = Biconic(cx, cy, kx, ky, side)
     try:
         return as_quadric(biconic)
@@ -120,7 +122,7 @@ def _conic_that_fits(face: Face, points: Floats) -> str:
 
 def given_conics(surface: Surface) -> Pair2:
     """Conic constants (K_x, K_y); −1 in the flat meridian of a quadric, where any would do."""
-    if isinstance(surface, Biconic):
+    if not isinstance(surface, Quadric):
         return surface.conic_x, surface.conic_y
     k = [surface.kappa / c - 1.0 if c else -1.0 for c in (surface.curvature_x, surface.curvature_y)]
     return k[0], k[1]
