@@ -31,6 +31,11 @@ POLYNOMIAL_STEPS = 120
 SETTLED = 2.0**-34
 """Relative step after which Newton's next error, its square, is below rounding."""
 
+CLOSE = 2.0**-24
+"""Height over the surface, part of the sizes of its terms, above which a small step is no sign of a root: near the equator
+of the base, where the surface stands upright, every step is small.
+"""
+
 TIGHT = 4 * ULP
 """Relative width of a bracket that cannot be halved any more."""
 
@@ -53,16 +58,16 @@ def polynomial_root(surface: EvenPolynomial, base: Columns, ray: Columns) -> Flo
         if not rows.size:
             break
         here, along = [p[rows] for p in base], [d[rows] for d in up]
-        gap, onward, w = search.gap(here, along, t)
+        gap, onward, w, size = search.gap(here, along, t)
         low, high = np.where(gap < 0.0, t, low), np.where(gap < 0.0, high, t)
         step = t - gap * w / onward
         usable = (onward > 0.0) & np.isfinite(step) & (low <= step) & (step <= high)
-        usable &= (search.first <= step) & (step <= search.last)
+        usable &= (search.first <= step) & (step <= search.last) & ((step != t) | (gap == 0.0) | (w > 0.0))
         bracketed = np.isfinite(low) & np.isfinite(high)
         stride = np.where(usable | bracketed, stride, np.maximum(2.0 * stride, 2.0 * np.abs(gap)))
         beyond = np.clip(t + np.where(gap < 0.0, stride, -stride), search.first, search.last)
         following = np.where(usable, step, np.where(bracketed, 0.5 * (low + high), beyond))
-        near = usable & (np.abs(step - t) <= SETTLED * np.abs(step))
+        near = usable & (np.abs(step - t) <= SETTLED * np.abs(step)) & (np.abs(gap) <= CLOSE * size)
         tight = bracketed & (high - low <= TIGHT * np.maximum(np.abs(low), np.abs(high))) & (onward > 0.0)
         stuck = ~usable & ~bracketed & (following == t)  # at an end of the real stretch, on the wrong side
         done = near | tight
@@ -84,14 +89,18 @@ class _Search:
         """The same for some of the rays."""
         return _Search(self.surface, self.first[rows], self.last[rows])
 
-    def gap(self, base: list[Floats], ray: list[Floats], t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Height over the surface at distances t (m,), G·D there, and w, which is 0 where rounding passes the equator."""
+    def gap(self, base: list[Floats], ray: list[Floats], t: Floats
+            ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+        """At distances t (m,): height over the surface, G·D, w (0 where rounding passes the equator), and the size of
+        what is subtracted.
+        """
         x, y, z = (p + t * d for p, d in zip(base, ray, strict=True))
         surface = self.surface
         w = np.sqrt(np.maximum(1.0 - (self.a * x * x + self.b * y * y), 0.0))
-        sag = lateral_square(surface, x, y) / (1.0 + w) + fourth_order(surface, x, y)[0]
+        above, terms = lateral_square(surface, x, y) / (1.0 + w), fourth_order(surface, x, y)[0]
         gx, gy = lateral_gradient(surface, x, y, w)
-        return z - surface.side * sag, gx * ray[0] + gy * ray[1] + w * ray[2], w
+        size = np.abs(z) + np.abs(above) + np.abs(terms)
+        return z - surface.side * (above + terms), gx * ray[0] + gy * ray[1] + w * ray[2], w, size
 
 
 def _real_stretch(surface: EvenPolynomial, base: Columns, ray: Columns) -> tuple[Floats, Floats]:

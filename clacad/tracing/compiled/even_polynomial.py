@@ -6,7 +6,7 @@ from math import copysign, inf, isfinite, isnan, nan, sqrt
 
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
-from clacad.optics.surface.even_polynomial import POLYNOMIAL_STEPS, SETTLED, TIGHT
+from clacad.optics.surface.even_polynomial import CLOSE, POLYNOMIAL_STEPS, SETTLED, TIGHT
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.records import Ray, Vector
 
@@ -14,8 +14,10 @@ from clacad.tracing.compiled.records import Ray, Vector
 @exact
 def polynomial_over(
     faces: Floats, row: int, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
-    """Normal G towards +z over (x, y), its z component w (0 beyond the equator), and the height of z over the face."""
+) -> tuple[float, float, float, float, float]:
+    """Normal G towards +z over (x, y), its z component w (0 beyond the equator), the height of z over the face, and
+    the size of what is subtracted.
+    """
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     of_x, of_y = 1.0 + faces[row, slot.KX], 1.0 + faces[row, slot.KY]
     a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
@@ -25,8 +27,8 @@ def polynomial_over(
     twist = side * (cx * cy * (of_x * cx - of_y * cy)) * x * y / ((1.0 + w) * (1.0 + w))
     gx = -side * cx * x - side * w * (x * (4.0 * a * xx + 2.0 * b * yy)) - twist * y
     gy = -side * cy * y - side * w * (y * (2.0 * b * xx + 4.0 * c * yy)) + twist * x
-    sag = (cx * xx + cy * yy) / (1.0 + w) + (xx * (a * xx + b * yy) + yy * (c * yy))
-    return gx, gy, w, z - side * sag
+    base, terms = (cx * xx + cy * yy) / (1.0 + w), xx * (a * xx + b * yy) + yy * (c * yy)
+    return gx, gy, w, z - side * (base + terms), abs(z) + abs(base) + abs(terms)
 
 
 @exact
@@ -41,7 +43,7 @@ def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
     t = min(max(0.0, first), last)
     low, high, stride = -inf, inf, 0.0
     for _ in range(POLYNOMIAL_STEPS):
-        gx, gy, w, gap = polynomial_over(faces, row, bx + t * L, by + t * M, bz + t * N)
+        gx, gy, w, gap, size = polynomial_over(faces, row, bx + t * L, by + t * M, bz + t * N)
         if isnan(gap):
             return nan
         if gap < 0.0:
@@ -50,19 +52,21 @@ def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
             high = t
         onward = gx * L + gy * M + w * N
         step = t - gap * w / onward if onward > 0.0 else nan
+        bracketed = isfinite(low) and isfinite(high)
         usable = low <= step <= high and first <= step <= last and isfinite(step)
+        usable = usable and (step != t or gap == 0.0 or w > 0.0)
         if usable:
             following = step
-            if abs(step - t) <= SETTLED * abs(step):
+            if abs(step - t) <= SETTLED * abs(step) and abs(gap) <= CLOSE * size:
                 return sense * step
-        elif isfinite(low) and isfinite(high):
+        elif bracketed:
             following = 0.5 * (low + high)
         else:
             stride = max(2.0 * stride, 2.0 * abs(gap))
             following = min(max(t + (stride if gap < 0.0 else -stride), first), last)
             if following == t:
                 return nan
-        if onward > 0.0 and high - low <= TIGHT * max(abs(low), abs(high)):
+        if bracketed and onward > 0.0 and high - low <= TIGHT * max(abs(low), abs(high)):
             return sense * following
         t = following
     return nan

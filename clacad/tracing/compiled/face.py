@@ -256,7 +256,7 @@ def meet(
     px, py, pz = base[0] + t * L, base[1] + t * M, base[2] + t * N
     gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * faces[row, slot.KX] * pz
     if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
-        gx, gy, gz, _ = polynomial_over(faces, row, px, py, pz)
+        gx, gy, gz, _, _ = polynomial_over(faces, row, px, py, pz)
         root = abs(gx * L + gy * M + gz * N)
     elif faces[row, slot.BICONIC] != 0.0:
         w, _ = _biconic_parts(faces, row, px, py)
@@ -350,7 +350,7 @@ def _biconic_step(
 ) -> float:
     """Newton step along the ray towards z = sag(x, y)."""
     if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
-        gx, gy, w, gap = polynomial_over(faces, row, x, y, z)
+        gx, gy, w, gap, _ = polynomial_over(faces, row, x, y, z)
         return float(gap * w / (L * gx + M * gy + N * w)) if w > 0.0 else nan
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
@@ -379,7 +379,7 @@ def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float
         over = -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
         return -side * cx * x, -side * cy * y, 1.0 - side * kappa * z, over
     if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
-        gx, gy, w, gap = polynomial_over(faces, row, x, y, z)
+        gx, gy, w, gap, _ = polynomial_over(faces, row, x, y, z)
         return gx, gy, w, gap * w
     w, _ = _biconic_parts(faces, row, x, y)
     skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
