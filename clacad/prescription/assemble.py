@@ -80,13 +80,18 @@ def build_window(design: Design) -> Window:
     intent = _intent(design)
     if not design.pair.given:
         _refuse_radius(intent)
-    window = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}[design.pair.form](intent)
+    window = _FORMS[design.pair.form](intent)
     if design.pair.given:
         refuse_no_faces(window)
     window = replace(window, z_range=window_range(window))
     asked = intent.law.refract(intent.turn[:, 2][None])[0]
     left = residual(window, intent.turn, _entry(window, intent), asked)
     return replace(window, residual=left)
+
+
+def placed(design: Design) -> Window:
+    """Window of a design with given faces, neither judged nor measured: a trial of a search."""
+    return _FORMS[design.pair.form](_intent(design))
 
 
 def _intent(design: Design) -> Intent:
@@ -479,3 +484,7 @@ def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float)
         "curved": pair.curved if pair.form == "plano" else None,
         "warnings": [],
     }
+
+
+_FORMS = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}
+"""How each form is built."""
