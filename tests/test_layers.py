@@ -30,6 +30,7 @@ ROOMS = [
     "effects",
     "exporting",
     "verification",
+    "optimising",  # a search needs the walls that checks judge by
     "rendering",
     "report",
     "explain",

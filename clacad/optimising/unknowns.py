@@ -55,6 +55,8 @@ class Unknowns:
     free : tuple of Unknown
     half : float
         Half a cell, length.
+    still : bool
+        Lens 2 keeps its place whatever the faces are: it stands on the axis of lens 1.
     ellipsoids : bool
         Conic constants follow from the radii: κ = √(c_x c_y).
     """
@@ -63,6 +65,7 @@ class Unknowns:
     offset: tuple[float, float] | None
     free: tuple[Unknown, ...]
     half: float
+    still: bool
     ellipsoids: bool
 
     @property
@@ -150,10 +153,11 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
             free += [Unknown("K", group, i) for i in (0, 1)]
         if "a4" in words:
             free += [Unknown("a", group, i) for i in (0, 1, 2)]
-    d = window.recipe["d"]
+    d, half = window.recipe["d"], 0.5 * min(window.lattice.pitch)
+    still = "offset" not in words and d[0] == d[1] == 0.0
     offset = (float(d[0]), float(d[1])) if "offset" in words else None
     free += [Unknown("d", (), i) for i in (0, 1)] if offset is not None else []
-    return Unknowns(faces, offset, tuple(free), 0.5 * min(window.lattice.pitch), ellipsoids)
+    return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
 
 
 def _refuse(window: Window, words: tuple[str, ...]) -> None:

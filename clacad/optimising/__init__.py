@@ -7,6 +7,6 @@ separation would lessen the error for ever, as the cube of pitch over separation
 
 from __future__ import annotations
 
-from clacad.optimise.search import Optimised, optimise
+from clacad.optimising.search import Optimised, Seen, optimise, outlook
 
-__all__ = ["Optimised", "optimise"]
+__all__ = ["Optimised", "Seen", "optimise", "outlook"]
