@@ -57,24 +57,32 @@ def optimise_design(
     """Search, write the better design, say what was gained; exit 1 where it breaks a design rule, 130 when stopped."""
     design = load_counted(path, overrides)
     from clacad.optimising import optimise, outlook
+    from clacad.optimising.design_text import design_text
+    from clacad.storage.atomic import write_file
 
     ahead = outlook(design, request.free)
     if request.dry_run:
         return _show_forecast(ahead, json=json, quiet=quiet)
     if request.out is None:
         raise BadOption("the better design needs a file: give it with -o better.toml")
-    progress = Progress(quiet=quiet)
+    progress, ended = Progress(quiet=quiet), []
 
     def best_so_far(evaluations: int, rms: float) -> None:
         progress(f"best so far {1e3 * rms:.3g} mrad", min(0.99, evaluations / ahead["evaluations"]))
 
-    try:
+    def search(private: Path) -> None:
         with forecast(TASK, ahead["seconds"], quiet=quiet) as span:
             progress.expect(span.middle)
-            found = optimise(design, request.free, request.field, best_so_far)
+            ended.append(optimise(design, request.free, request.field, best_so_far))
+        private.write_text(design_text(ended[0]), encoding="utf-8", newline="\n")
+
+    try:
+        write_file(
+            request.out, search, overwrite=request.overwrite
+        )  # a name that is taken is refused before the search
     finally:
         progress.done()
-    return _finished(found, request, request.out, json=json, quiet=quiet)
+    return _finished(ended[0], request.out, json=json, quiet=quiet)
 
 
 def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:
@@ -90,11 +98,10 @@ def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:
     return 0
 
 
-def _finished(found: Optimised, request: OptimiseRequest, out: Path, *, json: bool, quiet: bool) -> int:
-    from clacad.optimising.design_text import design_text, gains
-    from clacad.storage.atomic import write_content
+def _finished(found: Optimised, out: Path, *, json: bool, quiet: bool) -> int:
+    """Say what was found and written; the exit status."""
+    from clacad.optimising.design_text import gains
 
-    write_content(out, design_text(found), overwrite=request.overwrite)
     failed = broken_rules(found.design) if found.finished else []
     if json:
         show_json(found.to_dict() | {"path": str(out), "failed": failed})

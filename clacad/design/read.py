@@ -203,8 +203,8 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         frame = dict(body["frame"])
         body["frame"] = Frame(frame["width"], frame.get("height"))
     if check["confocality"] is None:
-        by_thin_lenses = pair["form"] != "slab" and pair["confocal"] != "exact"
-        check["confocality"] = 0.02 if by_thin_lenses else 0.002
+        by_construction = pair["confocal"] == "exact" and pair["prescription"] == "derived"
+        check["confocality"] = 0.002 if by_construction else 0.02
     check["allow"] = tuple(Allowed(**dict(item)) for item in check["allow"])
     unit = units.design_unit(values["unit"])
     assert unit is not None, values["unit"]  # UnitWord accepted it

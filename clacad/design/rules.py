@@ -117,9 +117,9 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
     if form != "biconvex" and a("pair.web"):
         yield Mistake("CL114", f"pair.web does not belong to a {form} pair: its body holds together by itself",
                       "pair.web", allowed='only with pair.form = "biconvex"', hint="leave it out")  # fmt: skip
-    if form == "slab" and a("pair.confocal") in ("thin", "best"):
+    if form == "slab" and a("pair.confocal") == "thin":
         yield Mistake("CL114", f"{a.says('pair.confocal')} does not belong to a slab", "pair.confocal",
-                      allowed='"exact": a slab is afocal by construction')  # fmt: skip
+                      allowed='"exact": a slab is afocal by construction; or "best": radii for the least error')  # fmt: skip
     if form == "slab" and a("tolerances.separation"):
         yield Mistake("CL114", "tolerances.separation does not belong to a slab: its separation is its thickness",
                       "tolerances.separation", allowed="tolerances.thickness", hint="leave it out")  # fmt: skip

@@ -213,7 +213,7 @@ class CheckSpec:
     process : str
         Name of the process profile.
     confocality : float
-        Afocal defect over the separation; default .002 for exact recipes, .02 for thin and best.
+        Afocal defect over the separation; default .002 for exact recipes, .02 for thin, best and given faces.
     allow : tuple of Allowed
         Accepted warnings.
     """

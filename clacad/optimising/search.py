@@ -264,7 +264,7 @@ def _asked(
     design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None
 ) -> Design:
     """The same unchecked: a trial of the search."""
-    thickness = design.pair.thickness if design.pair.form == "slab" else window.recipe["T"]
+    thickness = design.pair.thickness if design.pair.form == "slab" else tuple(window.recipe["T"])
     given = replace(
         design.pair,
         prescription="given",

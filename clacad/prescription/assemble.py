@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, isinf
 from typing import TYPE_CHECKING, Any
@@ -180,14 +180,20 @@ def _refuse_radius(intent: Intent) -> None:
 
 
 def _biconvex(intent: Intent) -> Window:
-    if intent.design.pair.confocal == "best":
-        from clacad.prescription.best_recipe import best_pair
-
-        window = best_pair(intent, lambda t, scale: _biconvex_given(intent, t, scale), _solved(intent))
-    else:
-        window = _biconvex_given(intent, _solved(intent))
+    thickness = _solved(intent)
+    window = _scaled_best(intent, lambda scale: _biconvex_given(intent, thickness, scale))
     _refuse_land_without_plate(intent.design, window)
     return window
+
+
+def _scaled_best(intent: Intent, build: Callable[[float], Window]) -> Window:
+    """The window whose radii are scaled for the least error where "best" is asked, else that of scale 1."""
+    pair = intent.design.pair
+    if pair.given or pair.confocal != "best":
+        return build(1.0)
+    from clacad.prescription.best_recipe import best_scale
+
+    return best_scale(intent, build)
 
 
 def _refuse_land_without_plate(design: Design, window: Window) -> None:
@@ -234,7 +240,7 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     else:
         recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
         lenses = recipe(intent.eta, separation, thickness, intent.index)
-    lenses = lenses if scale == 1.0 else lenses.scaled(scale)
+    lenses = lenses.scaled(scale)
     offset = intent.built_offset(lenses)
     place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
@@ -282,9 +288,14 @@ def _one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
 
 def _slab(intent: Intent) -> Window:
     """Window of one body with both arrays on its faces."""
+    return _scaled_best(intent, lambda scale: _slab_scaled(intent, scale))
+
+
+def _slab_scaled(intent: Intent, scale: float) -> Window:
+    """The slab with its radii times `scale`."""
     separation = _separation(intent)
     thickness = intent.index * separation
-    lenses = _one_faced(intent, separation, (thickness, thickness))
+    lenses = _one_faced(intent, separation, (thickness, thickness)).scaled(scale)
     offset = intent.built_offset(lenses)
     place = poses.slab_placement(intent.turn, offset, thickness)
     body = slab_body(
@@ -305,10 +316,15 @@ def _slab(intent: Intent) -> Window:
 
 def _plano(intent: Intent) -> Window:
     """Window of two plano lenses, curved faces inside or outside."""
+    return _scaled_best(intent, lambda scale: _plano_scaled(intent, scale))
+
+
+def _plano_scaled(intent: Intent, scale: float) -> Window:
+    """The plano pair with its radii times `scale`."""
     pair = intent.design.pair
     separation = _separation(intent)
     thickness = pair.thicknesses or _plano_auto(intent, separation)
-    lenses = _one_faced(intent, separation, thickness)
+    lenses = _one_faced(intent, separation, thickness).scaled(scale)
     offset = intent.built_offset(lenses)
     if pair.curved == "inside":
         place = poses.plano_inside_placement(intent.law, offset, separation, intent.index)

@@ -7,7 +7,7 @@ one. Where a ray steeper than the surface meets it there is one such crossing; o
 upwards more than once, the one the search comes to first is taken. What does not settle is a miss: NaN.
 
 Error of the point along z: at most 8 ulp of |Q|/(1 + w) + |a| x⁴ + |b| x² y² + |c| y⁴ over |H|/(w |N|), the factor by
-which the ray grazes (1 at right angles); seen 2.3, tests/optics/test_even_polynomial.py.
+which the ray grazes (1 at right angles); seen 3.3, tests/optics/test_even_polynomial.py.
 """
 
 from __future__ import annotations
