@@ -22,8 +22,11 @@ LOST = 0.1
 STEP = 1e-6
 """Change of an unknown, of order 1, by which slopes are taken: rounding of the trace shows at 1e-10 of them."""
 
-STRIDE = 0.02
-"""First stride of an unknown: where the search begins, seen from its own origin, which is what scipy goes by."""
+DAMPING = 1e-3
+"""Damping a search begins with, in squares of the slopes' own sizes; a step that fails doubles it ever faster."""
+
+TRIES = 16
+"""Steps from one place that may fail before the place is taken for the least."""
 
 SETTLED = 1e-6
 """Relative change of the sum of squares at which a search ends."""
@@ -70,27 +73,54 @@ def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:
 def minimise(residuals: Residuals, start: Floats) -> Floats:
     """Unknowns (k,) of the least sum of squares near `start` (k,), each of order 1.
 
-    Trust-region least squares with slopes by forward differences in a fixed order: the same numbers every time.
+    Levenberg–Marquardt with Nielsen's damping, in units of the largest slopes met; slopes by forward differences in a
+    fixed order: the same numbers every time.
 
     Parameters
     ----------
     residuals : callable
         Unknowns (k,) → residuals (m,), always finite. What it raises ends the search.
     start : (k,)
+
+    Notes
+    -----
+    K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares problems, 2nd ed. (DTU, 2004), ch. 3.2;
+    scaling after J. J. Moré, Lect. Notes Math. 630, 105 (1978).
     """
-    from scipy.optimize import least_squares
+    here, left = start, residuals(start)
+    damping, scale = DAMPING, np.zeros(len(start))
+    for _ in range(ROUNDS):
+        slopes = np.stack(
+            [(residuals(here + STEP * axis) - left) / STEP for axis in np.eye(len(here))], axis=1
+        )
+        scale = np.maximum(scale, np.linalg.norm(slopes, axis=0))
+        found = _step(residuals, (here, left), slopes, scale, damping)
+        if found is None:
+            break
+        gained = 1.0 - float(found[1] @ found[1]) / float(left @ left)
+        here, left, damping = found
+        if gained <= SETTLED:
+            break
+    return here
 
-    origin = np.full(len(start), STRIDE)
 
-    def moved(place: Floats) -> Floats:
-        return residuals(start + (place - origin))
+def _step(
+    residuals: Residuals, place: tuple[Floats, Floats], slopes: Floats, scale: Floats, damping: float
+) -> tuple[Floats, Floats, float] | None:
+    """The next place (k,) that leaves less, its residuals (m,), and the damping to go on with; None: there is none.
 
-    def slopes(place: Floats) -> Floats:
-        here = moved(place)
-        columns = [(moved(place + STEP * axis) - here) / STEP for axis in np.eye(len(start))]
-        return np.stack(columns, axis=1)
-
-    found = least_squares(
-        moved, origin, slopes, x_scale="jac", ftol=SETTLED, xtol=1e-10, gtol=1e-15, max_nfev=ROUNDS
-    )
-    return np.asarray(start + (found.x - origin), dtype=np.float64)
+    place : unknowns (k,) and residuals (m,); slopes : (m, k); scale : (k,)
+    """
+    here, left = place
+    square, growth = float(left @ left), 2.0
+    units = np.diag(np.where(scale > 0.0, scale, 1.0))
+    for _ in range(TRIES):
+        rows = np.concatenate([slopes, np.sqrt(damping) * units])
+        step = np.linalg.lstsq(rows, np.concatenate([-left, np.zeros(len(here))]), rcond=None)[0]
+        trial = residuals(here + step)
+        ahead = left + slopes @ step
+        promised, kept = square - float(ahead @ ahead), square - float(trial @ trial)
+        if kept > 0.0 and promised > 0.0:
+            return here + step, trial, damping * max(1.0 / 3.0, 1.0 - (2.0 * kept / promised - 1.0) ** 3)
+        damping, growth = damping * growth, 2.0 * growth
+    return None

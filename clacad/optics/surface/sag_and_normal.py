@@ -117,12 +117,7 @@ class EvenPolynomial(_OverXY):
     a4 : (3,) tuple of float, 1/length³
         Coefficients of x⁴, x² y² and y⁴; positive adds height on the side the material bulges to.
     side : +1 or −1
-        +1: positive curvature bends towards +z.
-
-    Raises
-    ------
-    ValueError
-        A number is not finite, or side is neither +1 nor −1.
+        As of a biconic; a number that is not finite is refused as there, too (ValueError).
 
     Notes
     -----
