@@ -62,6 +62,7 @@ _HOME = {
     "render": "clacad.rendering",
     "render_movie": "clacad.rendering",
     "plan_effects": "clacad.effects",
+    "optimise": "clacad.optimising",
 }
 
 __all__ = sorted(_HOME)

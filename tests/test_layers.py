@@ -31,6 +31,7 @@ ROOMS = [
     "exporting",
     "verification",
     "advice",  # what verify will say, and which keys would change it
+    "optimising",  # a search needs the walls that checks judge by
     "rendering",
     "report",
     "explain",

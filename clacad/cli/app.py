@@ -110,6 +110,25 @@ def check(
 
 
 @app.command()
+def optimise(
+    design: Design,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Better design file to write.")] = None,
+    free: Annotated[str, typer.Option("--free", metavar="A,B", help="What may change: radii, conic, bending (own radii a "
+                                      "face), a4, offset.")] = "radii,conic",
+    field: Annotated[str | None, typer.Option("--field", metavar="E", help="Half angle of the cone of rays, e.g. '1 deg'; "
+                                              "default the design's check.field.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
+    overwrite: Replace = False,
+    set: Set = None, json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Search for faces that keep closer to the law; write them as a design with given faces."""
+    from clacad.cli.optimise_command import OptimiseRequest, field_of, optimise_design, words_of
+
+    request = OptimiseRequest(out, words_of(free), field_of(field), dry_run, overwrite)
+    return optimise_design(design, set or [], request, json=json, quiet=quiet)
+
+
+@app.command()
 def export(
     design: Design,
     out: Out,

@@ -10,8 +10,9 @@ from clacad.base import units
 from clacad.config.compound_kinds import Several
 from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
+from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
-from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline
+from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline, PairSpec
 
 if TYPE_CHECKING:
     from clacad.design.model import Design
@@ -29,7 +30,7 @@ def to_dict(design: Design) -> dict[str, Any]:
             continue  # a design that states none has the text it had before there were tolerances
         values: dict[str, Any] = {}
         for name, key in SECTIONS[section].items():
-            if name == "curved" and design.pair.form != "plano":
+            if section == "pair" and _left_out(name, design.pair):
                 continue
             value = getattr(spec, "euler_degrees" if name == "euler" else name)
             if value is not None and value != ():
@@ -40,12 +41,25 @@ def to_dict(design: Design) -> dict[str, Any]:
     return made
 
 
+OF_RECIPES = ("confocal", "surface", "conic", "depth")
+"""Keys of the recipes that find faces."""
+
+
+def _left_out(name: str, pair: PairSpec) -> bool:
+    """Whether a key of [pair] has no place in the text; a later key at its default has none, so that hashes stay."""
+    if name == "curved":
+        return pair.form != "plano"
+    return name in OF_RECIPES if pair.given else name == "prescription"
+
+
 def _written(value: Any, key: Key, design: Design) -> Any:
     kind = key.kind
     if isinstance(value, Outline):
         return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
     if isinstance(value, Frame):
         return {"width": value.width} | ({} if value.height is None else {"height": value.height})
+    if isinstance(value, tuple) and value and isinstance(value[0], FaceSpec):
+        return [face_table(face) for face in value]
     if isinstance(value, tuple) and value and isinstance(value[0], Allowed):
         return [{"code": item.code, "reason": item.reason} for item in value]
     if isinstance(kind, Quantity) and isinstance(value, float):

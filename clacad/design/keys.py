@@ -25,6 +25,7 @@ from clacad.config.value_kinds import (
     Word,
     not_this,
 )
+from clacad.design.given_faces import FACES
 
 FORMAT: Final = 1
 REQUIRED: Final = object()
@@ -114,6 +115,7 @@ _LIMIT_LENGTH = Quantity("length", "a length >= 0", least=0.0, bare=False)
 _DISTANCE = Quantity("length", "a length > 0", above=0.0, bare=False)
 _PART = Quantity("ratio", "a number > 0, at most 1", above=0.0, most=1.0)
 _FACTOR = Quantity("ratio", "a number > 0, at most 1000", above=0.0, most=1000.0)
+_LATERAL = Quantity("length", "a length")
 _XY = ("x", "y")
 _LENSES = ("lens 1", "lens 2")
 _ARRAYS = ("array 1", "array 2")
@@ -153,6 +155,13 @@ PAIR: Final[dict[str, Key]] = {
     "index": Key(_INDEX, "refractive index"),
     "material": Key(Text("the name of a material", 60), "material instead of an index"),
     "wavelength": Key(_WAVELENGTH, "design wavelength", 550e-9),
+    "prescription": Key(
+        Word(("derived", "given")),
+        "derived: faces follow from eta and delta; given: they stand in [[pair.face]]",
+        "derived",
+    ),
+    "face": Key(FACES, "given: the faces in the order light meets them, in their own lens frames", ()),
+    "vertex": Key(Several(_LATERAL, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1"),
 }
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),

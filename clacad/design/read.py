@@ -16,6 +16,7 @@ from clacad.config.mistakes import Mistake, in_order
 from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.filled_outline import filling_count
+from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
 from clacad.design.sections import (
@@ -194,6 +195,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         pair["thickness"] = pair["thickness"][0]
     if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
         pair["web"] = 0.0
+    pair["face"] = faces_read(pair["face"])
     law["euler_degrees"] = law.pop("euler")
     if lattice["outline"] is not None:
         ((shape, size),) = lattice["outline"]
@@ -204,8 +206,8 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         frame = dict(body["frame"])
         body["frame"] = Frame(frame["width"], frame.get("height"))
     if check["confocality"] is None:
-        by_thin_lenses = pair["form"] != "slab" and pair["confocal"] != "exact"
-        check["confocality"] = 0.02 if by_thin_lenses else 0.002
+        by_construction = pair["confocal"] == "exact" and pair["prescription"] == "derived"
+        check["confocality"] = 0.002 if by_construction else 0.02
     check["allow"] = tuple(Allowed(**dict(item)) for item in check["allow"])
     unit = units.design_unit(values["unit"])
     assert unit is not None, values["unit"]  # UnitWord accepted it

@@ -10,6 +10,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
+from clacad.design.given_faces import faces_read
 
 SMALLEST_PITCH_M: Final = 1e-7
 """Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
@@ -120,9 +121,9 @@ def keys_of_other_forms(a: Asked) -> Iterator[Mistake]:
     if form != "biconvex" and a("pair.web"):
         yield Mistake("CL114", f"pair.web does not belong to a {form} pair: its body holds together by itself",
                       "pair.web", allowed='only with pair.form = "biconvex"', hint="leave it out")  # fmt: skip
-    if form == "slab" and a("pair.confocal") in ("thin", "best"):
+    if form == "slab" and a("pair.confocal") == "thin":
         yield Mistake("CL114", f"{a.says('pair.confocal')} does not belong to a slab", "pair.confocal",
-                      allowed='"exact": a slab is afocal by construction')  # fmt: skip
+                      allowed='"exact": a slab is afocal by construction; or "best": radii for the least error')  # fmt: skip
     if form == "slab" and a("tolerances.separation"):
         yield Mistake("CL114", "tolerances.separation does not belong to a slab: its separation is its thickness",
                       "tolerances.separation", allowed="tolerances.thickness", hint="leave it out")  # fmt: skip
@@ -176,6 +177,40 @@ def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
     if surface == "biconic" and a("pair.form") == "biconvex" and not a.given("pair.conic"):
         yield Mistake("CL113", "a biconvex pair of biconics needs pair.conic: no conic is right by itself",
                       "pair.surface", allowed="conic = [K_x, K_y]", hint="conic = [0.0, 0.0] gives circular profiles")  # fmt: skip
+
+
+def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
+    """Given faces need prescription = "given", and nothing of the recipes beside them."""
+    given = a("pair.prescription") == "given"
+    for key in ("pair.face", "pair.vertex"):
+        if a.given(key) and a("pair.prescription") == "derived":
+            yield Mistake("CL113", f'{key} needs pair.prescription = "given"', key,
+                          allowed='prescription = "given", or leave it out')  # fmt: skip
+    if not given:
+        return
+    for key in ("pair.confocal", "pair.surface", "pair.conic", "pair.depth"):
+        if a.given(key):
+            yield Mistake("CL112", f"{key} and given faces exclude each other: the faces stand as they are", key,
+                          found=a.says(key), allowed="leave it out", hint='or prescription = "derived" without pair.face')  # fmt: skip
+    if a("pair.form") in ("biconvex", "plano") and a("pair.thickness") == "auto":
+        yield Mistake("CL113", "given faces need their thickness: it fixes where their vertices lie", "pair.thickness",
+                      found=a.says("pair.thickness"), allowed="a length > 0, or [lens 1, lens 2]")  # fmt: skip
+
+
+def faces_are_of_the_form(a: Asked) -> Iterator[Mistake]:
+    """A slab has two faces, the other forms four; the plane sides of plano lenses are flat."""
+    form, faces = a("pair.form"), a("pair.face")
+    if a("pair.prescription") != "given" or form is None or faces is None:
+        return
+    wanted = 2 if form == "slab" else 4
+    if len(faces) != wanted:
+        yield Mistake("CL108", f"{len(faces)} given faces: a {form} pair has {wanted}", "pair.face",
+                      allowed=f"{wanted} tables [[pair.face]], in the order light meets them")  # fmt: skip
+    elif form == "plano":
+        for k in (1, 2) if a("pair.curved") != "inside" else (0, 3):
+            if not faces_read([faces[k]])[0].plane:
+                yield Mistake("CL114", f"pair.face[{k}] is the plane side of a plano lens", f"pair.face.{k}.radius",
+                              allowed="radius = inf and nothing else", hint='form = "biconvex" bends both sides')  # fmt: skip
 
 
 def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
@@ -276,6 +311,8 @@ RULES: Final[tuple[Rule, ...]] = (
     index_or_material,
     material_is_known,
     surface_and_its_keys,
+    faces_stand_alone,
+    faces_are_of_the_form,
     pitch_fits_lattice,
     seam_leaves_a_lens,
     outline_holds_a_cell,

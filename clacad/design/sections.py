@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from clacad.design.given_faces import FaceSpec
+
 Pair2 = tuple[float, float]
 
 
@@ -69,6 +71,12 @@ class PairSpec:
         Name in the table of materials.
     wavelength : float, metres
         Design wavelength.
+    prescription : {"derived", "given"}
+        Whether the recipe finds the faces, or `face` gives them.
+    face : tuple of FaceSpec
+        The given faces in the order light meets them: 2 of a slab, else 4.
+    vertex : (2,) tuple of float or None, length
+        Given offset of lens 2 in the lens frame; None: δ f1.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -83,6 +91,14 @@ class PairSpec:
     index: float | None
     material: str | None
     wavelength: float
+    prescription: Literal["derived", "given"] = "derived"
+    face: tuple[FaceSpec, ...] = ()
+    vertex: Pair2 | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether the faces stand as given."""
+        return self.prescription == "given"
 
     @property
     def thicknesses(self) -> Pair2 | None:
@@ -197,7 +213,7 @@ class CheckSpec:
     process : str
         Name of the process profile.
     confocality : float
-        Afocal defect over the separation; default .002 for exact recipes, .02 for thin and best.
+        Afocal defect over the separation; default .002 for exact recipes, .02 for thin, best and given faces.
     viewer, object : float, lengths
         From the sheet to the eye before array 1, and to what it looks at behind array 2; for advice on the pitch.
     allow : tuple of Allowed

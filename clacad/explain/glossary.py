@@ -29,6 +29,10 @@ WORDS: dict[str, tuple[str, str]] = {
     "diffraction": ("λ/w: w is √12 times the rms distance along a lens axis of what is lit of a lenslet from its middle, the width of a rectangle. The first zero is printed beside it.", ""),
     "sharpest pitch": ("√(2λz/|η(1 − η)|)·max(1, |η|): of smaller cells diffraction blurs what lies z behind the sheet more, of larger ones the defocus of each cell, which is then a quarter wave at the edge of the beam.", "check.object"),
     "invisible pitch": ("Pitch that looks one minute of arc wide to the eye before the sheet.", "check.viewer"),
+    "prescription": ("Whether the faces follow from eta and delta (derived) or stand in [[pair.face]] (given): radius > 0 convex, conic, a4 in 1/unit³ of x⁴, x² y², y⁴, > 0 outwards. Given faces are judged by eta and delta all the same.", "pair.prescription"),
+    "bending": ("Own radii for the two faces of a lens of one power: the second factor of ten in the search for better faces, after conic constants.", "optimise --free bending"),
+    "a4": ("Terms of fourth order of a face: height a x⁴ + b x² y² + c y⁴ on top of the conic, instead of a conic rather than beside it.", "pair.face"),
+    "optimise": ("The search for faces that keep closest to the law over a field: least squares over traced rays, within the walls of the process.", "optimise"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""

@@ -38,7 +38,7 @@ class Interface:
 
     Parameters
     ----------
-    surface : Quadric or Biconic
+    surface : Quadric, Biconic or EvenPolynomial
     vertex : (3,), design units
         Its apex in the sheet frame.
     index_before, index_after : float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, isinf
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,15 @@ from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
 from clacad.prescription import poses
 from clacad.prescription.cell_heights import face_range, window_range
-from clacad.prescription.faces_and_bodies import LensPose, Shape, biconvex_body, plano_body, slab_body
+from clacad.prescription.faces_and_bodies import (
+    LensPose,
+    Shape,
+    Shaping,
+    biconvex_body,
+    plano_body,
+    slab_body,
+)
+from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
 from clacad.prescription.radii import (
     LensPair,
     NoSuchLens,
@@ -48,23 +56,43 @@ class Intent:
     index: float
     material: Material | None
     lattice: Lattice
-    shape: Shape
+    shape: Shaping
     neck: float
 
     def offset(self, focal_length: Pair2) -> Floats:
         """(d_x, d_y) = (δ_x f1x, δ_y f1y), (2,) lengths, with f1 as built; 0 in a meridian without power."""
         return np.array([0.0 if d == 0.0 else d * f for d, f in zip(self.delta, focal_length, strict=True)])
 
+    def built_offset(self, lenses: LensPair) -> Floats:
+        """Offset (2,) of lens 2 as built, lengths: as given, else from δ."""
+        given = self.design.pair.vertex
+        offset = self.offset(lenses.focal_length[0]) if given is None else np.array(given)
+        if not np.isfinite(offset).all():
+            raise NoSuchLens(
+                "lens 1 has no power in a meridian with an offset delta",
+                key="pair.face.0.radius",
+                hint="a finite radius there, delta = 0, or pair.vertex = [d_x, d_y]",
+            )
+        return offset
+
 
 def build_window(design: Design) -> Window:
     """Build the window of a design; see `clacad.prescription.prescribe.prescribe`."""
     intent = _intent(design)
-    _refuse_radius(intent)
-    window = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}[design.pair.form](intent)
+    if not design.pair.given:
+        _refuse_radius(intent)
+    window = _FORMS[design.pair.form](intent)
+    if design.pair.given:
+        refuse_no_faces(window)
     window = replace(window, z_range=window_range(window))
     asked = intent.law.refract(intent.turn[:, 2][None])[0]
     left = residual(window, intent.turn, _entry(window, intent), asked)
     return replace(window, residual=left)
+
+
+def placed(design: Design) -> Window:
+    """Window of a design with given faces, neither judged nor measured: a trial of a search."""
+    return _FORMS[design.pair.form](_intent(design))
 
 
 def _intent(design: Design) -> Intent:
@@ -78,7 +106,7 @@ def _intent(design: Design) -> Intent:
         neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
     return Intent(
         design, law, law.rotation, design.law_spec.eta, design.law_spec.delta, index, material,
-        _lattice(design), Shape(_conic(design, index), pair.depth), neck,
+        _lattice(design), GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth), neck,
     )  # fmt: skip
 
 
@@ -153,14 +181,20 @@ def _refuse_radius(intent: Intent) -> None:
 
 
 def _biconvex(intent: Intent) -> Window:
-    if intent.design.pair.confocal == "best":
-        from clacad.prescription.best_recipe import best_pair
-
-        window = best_pair(intent, lambda t, scale: _biconvex_given(intent, t, scale), _solved(intent))
-    else:
-        window = _biconvex_given(intent, _solved(intent))
+    thickness = _solved(intent)
+    window = _scaled_best(intent, lambda scale: _biconvex_given(intent, thickness, scale))
     _refuse_land_without_plate(intent.design, window)
     return window
+
+
+def _scaled_best(intent: Intent, build: Callable[[float], Window]) -> Window:
+    """The window whose radii are scaled for the least error where "best" is asked, else that of scale 1."""
+    pair = intent.design.pair
+    if pair.given or pair.confocal != "best":
+        return build(1.0)
+    from clacad.prescription.best_recipe import best_scale
+
+    return best_scale(intent, build)
 
 
 def _refuse_land_without_plate(design: Design, window: Window) -> None:
@@ -202,10 +236,13 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     """Window of a biconvex pair of these thicknesses, its radii times `scale`."""
     pair = intent.design.pair
     separation = _separation(intent)
-    recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
-    lenses = recipe(intent.eta, separation, thickness, intent.index)
-    lenses = lenses if scale == 1.0 else lenses.scaled(scale)
-    offset = intent.offset(lenses.focal_length[0])
+    if pair.given:
+        lenses = given_pair(pair, thickness, intent.index)
+    else:
+        recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
+        lenses = recipe(intent.eta, separation, thickness, intent.index)
+    lenses = lenses.scaled(scale)
+    offset = intent.built_offset(lenses)
     place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
         (), intent.design.lattice.aperture, place.lens_2[:2], float(place.lens_2[2]), False
@@ -232,7 +269,10 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
     web = spec.pair.web
     if web is None or (web == 0.0 and bordered):
         web = intent.neck  # the border is a plate, and something must join it to the lenslets
-    if web == 0.0 or any(r < 0.0 for r in lenses.radius[number]):
+    radii: tuple[float, ...] = lenses.radius[number]
+    if spec.pair.given:
+        radii = tuple(r for face in spec.pair.face[2 * number : 2 * number + 2] for r in face.radius)
+    if web == 0.0 or any(r < 0.0 for r in radii):
         return None
     return centre - 0.5 * web, centre + 0.5 * web
 
@@ -240,12 +280,24 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
 # -- slab and plano ---------------------------------------------------------------------------------
 
 
+def _one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
+    """Lenses with one curved face each: as given, else of the asked η."""
+    if intent.design.pair.given:
+        return given_pair(intent.design.pair, thickness, intent.index)
+    return single_surface(intent.eta, separation, thickness, intent.index)
+
+
 def _slab(intent: Intent) -> Window:
     """Window of one body with both arrays on its faces."""
+    return _scaled_best(intent, lambda scale: _slab_scaled(intent, scale))
+
+
+def _slab_scaled(intent: Intent, scale: float) -> Window:
+    """The slab with its radii times `scale`."""
     separation = _separation(intent)
     thickness = intent.index * separation
-    lenses = single_surface(intent.eta, separation, (thickness, thickness), intent.index)
-    offset = intent.offset(lenses.focal_length[0])
+    lenses = _one_faced(intent, separation, (thickness, thickness)).scaled(scale)
+    offset = intent.built_offset(lenses)
     place = poses.slab_placement(intent.turn, offset, thickness)
     body = slab_body(
         lenses,
@@ -265,11 +317,16 @@ def _slab(intent: Intent) -> Window:
 
 def _plano(intent: Intent) -> Window:
     """Window of two plano lenses, curved faces inside or outside."""
+    return _scaled_best(intent, lambda scale: _plano_scaled(intent, scale))
+
+
+def _plano_scaled(intent: Intent, scale: float) -> Window:
+    """The plano pair with its radii times `scale`."""
     pair = intent.design.pair
     separation = _separation(intent)
     thickness = pair.thicknesses or _plano_auto(intent, separation)
-    lenses = single_surface(intent.eta, separation, thickness, intent.index)
-    offset = intent.offset(lenses.focal_length[0])
+    lenses = _one_faced(intent, separation, thickness).scaled(scale)
+    offset = intent.built_offset(lenses)
     if pair.curved == "inside":
         place = poses.plano_inside_placement(intent.law, offset, separation, intent.index)
         return _plano_placed(intent, lenses, place.lens_2, place.rotation, offset)
@@ -448,17 +505,22 @@ def _with_land(window: Window, intent: Intent) -> Window:
 def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float) -> Mapping[str, Any]:
     """How radii and poses were found, for reports and the manifest."""
     pair = intent.design.pair
+    given = pair.given
     return {
-        "confocal": pair.confocal if pair.form == "biconvex" else "exact",
-        "R": [list(r) for r in lenses.radius],
+        "confocal": None if given else pair.confocal if pair.form == "biconvex" else "exact",
+        "R": [list(face.radius) for face in pair.face] if given else [list(r) for r in lenses.radius],
         "f": [list(f) for f in lenses.focal_length],
         "d": [float(d) for d in offset],
         "T": list(lenses.thickness),
         "n": intent.index,
         "s": separation,
-        "surface": pair.surface,
+        "surface": "given" if given else pair.surface,
         "wavelength_nm": pair.wavelength * 1e9,
         "material": pair.material,
         "curved": pair.curved if pair.form == "plano" else None,
         "warnings": [],
     }
+
+
+_FORMS = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}
+"""How each form is built."""

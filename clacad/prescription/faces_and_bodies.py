@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import copysign, isinf, sqrt
+from typing import Protocol
 
 import numpy as np
 
@@ -42,6 +43,13 @@ class Shape:
         return cx + cy if cx == 0.0 or cy == 0.0 else 0.0  # circular cylinder; saddle
 
 
+class Shaping(Protocol):
+    """What gives a lens its faces."""
+
+    def face(self, radius: Pair2, side: int, lens: int) -> Surface:
+        """Face of lens 0 or 1 on the given side (±1); `radius` (lengths) as the recipe found it."""
+
+
 @dataclass(frozen=True, eq=False)
 class LensPose:
     """Where a lens stands: reference point relative to its own cell's centre (x, y) and in the sheet (z)."""
@@ -59,7 +67,7 @@ def biconvex_body(
     lenses: LensPair,
     number: int,
     pose: LensPose,
-    shape: Shape,
+    shape: Shaping,
     index: float,
     land: tuple[float, float] | None,
 ) -> Body:
@@ -82,7 +90,7 @@ def plano_body(
     lenses: LensPair,
     number: int,
     pose: LensPose,
-    shape: Shape,
+    shape: Shaping,
     index: float,
     curved_front: bool,
     plane_z: float,
@@ -97,7 +105,7 @@ def plano_body(
     return Body(front, back, index, f"array{number + 1}")
 
 
-def slab_body(lenses: LensPair, poses: tuple[LensPose, LensPose], shape: Shape, index: float) -> Body:
+def slab_body(lenses: LensPair, poses: tuple[LensPose, LensPose], shape: Shaping, index: float) -> Body:
     """One body with both arrays on its faces, each lens at its own pose (lengths)."""
     front, back = (
         Face(shape.face(lenses.radius[k], side, k), poses[k].vertex(0.0), _shared(poses[k].rotation), k)

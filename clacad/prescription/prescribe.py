@@ -6,8 +6,9 @@ reads the `Window`.
 Recipes
 -------
 biconvex "exact": centres s apart, both meridians afocal with exactly η (thick lenses).
-biconvex "thin": the paper's R = 2(n − 1)f. "best": the thin radii scaled and lens 2 shifted for the
-least rms law error. slab, plano: one curved face a lens, exact for any thickness.
+biconvex "thin": the paper's R = 2(n − 1)f. slab, plano: one curved face a lens, exact for any thickness.
+"best": radii scaled for the least rms law error (biconvex: the thin ones), `clacad.prescription.best_recipe`.
+given: nothing is solved, the faces stand as the design says, `clacad.prescription.given`.
 """
 
 from __future__ import annotations

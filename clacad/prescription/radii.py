@@ -52,6 +52,8 @@ class LensPair:
 
     def scaled(self, factor: float) -> LensPair:
         """The same pair with all radii and focal lengths times a factor."""
+        if factor == 1.0:
+            return self
         focal, radius = _scaled(self.focal_length, factor), _scaled(self.radius, factor)
         return LensPair(focal, radius, self.thickness)
 

@@ -11,6 +11,7 @@ import numpy as np
 from clacad.base.digits import digits
 from clacad.base.units import millimetres
 from clacad.formats.drawing.orientation import orientation
+from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
 from clacad.sheet.window import Window, optical_tile
@@ -96,10 +97,8 @@ def _sheet(window: Window, mm: float) -> list[FabricationLine]:
 
 def _lens(lens: LensFacts, mm: float) -> list[FabricationLine]:
     about = f"lens {lens.array + 1}"
-    conic = ", ".join("–" if k is None else digits(k) for k in lens.conic)
     return [
-        FabricationLine(about, "apex radius x, y", tuple(r * mm for r in lens.radius)),
-        FabricationLine(about, "conic constant x, y", conic, ""),
+        *_shapes(lens, mm),
         FabricationLine(about, "sag over the cell", (lens.sag * mm,)),
         FabricationLine(about, "centre thickness", (lens.thickness * mm,)),
         FabricationLine(
@@ -107,6 +106,22 @@ def _lens(lens: LensFacts, mm: float) -> list[FabricationLine]:
         ),
         FabricationLine(about, "fill: lens over its zone", (lens.cover,), ""),
     ]
+
+
+def _shapes(lens: LensFacts, mm: float) -> list[FabricationLine]:
+    """Radii and conic constants, face by face where the faces differ."""
+    about, lines = f"lens {lens.array + 1}", []
+    for shape in lens.shapes or (FaceShape("", lens.radius, lens.conic, None),):
+        of = f"{shape.side}, " if shape.side else ""
+        conic = ", ".join("–" if k is None else digits(k) for k in shape.conic)
+        lines += [
+            FabricationLine(about, f"{of}apex radius x, y", tuple(r * mm for r in shape.radius)),
+            FabricationLine(about, f"{of}conic constant x, y", conic, ""),
+        ]
+        if shape.a4 is not None:
+            text = ", ".join(digits(a / mm**3) for a in shape.a4)
+            lines.append(FabricationLine(about, f"{of}a4: x⁴, x² y², y⁴", text, "1/mm³"))
+    return lines
 
 
 def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
@@ -138,7 +153,7 @@ def _body(window: Window, body: BodyFacts, mm: float) -> list[FabricationLine]:
 def _smallest(report: Report, mm: float) -> list[FabricationLine]:
     """Least radius and least feature of the whole part: what a tool, a voxel or a pixel must reach."""
     facts = report.facts
-    radii = [abs(r) for lens in facts.lenses for r in lens.radius if isfinite(r)]
+    radii = [abs(r) for lens in facts.lenses for r in lens.radii if isfinite(r)]
     features = {
         "pitch": min(report.window.lattice.pitch),
         **{f"edge of {b.name}": b.edge for b in facts.bodies},

@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.optics.surface import Biconic, Quadric, meet, upright_sag
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, upright_sag
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 
 if TYPE_CHECKING:
     from clacad.optics.law import Law
     from clacad.optics.material.material import Material
 
-Surface = Quadric | Biconic
+Surface = Quadric | Biconic | EvenPolynomial
 Form = Literal["biconvex", "plano", "slab"]
 IDENTITY = np.eye(3)
 PLANE = Quadric(0.0, 0.0, 0.0)
@@ -45,7 +45,7 @@ class Face:
 
     Parameters
     ----------
-    surface : Quadric or Biconic
+    surface : Quadric, Biconic or EvenPolynomial
         In the lens frame, apex at the origin. A plane face is Quadric(0, 0, 0).
     vertex : (3,) lengths
         The apex in the cell frame: x, y from the centre of the array's own cell, z in the sheet frame.

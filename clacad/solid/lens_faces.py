@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.surface import Quadric
+from clacad.optics.surface import Quadric, resized
 from clacad.sheet.window import Face, lens_height
 from clacad.solid.rational_conics import (
     Arc,
@@ -155,15 +155,7 @@ class FittedLens:
 
 def scaled_face(face: Face, scale: float) -> Face:
     """Give a face with its lengths multiplied by `scale` (design unit → mm)."""
-    surface = face.surface
-    if isinstance(surface, Quadric):
-        surface = Quadric(
-            surface.curvature_x / scale, surface.curvature_y / scale, surface.kappa / scale, surface.side
-        )
-    else:
-        surface = replace(
-            surface, curvature_x=surface.curvature_x / scale, curvature_y=surface.curvature_y / scale
-        )
+    surface = resized(face.surface, scale)
     vx, vy, vz = face.vertex
     land = None if face.land is None else face.land * scale
     return replace(face, surface=surface, vertex=(vx * scale, vy * scale, vz * scale), land=land)

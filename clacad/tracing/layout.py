@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
+from clacad.optics.surface import sharpest_bend
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
@@ -30,7 +31,7 @@ class FacePlan:
 
     Attributes
     ----------
-    surface : Quadric or Biconic
+    surface : Quadric, Biconic or EvenPolynomial
     vertex : (3,) lengths
         Apex: x, y from the cell's centre, z from the body's `level`.
     rotation : (3, 3) or None
@@ -199,7 +200,8 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
             solid = front_z <= back_z
     front = _plan_face(body.front, level, front_z, front_slope, zone, solid, spacing)
     back = _plan_face(body.back, level, back_z, back_slope, zone, solid, spacing)
-    covered = _covered((back_z - front_z)[zone], body, spacing)
+    apart = max(float(np.hypot(*face.vertex[:2])) for face in (body.front, body.back))
+    covered = _covered((back_z - front_z)[zone], body, spacing, window.lattice.circumradius + apart)
     if not body.columnar:
         covered = front.high < back.low and front.whole and back.whole
     box, inner, outline, centre = _footprint(window, body)
@@ -220,11 +222,9 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
     )
 
 
-def _covered(gap: Floats, body: Body, spacing: float) -> bool:
-    """Whether the sampled thickness is positive by more than a lens can bend between two samples."""
-    bend = sum(
-        abs(face.surface.curvature_x) + abs(face.surface.curvature_y) for face in (body.front, body.back)
-    )
+def _covered(gap: Floats, body: Body, spacing: float, reach: float) -> bool:
+    """Whether the sampled thickness is positive by more than a lens, `reach` (length) wide, can bend between two samples."""
+    bend = sum(sharpest_bend(face.surface, reach) for face in (body.front, body.back))
     return bool(np.isfinite(gap).all() and gap.min() > bend * spacing * spacing)
 
 

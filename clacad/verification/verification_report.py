@@ -278,7 +278,7 @@ def asked_and_built(report: Report) -> list[tuple[str, str, str]]:
         ("δ x, y", _pair((law.delta_x, law.delta_y)), dark if fit is None else _pair((fit.delta_x, fit.delta_y))),
         ("φ, θ, ψ (deg)", ", ".join(f"{a:g}" for a in design.law_spec.euler_degrees)
          + f" ({design.law_spec.euler_axes} axes)", "held in the fit; see the check tilt"),
-        ("form, recipe", f"{design.pair.form}, {design.pair.confocal}", window.form),
+        ("form, recipe", f"{design.pair.form}, {'given' if design.pair.given else design.pair.confocal}", window.form),
         ("cells", " × ".join(str(n) for n in design.lattice.count), str(window.lattice.cell_count)),
         ("refractive index", index, ", ".join(f"{body.index:.6g}" for body in window.bodies)),
         ("wavelength (nm)", f"{1e9 * design.pair.wavelength:g}", f"{1e9 * report.facts.wavelength:g}"),

@@ -20,7 +20,7 @@ from clacad.formats.drawing.allowances import NO_ALLOWANCES, Allowances
 from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
 from clacad.formats.drawing.canvas import Canvas
 from clacad.sheet.bundle import central_cell
-from clacad.sheet.feasibility import body_range
+from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import body_extent, whole_extent
 from clacad.sheet.window import Body, Window
@@ -295,8 +295,13 @@ def lens_detail(
     _detail_dimensions(canvas, x, front, back, at, mm, curved, base, half)
     canvas.text((6, 14), f"lens {array + 1}, on {body.name}", "start", "title")
     canvas.scale_note((374, 14))
-    radius = ", ".join(mm_text(r * mm) if isfinite(r) else "flat" for r in lens.radius)
-    conic = ", ".join("–" if k is None else digits(k, count=4) for k in lens.conic)
+    shapes = lens.shapes or (FaceShape("", lens.radius, lens.conic, None),)
+    radius = "; ".join(
+        ", ".join(mm_text(r * mm) if isfinite(r) else "flat" for r in shape.radius) for shape in shapes
+    )
+    conic = "; ".join(
+        ", ".join("–" if k is None else digits(k, count=4) for k in shape.conic) for shape in shapes
+    )
     canvas.text((6, base + 56.0), f"apex radius x, y: {radius}", "start")
     canvas.text((6, base + 72.0), f"conic constant x, y: {conic}; sag {mm_text(lens.sag * mm)}", "start")
     return canvas

@@ -20,6 +20,10 @@ EQUATION = {
     "quadric": "cx x^2 + cy y^2 + kappa z^2 - 2 side z = 0, the half nearer the apex, in the lens frame (apex at the origin)",
     "biconic": "z = side q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)), q = cx x^2 + cy y^2, in the lens frame",
 }
+POLYNOMIAL = {
+    "even polynomial": "z = side (q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)) + a x^4 + b x^2 y^2 + c y^4), "
+    "a4 = [a, b, c], q = cx x^2 + cy y^2, in the lens frame"
+}
 COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "theta_deg", "psi_deg")
 
 
@@ -39,7 +43,7 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
         "name": window.name,
         "form": window.form,
         "frame": "sheet frame, right-handed; light travels towards +z; lens to sheet: P = R p + apex",
-        "equations": EQUATION,
+        "equations": EQUATION | (POLYNOMIAL if any(hasattr(f.surface, "a4") for f in window.faces) else {}),
         "euler": "R = Rz(psi) Rx(theta) Rz(phi) about the fixed sheet axes",
         "lattice": {
             "kind": lattice.kind, "pitch_mm": [p * scale for p in lattice.pitch], "count": list(lattice.count),
@@ -72,6 +76,8 @@ def _face(window: Window, body: str, face: Face, label: str, scale: float) -> di
         plain |= {"equation": "quadric", "kappa_per_mm": surface.kappa / scale}
     else:
         plain |= {"equation": "biconic", "conic_x": surface.conic_x, "conic_y": surface.conic_y}
+    if hasattr(surface, "a4"):
+        plain |= {"equation": "even polynomial", "a4_per_mm3": [term / scale**3 for term in surface.a4]}
     for axis in ("x", "y"):
         c = getattr(surface, f"curvature_{axis}") / scale
         plain[f"apex_radius_{axis}_mm"] = 1.0 / c if c else None
@@ -179,7 +185,8 @@ def _equation(entry: dict[str, Any], p: np.ndarray[Any, Any]) -> np.ndarray[Any,
     if entry["equation"] == "quadric":
         return np.asarray(0.5 * (q + entry["kappa_per_mm"] * z * z - 2 * side * z))
     root = 1 - (1 + entry["conic_x"]) * (cx * x) ** 2 - (1 + entry["conic_y"]) * (cy * y) ** 2
-    return np.asarray(side * q / (1 + np.sqrt(root)) - z)
+    a, b, c = entry.get("a4_per_mm3", (0.0, 0.0, 0.0))
+    return np.asarray(side * (q / (1 + np.sqrt(root)) + a * x**4 + b * x**2 * y**2 + c * y**4) - z)
 
 
 def _turn_z(a: float) -> np.ndarray[Any, Any]:

@@ -44,7 +44,7 @@ def refuse(window: Window) -> None:
     """
     why = ""
     if not all(isinstance(face.surface, Quadric) for face in window.faces):
-        why = "biconic faces, which are no quadrics"
+        why = "biconic or polynomial faces, which are no quadrics"
     elif window.land.opaque and any(body.columnar for body in window.bodies):
         why = "opaque land on a web"
     if why:

@@ -7,6 +7,7 @@ from clacad.optics.surface.quadric import upright_sag
 from clacad.optics.surface.sag_and_normal import (
     ULP,
     Biconic,
+    EvenPolynomial,
     Quadric,
     Surface,
     as_quadric,
@@ -14,12 +15,15 @@ from clacad.optics.surface.sag_and_normal import (
     gradient,
     normal,
     principal_radii,
+    resized,
     sag,
+    sharpest_bend,
 )
 
 __all__ = [
     "ULP",
     "Biconic",
+    "EvenPolynomial",
     "Meeting",
     "Quadric",
     "Surface",
@@ -31,6 +35,8 @@ __all__ = [
     "normal",
     "principal_radii",
     "refract",
+    "resized",
     "sag",
+    "sharpest_bend",
     "upright_sag",
 ]

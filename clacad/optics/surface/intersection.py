@@ -9,8 +9,15 @@ from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
 from clacad.optics.surface.biconic import biconic_root
+from clacad.optics.surface.even_polynomial import polynomial_root
 from clacad.optics.surface.quadric import Columns, carry, quadric_root
-from clacad.optics.surface.sag_and_normal import Quadric, Surface, lateral_gradient, slope_root
+from clacad.optics.surface.sag_and_normal import (
+    EvenPolynomial,
+    Quadric,
+    Surface,
+    lateral_gradient,
+    slope_root,
+)
 
 
 class Meeting(NamedTuple):
@@ -65,6 +72,9 @@ def meet_at(surface: Surface, position: Floats, direction: Floats) -> tuple[Meet
         carried, base = carry(start, ray)
         if isinstance(surface, Quadric):
             t, root = quadric_root(surface, surface.kappa, start, base, ray)
+        elif isinstance(surface, EvenPolynomial):
+            t = polynomial_root(surface, base, ray)
+            root = np.zeros_like(t)  # finite; the hit's own normal gives it
         else:
             t, root = biconic_root(surface, start, base, ray)
         x, y, z = (p + t * d for p, d in zip(base, ray))

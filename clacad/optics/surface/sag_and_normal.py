@@ -1,8 +1,9 @@
-"""Quadrics and biconics in apex form: their sag and normal.
+"""Quadrics, biconics and even polynomials in apex form: their sag and normal.
 
 `Quadric`:  cx x² + cy y² + κ z² − 2 side z = 0,  apex at the origin. Sphere cx = cy = κ, paraboloid κ = 0,
 hyperboloid κ < 0, cylinder cy = 0, plane 0, 0, 0: none is a special case, for nothing is divided by a curvature.
 `Biconic`:  z = side Q/(1 + w),  Q = cx x² + cy y²,  w² = 1 − (1 + K_x) cx² x² − (1 + K_y) cy² y².
+`EvenPolynomial`:  z = side (Q/(1 + w) + P),  P = a x⁴ + b x² y² + c y⁴: a biconic and terms of fourth order.
 
 side = +1: positive curvature bends towards +z (front of a biconvex lens); side = −1: towards −z (its back).
 (cx, cy, κ, side) and (−cx, −cy, −κ, −side) are the same points; `side` is kept as the face was built and the
@@ -104,7 +105,39 @@ class Biconic(_OverXY):
         _check("Biconic", self.side, self.curvature_x, self.curvature_y, self.conic_x, self.conic_y)
 
 
-Surface = Quadric | Biconic
+@dataclass(frozen=True, slots=True)
+class EvenPolynomial(_OverXY):
+    """A biconic and terms of fourth order on top of it.
+
+    Parameters
+    ----------
+    curvature_x, curvature_y : float, 1/length
+    conic_x, conic_y : float
+        Conic constants of the base; −1: the surface is a polynomial of degree 4.
+    a4 : (3,) tuple of float, 1/length³
+        Coefficients of x⁴, x² y² and y⁴; positive adds height on the side the material bulges to.
+    side : +1 or −1
+        As of a biconic; a number that is not finite is refused as there, too (ValueError).
+
+    Notes
+    -----
+    z = side (Q/(1 + w) + a x⁴ + b x² y² + c y⁴) is defined where the base is. Where base and terms cancel, the
+    error of z is that of the larger of them.
+    """
+
+    curvature_x: float
+    curvature_y: float
+    conic_x: float
+    conic_y: float
+    a4: tuple[float, float, float]
+    side: int = 1
+
+    def __post_init__(self) -> None:
+        numbers = (self.curvature_x, self.curvature_y, self.conic_x, self.conic_y, *self.a4)
+        _check("EvenPolynomial", self.side, *numbers)
+
+
+Surface = Quadric | Biconic | EvenPolynomial
 
 
 def principal_radii(surface: Surface) -> tuple[float, float]:
@@ -114,9 +147,28 @@ def principal_radii(surface: Surface) -> tuple[float, float]:
     return radius_x, radius_y
 
 
+def resized(surface: Surface, size: float) -> Surface:
+    """The same shape with all lengths times `size`."""
+    cx, cy = surface.curvature_x / size, surface.curvature_y / size
+    if isinstance(surface, Quadric):
+        return Quadric(cx, cy, surface.kappa / size, surface.side)
+    if isinstance(surface, Biconic):
+        return Biconic(cx, cy, surface.conic_x, surface.conic_y, surface.side)
+    a, b, c = (term / size**3 for term in surface.a4)
+    return EvenPolynomial(cx, cy, surface.conic_x, surface.conic_y, (a, b, c), surface.side)
+
+
+def sharpest_bend(surface: Surface, reach: float) -> float:
+    """Bound (1/length) of how a face bends: its apex curvatures, and what its terms of fourth order add within `reach`."""
+    bend = abs(surface.curvature_x) + abs(surface.curvature_y)
+    if isinstance(surface, EvenPolynomial):
+        bend += 12.0 * sum(abs(term) for term in surface.a4) * reach * reach
+    return bend
+
+
 def conic_constants(surface: Surface) -> tuple[float | None, float | None]:
     """Conic constants (K_x, K_y), pure numbers: κ/c − 1 of a quadric; None in a flat meridian, which has none."""
-    if isinstance(surface, Biconic):
+    if not isinstance(surface, Quadric):
         return surface.conic_x, surface.conic_y
     curvatures = (surface.curvature_x, surface.curvature_y)
     conic_x, conic_y = (surface.kappa / c - 1.0 if c else None for c in curvatures)
@@ -162,7 +214,10 @@ def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
     Largest error seen 2 ulp relative, tests/optics/test_surface.py.
     """
     x, y = _plane_point(x, y)
-    return np.asarray(surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y)))
+    height = surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))
+    if isinstance(surface, EvenPolynomial):
+        height = height + surface.side * fourth_order(surface, x, y)[0]
+    return np.asarray(height)
 
 
 def normal(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -185,14 +240,26 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
     """G_x, G_y (n,) of either surface at the points over (x, y), (n,) lengths, where G_z = w (n,).
 
     The biconic is Q + κ z² − 2 side z = 0 with κ = (a x² + b y²)/Q, which depends on the azimuth alone; its
-    derivative gives the second terms.
+    derivative gives the second terms. Terms of fourth order add −side w times their slopes.
     """
     gx, gy = -surface.side * surface.curvature_x * x, -surface.side * surface.curvature_y * y
+    if isinstance(surface, EvenPolynomial):
+        _, px, py = fourth_order(surface, x, y)
+        gx, gy = gx - surface.side * w * px, gy - surface.side * w * py
     skew = skewness(surface)
     if skew == 0:
         return np.asarray(gx), np.asarray(gy)
     twist = surface.side * skew * x * y / ((1.0 + w) * (1.0 + w))
     return np.asarray(gx - twist * y), np.asarray(gy + twist * x)
+
+
+def fourth_order(surface: EvenPolynomial, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """P = a x⁴ + b x² y² + c y⁴ and its slopes in x and y, (n,) each, over x, y (n,), lengths."""
+    a, b, c = surface.a4
+    xx, yy = x * x, y * y
+    in_x, in_y = a * xx + b * yy, c * yy
+    px, py = x * (4.0 * a * xx + 2.0 * b * yy), y * (2.0 * b * xx + 4.0 * c * yy)
+    return np.asarray(xx * in_x + yy * in_y), np.asarray(px), np.asarray(py)
 
 
 def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:

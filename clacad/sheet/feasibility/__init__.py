@@ -15,6 +15,7 @@ from clacad.sheet.feasibility.derived_numbers import (
     DEFAULT_WAVELENGTH,
     BodyFacts,
     BorderFacts,
+    FaceShape,
     Feasibility,
     LensFacts,
     two,
@@ -25,7 +26,7 @@ from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, ha
 from clacad.sheet.window import Window
 
 __all__ = [
-    "BodyFacts", "BorderFacts", "Feasibility", "LensFacts", "FactRow", "body_facts", "body_of", "body_range",
+    "BodyFacts", "BorderFacts", "FaceShape", "Feasibility", "LensFacts", "FactRow", "body_facts", "body_of", "body_range",
     "connectedness", "describe", "feasibility", "least_thickness", "lens_margin", "thicker",
 ]  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.digits import digits
-from clacad.sheet.feasibility.derived_numbers import BodyFacts, Feasibility, LensFacts, two
+from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
 from clacad.sheet.feasibility.pitch_for_eye import Two, Viewing
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import whole_extent
@@ -138,9 +138,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: s
         FactRow(about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"),
         FactRow(about, "focal length as built x, y", of_length(lens.built_focal_length), name,
             "of the lens as made, in air, about its own axis"),
-        FactRow(about, "apex radius x, y", of_length(lens.radius), name, "negative: concave"),
-        FactRow(about, "conic constant x, y", ", ".join("-" if k is None else digits(k) for k in lens.conic), "",
-            "0: circle, -1: parabola"),
+        *_shape_rows(lens, of_length, name),
         FactRow(about, "centre thickness", of_length(lens.thickness), name, "from apex to apex, or to the plane face"),
         FactRow(about, "sag", of_length(lens.sag), name, "height range of the face over the optical zone of its cell"),
         FactRow(about, "rim half width x, y", of_length(lens.rim), name, "where the lens would end were it not cut to its cell"),
@@ -163,6 +161,25 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: s
         rows.append(
             FactRow(about, "centre thickness that covers the cell", of_length(lens.least_thickness), name, "at these radii")
         )  # fmt: skip
+    return rows
+
+
+def _shape_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+    """Radii and conic constants, face by face where the faces differ."""
+    about, rows = f"lens {lens.array + 1}", []
+    one = FaceShape("", lens.radius, lens.conic, None)
+    for shape in lens.shapes or (one,):
+        of = f"{shape.side}, " if shape.side else ""
+        conic = ", ".join("-" if k is None else digits(k) for k in shape.conic)
+        rows += [
+            FactRow(about, f"{of}apex radius x, y", of_length(shape.radius), name, "negative: concave"),
+            FactRow(about, f"{of}conic constant x, y", conic, "", "0: circle, -1: parabola"),
+        ]
+        if shape.a4 is not None:
+            text = ", ".join(digits(a) for a in shape.a4)
+            rows.append(
+                FactRow(about, f"{of}a4: x⁴, x² y², y⁴", text, f"1/{name}³", "outwards, on top of the conic")
+            )
     return rows
 
 

@@ -15,11 +15,28 @@ DEFAULT_WAVELENGTH = 550e-9
 
 
 @dataclass(frozen=True)
+class FaceShape:
+    """One face of a lens whose faces differ, or have terms of fourth order.
+
+    side : "front" or "back"
+    radius : (R_x, R_y), lengths
+    conic : (K_x, K_y) or None each
+    a4 : (3,) 1/length³, or None
+        Coefficients of x⁴, x² y² and y⁴.
+    """
+
+    side: str
+    radius: Two
+    conic: tuple[float | None, float | None]
+    a4: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
 class LensFacts:
     """One lens of a telescopelet.
 
     radius : (R_x, R_y), lengths
-        Apex radii, negative where concave, infinite where flat.
+        Apex radii, negative where concave, infinite where flat; of the first face where faces differ.
     conic : (K_x, K_y) or None each
     kappa : float or None, 1/length
         Coefficient of z² of a quadric; None for a biconic.
@@ -44,6 +61,8 @@ class LensFacts:
         Smallest z component of the unit normal over the zone; 0 or less is undercut.
     f_number : (x, y)
         Focal length over the full width of the zone along the lens axes.
+    shapes : tuple of FaceShape
+        The faces one by one where `radius` and `conic` do not tell all of them; else empty.
     """
 
     array: int
@@ -61,6 +80,12 @@ class LensFacts:
     rim_at: Two
     least_normal_z: float
     f_number: Two
+    shapes: tuple[FaceShape, ...] = ()
+
+    @property
+    def radii(self) -> tuple[float, ...]:
+        """Apex radii of all faces, lengths."""
+        return tuple(r for shape in self.shapes for r in shape.radius) or self.radius
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.optics.surface import conic_constants, principal_radii
 from clacad.sheet.feasibility.convex_extremes import Heights, least, reach, share_covered
-from clacad.sheet.feasibility.derived_numbers import LensFacts, two
+from clacad.sheet.feasibility.derived_numbers import FaceShape, LensFacts, two
 from clacad.sheet.feasibility.pitch_for_eye import Two
 from clacad.sheet.window import Body, Face, Window, lens_height, lens_height_and_normal, optical_tile
 
@@ -62,6 +62,8 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
     margin = lens_margin(window, array)
     corner, at = least(thickness_over_cell(window, array), zone)
     kappa = getattr(face.surface, "kappa", None)
+    shapes = _shapes(body, array)
+    measured = [f for f in (body.front, body.back) if f.array == array] if shapes else [face]
     focal = window.thin.focal_length[array]
     return LensFacts(
         array=array,
@@ -70,16 +72,29 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
         kappa=kappa,
         focal_length=focal,
         built_focal_length=_built_focal_length(body, array),
-        sag=_sag(face, zone),
+        sag=max(_sag(f, zone) for f in measured),
         thickness=_centre_thickness(body, face),
         least_thickness=least_thickness(window, array),
         corner=corner,
         cover=_cover(margin, zone),
         rim=_rim(window, face, margin),
         rim_at=at,
-        least_normal_z=_least_normal_z(face, margin, zone),
+        least_normal_z=min(_least_normal_z(f, margin, zone) for f in measured),
         f_number=two(abs(f) / w for f, w in zip(focal, width, strict=True)),
+        shapes=shapes,
     )
+
+
+def _shapes(body: Body, array: int) -> tuple[FaceShape, ...]:
+    """The faces of a lens one by one, unless both are one quadric or biconic."""
+    faces = [
+        (side, f.surface) for side, f in (("front", body.front), ("back", body.back)) if f.array == array
+    ]
+    shapes = tuple(
+        FaceShape(side, principal_radii(s), conic_constants(s), getattr(s, "a4", None)) for side, s in faces
+    )
+    plain = len({(s.radius, s.conic) for s in shapes}) == 1 and all(s.a4 is None for s in shapes)
+    return () if plain else shapes
 
 
 def thickness_over_cell(window: Window, array: int) -> Heights:

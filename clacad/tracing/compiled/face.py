@@ -15,6 +15,7 @@ from clacad.optics.surface import ULP
 from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
 from clacad.optics.surface.quadric import CANCELS, STEEPEST
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.even_polynomial import polynomial_over, polynomial_root
 from clacad.tracing.compiled.records import Ray, Vector
 
 ROOT_STEPS = 60
@@ -248,11 +249,16 @@ def meet(
     carried, base = _carry(ray)
     if faces[row, slot.BICONIC] == 0.0:
         t, root = _quadric_root(Conic(cx, cy, faces[row, slot.KX], side), ray, base)
+    elif faces[row, slot.BICONIC] == slot.POLYNOMIAL:
+        t, root = polynomial_root(faces, row, ray, base), 0.0
     else:
         t, root = _biconic_root(faces, row, ray, base)
     px, py, pz = base[0] + t * L, base[1] + t * M, base[2] + t * N
     gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * faces[row, slot.KX] * pz
-    if faces[row, slot.BICONIC] != 0.0:
+    if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
+        gx, gy, gz, _, _ = polynomial_over(faces, row, px, py, pz)
+        root = abs(gx * L + gy * M + gz * N)
+    elif faces[row, slot.BICONIC] != 0.0:
         w, _ = _biconic_parts(faces, row, px, py)
         gz = w
         skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
@@ -343,6 +349,9 @@ def _biconic_step(
     faces: Floats, row: int, x: float, y: float, z: float, L: float, M: float, N: float
 ) -> float:
     """Newton step along the ray towards z = sag(x, y)."""
+    if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
+        gx, gy, w, gap, _ = polynomial_over(faces, row, x, y, z)
+        return float(gap * w / (L * gx + M * gy + N * w)) if w > 0.0 else nan
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
     p = a * x * x + b * y * y
@@ -369,6 +378,9 @@ def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float
         kappa = faces[row, slot.KX]
         over = -0.5 * side * (cx * x * x + cy * y * y + (kappa * z - 2.0 * side) * z)
         return -side * cx * x, -side * cy * y, 1.0 - side * kappa * z, over
+    if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
+        gx, gy, w, gap, _ = polynomial_over(faces, row, x, y, z)
+        return gx, gy, w, gap * w
     w, _ = _biconic_parts(faces, row, x, y)
     skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
     twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))

@@ -8,12 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.surface import Quadric
+from clacad.optics.surface import EvenPolynomial, Quadric
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
-ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, FACE_NUMBERS = range(20, 27)
+ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, A40, A22, A04, FACE_NUMBERS = range(20, 30)
+
+# What BICONIC says: 0 is a quadric.
+POLYNOMIAL = 2.0
 
 # Columns of a body's row.
 LEVEL, BODY_LOW, BODY_HIGH, COLUMNAR, COVERED, BOX = range(6)
@@ -88,6 +91,8 @@ def _face(face: FacePlan) -> list[float]:
         row[KX] = surface.kappa
     else:
         row[BICONIC], row[KX], row[KY] = 1.0, surface.conic_x, surface.conic_y
+    if isinstance(surface, EvenPolynomial):
+        row[BICONIC], row[A40 : A04 + 1] = POLYNOMIAL, surface.a4
     row[VX : VZ + 1] = face.vertex
     row[TURNED] = float(face.rotation is not None)
     row[R0 : R0 + 9] = (np.eye(3) if face.rotation is None else face.rotation).ravel().tolist()

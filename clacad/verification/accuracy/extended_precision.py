@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
-from clacad.optics.surface import Biconic, Quadric
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.window import Face, Window
 
 Ints = NDArray[np.integer]
@@ -149,7 +149,7 @@ def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | 
     return ray
 
 
-def _meet(surface: Quadric | Biconic, start: Vector, ray: Vector) -> tuple[Vector, Vector] | None:
+def _meet(surface: Surface, start: Vector, ray: Vector) -> tuple[Vector, Vector] | None:
     """Point and gradient where the ray crosses the surface near its apex plane."""
     s, cx, cy = surface.side, Decimal(surface.curvature_x), Decimal(surface.curvature_y)
     to_plane = -start[2] / ray[2]
@@ -166,13 +166,15 @@ def _meet(surface: Quadric | Biconic, start: Vector, ray: Vector) -> tuple[Vecto
     if isinstance(surface, Quadric):
         point = (x + t * ray[0], y + t * ray[1], t * ray[2])
         return point, (-s * cx * point[0], -s * cy * point[1], 1 - s * kappa * point[2])
-    return _meet_biconic(surface, (x, y, Decimal(0)), ray, t)
+    return _meet_height(surface, (x, y, Decimal(0)), ray, t)
 
 
-def _meet_biconic(surface: Biconic, start: Vector, ray: Vector, t: Decimal) -> tuple[Vector, Vector] | None:
+def _meet_height(
+    surface: Biconic | EvenPolynomial, start: Vector, ray: Vector, t: Decimal
+) -> tuple[Vector, Vector] | None:
     for _ in range(60):
         x, y, z = (p + t * d for p, d in zip(start, ray, strict=True))
-        height = _biconic_height(surface, x, y)
+        height = _height(surface, x, y)
         if height is None:
             return None
         sag, slope_x, slope_y = height
@@ -183,8 +185,10 @@ def _meet_biconic(surface: Biconic, start: Vector, ray: Vector, t: Decimal) -> t
     return (x, y, z), (-slope_x, -slope_y, Decimal(1))
 
 
-def _biconic_height(surface: Biconic, x: Decimal, y: Decimal) -> tuple[Decimal, Decimal, Decimal] | None:
-    """Sag and its two slopes: z = s Q/(1 + w)."""
+def _height(
+    surface: Biconic | EvenPolynomial, x: Decimal, y: Decimal
+) -> tuple[Decimal, Decimal, Decimal] | None:
+    """Sag and its two slopes: z = s (Q/(1 + w) + a x⁴ + b x² y² + c y⁴)."""
     cx, cy = Decimal(surface.curvature_x), Decimal(surface.curvature_y)
     kx, ky = (1 + Decimal(surface.conic_x)) * cx * cx, (1 + Decimal(surface.conic_y)) * cy * cy
     inside = 1 - kx * x * x - ky * y * y
@@ -194,7 +198,12 @@ def _biconic_height(surface: Biconic, x: Decimal, y: Decimal) -> tuple[Decimal, 
     slopes = [
         s * (2 * c * u / (1 + w) + q * k * u / (w * (1 + w) ** 2)) for c, k, u in ((cx, kx, x), (cy, ky, y))
     ]
-    return s * q / (1 + w), slopes[0], slopes[1]
+    if isinstance(surface, Biconic):
+        return s * q / (1 + w), slopes[0], slopes[1]
+    a, b, c = (Decimal(term) for term in surface.a4)
+    height = q / (1 + w) + a * x**4 + b * x * x * y * y + c * y**4
+    slope_x = slopes[0] + s * (4 * a * x**3 + 2 * b * x * y * y)
+    return s * height, slope_x, slopes[1] + s * (2 * b * x * x * y + 4 * c * y**3)
 
 
 def _refracted(ray: Vector, gradient: Vector, before: Decimal, after: Decimal) -> Vector | None:

@@ -228,7 +228,7 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
     for lens in facts.lenses:
         name = f"lens {lens.array + 1}"
         limit, source = process_limit(design, rules, "radius")
-        smallest = min(abs(r) for r in lens.radius)
+        smallest = min(abs(r) for r in lens.radii)
         found.append(
             _at_least("radius", smallest, limit, source, unit, f"smallest apex radius of {name}", name)
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.optics.surface import Quadric
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.volume_and_extent import whole_extent
@@ -72,8 +73,9 @@ def room_for(design: Design, window: Window, stated: Mapping[str, Any]) -> Room:
     within slope × pitch / 2π of the exact one.
     """
     pitch = min(window.lattice.pitch) * millimetres(window.unit)
-    # a biconic has no exact rational patch: its fit is stated to 1e-6 of the pitch
-    exact = SHAPE_LIMIT * pitch * (10.0 if design.pair.surface == "biconic" else 1.0)
+    # what is no quadric has no exact rational patch: its fit is stated to 1e-6 of the pitch
+    fitted = any(not isinstance(face.surface, Quadric) for face in window.faces)
+    exact = SHAPE_LIMIT * pitch * (10.0 if fitted else 1.0)
     if stated:
         return Room(DIRECTION_LIMIT, exact, default("1e-7 of the pitch"), False)
     direction = max(DIRECTION_LIMIT, PART * design.check.law_rms)

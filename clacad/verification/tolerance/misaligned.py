@@ -14,7 +14,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.optics.rays import Fate, Rays
-from clacad.optics.surface import Biconic, Quadric
+from clacad.optics.surface import Surface, resized
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 from clacad.tracing.trace import Interface, trace_sequence
@@ -139,16 +139,9 @@ def _radius(errors: Errors, body: Body, face: Face, part: str) -> float:
     return errors.get(f"radius.{face.array + 1}" + (f".{part}" if body.columnar else ""), 0.0)
 
 
-def grown(surface: Quadric | Biconic, part: float) -> Quadric | Biconic:
+def grown(surface: Surface, part: float) -> Surface:
     """The same shape with all radii larger by a relative `part`."""
-    if part == 0.0:
-        return surface
-    scale = 1.0 / (1.0 + part)
-    if isinstance(surface, Quadric):
-        return Quadric(
-            surface.curvature_x * scale, surface.curvature_y * scale, surface.kappa * scale, surface.side
-        )
-    return replace(surface, curvature_x=surface.curvature_x * scale, curvature_y=surface.curvature_y * scale)
+    return surface if part == 0.0 else resized(surface, 1.0 + part)
 
 
 def _first(errors: Errors) -> Motion:

@@ -201,7 +201,7 @@ def _built(facts: Feasibility) -> dict[str, float]:
         "pieces": max(body.pieces for body in facts.bodies), "cover": min(lens.cover for lens in facts.lenses),
         "edge": min(body.edge for body in facts.bodies), "neck": min(body.neck for body in facts.bodies),
         "step": max(body.step for body in facts.bodies), "clearance": facts.clearance,
-        "radius": min(abs(r) for lens in facts.lenses for r in lens.radius),
+        "radius": min(abs(r) for lens in facts.lenses for r in lens.radii),
         "sag": max(lens.sag for lens in facts.lenses),
         "thickness_1": facts.lenses[0].thickness, "thickness_2": facts.lenses[1].thickness,
         "normal_z": min(lens.least_normal_z for lens in facts.lenses), "half_field": min(facts.half_field),

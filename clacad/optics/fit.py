@@ -1,0 +1,126 @@
+"""Faces that keep best to a law: how far fixed rays are from it, and the least-squares search over what may change.
+
+The residual of a ray is what its direction lacks of the asked one, across the middle of the field; nothing of the law
+is fitted, so a search cannot drift to another η. The rays are the same throughout, and one that gets lost counts as
+`LOST`: a search that could lose rays would throw them away to look sharp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
+
+LOST = 0.1
+"""Residual of a ray that does not get through (radians): far above any lens worth having, far below a wall."""
+
+STEP = 1e-6
+"""Change of an unknown, of order 1, by which slopes are taken: rounding of the trace shows at 1e-10 of them."""
+
+DAMPING = 1e-3
+"""Damping a search begins with, in squares of the slopes' own sizes; a step that fails doubles it ever faster."""
+
+TRIES = 16
+"""Steps from one place that may fail before the place is taken for the least."""
+
+SETTLED = 1e-6
+"""Relative change of the sum of squares at which a search ends."""
+
+ROUNDS = 40
+"""Evaluations of the slopes after which it ends all the same."""
+
+Residuals = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class AskedLight:
+    """Rays and the directions they should leave in.
+
+    rays : Rays
+    asked : (n, 3) unit
+    across : (2, 3)
+        Unit vectors across the middle of what is asked.
+    """
+
+    rays: Rays
+    asked: Floats
+    across: Floats
+
+    @staticmethod
+    def of(rays: Rays, asked: Floats) -> AskedLight:
+        """Rays with their asked directions (n, 3); both vectors across are fixed by the mean of these."""
+        middle = asked.mean(axis=0)
+        middle = middle / np.linalg.norm(middle)
+        u = np.eye(3)[int(np.argmin(np.abs(middle)))]
+        u = u - (u @ middle) * middle
+        u = u / np.linalg.norm(u)
+        return AskedLight(rays, asked, np.stack([u, np.cross(middle, u)]))
+
+
+def law_residuals(sequence: Sequence[Interface], light: AskedLight) -> Floats:
+    """Residuals (2 n,) of n rays through surfaces, radians over √n: their sum of squares is the mean square error."""
+    seen = trace_sequence(sequence, light.rays)
+    off = (seen.direction - light.asked) @ light.across.T
+    off[seen.fate != Fate.ALIVE] = LOST
+    return np.asarray(off.ravel() / np.sqrt(len(light.asked)))
+
+
+def minimise(residuals: Residuals, start: Floats) -> Floats:
+    """Unknowns (k,) of the least sum of squares near `start` (k,), each of order 1.
+
+    Levenberg–Marquardt with Nielsen's damping, in units of the largest slopes met; slopes by forward differences in a
+    fixed order: the same numbers every time.
+
+    Parameters
+    ----------
+    residuals : callable
+        Unknowns (k,) → residuals (m,), always finite. What it raises ends the search.
+    start : (k,)
+
+    Notes
+    -----
+    K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares problems, 2nd ed. (DTU, 2004), ch. 3.2;
+    scaling after J. J. Moré, Lect. Notes Math. 630, 105 (1978).
+    """
+    here, left = start, residuals(start)
+    damping, scale = DAMPING, np.zeros(len(start))
+    for _ in range(ROUNDS):
+        slopes = np.stack(
+            [(residuals(here + STEP * axis) - left) / STEP for axis in np.eye(len(here))], axis=1
+        )
+        scale = np.maximum(scale, np.linalg.norm(slopes, axis=0))
+        found = _step(residuals, (here, left), slopes, scale, damping)
+        if found is None:
+            break
+        gained = 1.0 - float(found[1] @ found[1]) / float(left @ left)
+        here, left, damping = found
+        if gained <= SETTLED:
+            break
+    return here
+
+
+def _step(
+    residuals: Residuals, place: tuple[Floats, Floats], slopes: Floats, scale: Floats, damping: float
+) -> tuple[Floats, Floats, float] | None:
+    """The next place (k,) that leaves less, its residuals (m,), and the damping to go on with; None: there is none.
+
+    place : unknowns (k,) and residuals (m,); slopes : (m, k); scale : (k,)
+    """
+    here, left = place
+    square, growth = float(left @ left), 2.0
+    units = np.diag(np.where(scale > 0.0, scale, 1.0))
+    for _ in range(TRIES):
+        rows = np.concatenate([slopes, np.sqrt(damping) * units])
+        step = np.linalg.lstsq(rows, np.concatenate([-left, np.zeros(len(here))]), rcond=None)[0]
+        trial = residuals(here + step)
+        ahead = left + slopes @ step
+        promised, kept = square - float(ahead @ ahead), square - float(trial @ trial)
+        if kept > 0.0 and promised > 0.0:
+            return here + step, trial, damping * max(1.0 / 3.0, 1.0 - (2.0 * kept / promised - 1.0) ** 3)
+        damping, growth = damping * growth, 2.0 * growth
+    return None

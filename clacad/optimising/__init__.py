@@ -1,0 +1,12 @@
+"""Which faces should be cut: a search for those that keep best to the law, within the walls of the workshop.
+
+The least squares themselves live with the mathematics (`clacad.optics.fit`); here is what may change, what must hold,
+and the design file that comes of it. Nothing of the law, the lattice, the separation or the thickness is free: a larger
+separation would lessen the error for ever, as the cube of pitch over separation.
+"""
+
+from __future__ import annotations
+
+from clacad.optimising.search import Optimised, Seen, optimise, outlook
+
+__all__ = ["Optimised", "Seen", "optimise", "outlook"]

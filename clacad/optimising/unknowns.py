@@ -1,0 +1,191 @@
+"""What may change: words to a vector of unknowns of order 1, and back to faces.
+
+A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell, coefficients of
+fourth order times 4 (half a cell)³. Conic constants count in tens. Where a lens is not bent, its two faces are alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+
+from clacad.base.text import did_you_mean, near
+from clacad.base.types import Floats
+from clacad.config.design_error import DesignError
+from clacad.config.mistakes import Mistake
+from clacad.config.value_kinds import shown
+from clacad.design.given_faces import FaceSpec
+from clacad.optics.surface import EvenPolynomial, Quadric, Surface
+from clacad.prescription.given import given_conics
+from clacad.sheet.window import Window
+
+WORDS = ("radii", "conic", "bending", "a4", "offset")
+
+NEVER = {
+    "separation": "the error falls as the cube of pitch over separation, for ever",
+    "thickness": "the error falls as the cube of pitch over separation, for ever",
+    "a6": "it was found to give nothing on top of a4 at these apertures",
+    "a8": "it was found to give nothing on top of a4 at these apertures",
+}
+
+CONICS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """One number: `kind` "c", "K" or "a" of faces that share it, in a meridian or of a term; "d": offset of lens 2."""
+
+    kind: str
+    faces: tuple[int, ...]
+    part: int
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Which numbers of which faces are free.
+
+    Parameters
+    ----------
+    start : tuple of FaceSpec
+        All faces in the order of the light, as the search begins.
+    offset : (2,) lengths or None
+        Offset of lens 2 where it is free or given.
+    free : tuple of Unknown
+    half : float
+        Half a cell, length.
+    still : bool
+        Lens 2 keeps its place whatever the faces are: it stands on the axis of lens 1.
+    ellipsoids : bool
+        Conic constants follow from the radii: κ = √(c_x c_y).
+    """
+
+    start: tuple[FaceSpec, ...]
+    offset: tuple[float, float] | None
+    free: tuple[Unknown, ...]
+    half: float
+    still: bool
+    ellipsoids: bool
+
+    @property
+    def vector(self) -> Floats:
+        """The unknowns (k,) as the search begins."""
+        return np.array([self._read(one) for one in self.free])
+
+    def conics(self, vector: Floats) -> Floats:
+        """Conic constants among the unknowns (k,)."""
+        return np.array([CONICS * v for one, v in zip(self.free, vector, strict=True) if one.kind == "K"])
+
+    def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], tuple[float, float] | None]:
+        """Faces, and the offset of lens 2, that unknowns (k,) stand for."""
+        curvature = [list(face.curvature) for face in self.start]
+        conic = [list(face.conic) for face in self.start]
+        terms = [list(face.a4) for face in self.start]
+        offset = None if self.offset is None else list(self.offset)
+        for one, value in zip(self.free, vector.tolist(), strict=True):
+            if one.kind == "d":
+                assert offset is not None
+                offset[one.part] = value * self.half
+            for k in one.faces:
+                if one.kind == "c":
+                    curvature[k][one.part] = value / self.half
+                elif one.kind == "K":
+                    conic[k][one.part] = value * CONICS
+                else:
+                    terms[k][one.part] = value / (4.0 * self.half**3)
+        if self.ellipsoids:
+            conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
+        made = tuple(
+            FaceSpec((_radius(c[0]), _radius(c[1])), (k[0], k[1]), (a[0], a[1], a[2]))
+            for c, k, a in zip(curvature, conic, terms, strict=True)
+        )
+        return made, None if offset is None else (offset[0], offset[1])
+
+    def _read(self, one: Unknown) -> float:
+        if one.kind == "d":
+            assert self.offset is not None
+            return self.offset[one.part] / self.half
+        face = self.start[one.faces[0]]
+        if one.kind == "c":
+            return face.curvature[one.part] * self.half
+        return face.conic[one.part] / CONICS if one.kind == "K" else face.a4[one.part] * 4.0 * self.half**3
+
+
+def _radius(curvature: float) -> float:
+    return 1.0 / curvature if curvature else inf
+
+
+def _ellipsoid(curvature: list[float], conic: list[float]) -> list[float]:
+    """Conic constants that make one κ of both meridians; those at hand where the meridians curve apart."""
+    cx, cy = curvature
+    if cx * cy <= 0.0:
+        return conic
+    kappa = sqrt(cx * cy) * (1.0 if cx > 0.0 else -1.0)
+    return [kappa / cx - 1.0, kappa / cy - 1.0]
+
+
+def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
+    """The unknowns that words name, for a window to start from.
+
+    Raises
+    ------
+    DesignError
+        A word that is unknown, that never may be free, or that this form does not have.
+    """
+    _refuse(window, words)
+    faces = tuple(_spec(face.surface) for face in window.faces)
+    lenses = [k for k, face in enumerate(window.faces) if face.array is not None]
+    bent = "bending" in words
+    groups = [(k,) for k in lenses] if bent or len(lenses) == 2 else [(0, 1), (2, 3)]
+    ellipsoids = (
+        "conic" not in words and "a4" not in words and all(_ellipsoidal(f.surface) for f in window.faces)
+    )
+    if "a4" in words:  # on paraboloids: polynomials of degree 4, whose patches are exact
+        faces = tuple(
+            FaceSpec(f.radius, (-1.0, -1.0), f.a4) if k in lenses else f for k, f in enumerate(faces)
+        )
+    free: list[Unknown] = []
+    for group in groups:
+        if bent or "radii" in words:
+            free += [Unknown("c", group, i) for i in (0, 1) if bent or faces[group[0]].curvature[i] != 0.0]
+        if "conic" in words:
+            free += [Unknown("K", group, i) for i in (0, 1)]
+        if "a4" in words:
+            free += [Unknown("a", group, i) for i in (0, 1, 2)]
+    d, half = window.recipe["d"], 0.5 * min(window.lattice.pitch)
+    still = "offset" not in words and d[0] == d[1] == 0.0
+    offset = (float(d[0]), float(d[1])) if "offset" in words else None
+    free += [Unknown("d", (), i) for i in (0, 1)] if offset is not None else []
+    return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
+
+
+def _refuse(window: Window, words: tuple[str, ...]) -> None:
+    for word in words:
+        if word in NEVER:
+            raise DesignError([Mistake("CL107", f"{word} is not to be free: {NEVER[word]}", "free", found=word, allowed=", ".join(WORDS))])  # fmt: skip
+        if word not in WORDS:
+            hint = did_you_mean(near(word.lower(), WORDS, 0.5), quote='"')
+            raise DesignError([Mistake("CL107", f"{shown(word)} is nothing that can be free", "free", found=word, allowed=", ".join(WORDS), hint=hint)])  # fmt: skip
+    if not words:
+        raise DesignError([Mistake("CL107", "nothing is free", "free", allowed=", ".join(WORDS))])
+    if "bending" in words and window.form != "biconvex":
+        raise DesignError([Mistake("CL114", f"bending needs two faces a lens; a {window.form} pair has one", "free", found="bending",
+                                   allowed="radii, conic, a4, offset", hint='pair.form = "biconvex" can be bent')])  # fmt: skip
+
+
+def _spec(surface: Surface) -> FaceSpec:
+    """A surface as a given face."""
+    cx, cy = surface.curvature_x, surface.curvature_y
+    if cx == cy == 0.0 and not isinstance(surface, EvenPolynomial):
+        return FaceSpec((inf, inf))
+    terms = surface.a4 if isinstance(surface, EvenPolynomial) else (0.0, 0.0, 0.0)
+    return FaceSpec((_radius(cx), _radius(cy)), given_conics(surface), terms)
+
+
+def _ellipsoidal(surface: Surface) -> bool:
+    """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean of the curvatures; a plane is, too."""
+    if not isinstance(surface, Quadric):
+        return False
+    cx, cy = surface.curvature_x, surface.curvature_y
+    return cx * cy >= 0.0 and abs(abs(surface.kappa) - sqrt(cx * cy)) <= 1e-9 * (abs(cx) + abs(cy))

@@ -1,0 +1,131 @@
+"""What faces must keep to, over the whole cell and not only where light of the field goes: the walls of a search.
+
+Each wall is a number that is 0 or more where it holds, in parts of its limit. Heights and slopes are taken at 21 × 21
+points of the optical zone and along its border; a face without a real height there counts as far beyond the wall.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, isfinite
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.design import Design
+from clacad.design.process_profiles import profile
+from clacad.optics.surface import Surface
+from clacad.prescription.given import given_conics
+from clacad.sheet.feasibility.convex_extremes import outline
+from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
+from clacad.verification.design.process_rules import process_limit
+
+GRID = 21
+REAL = 0.02
+"""Least part of the radicand of a face that must be left at any point of its cell."""
+
+MARGIN = 0.005
+"""Parts of its limit by which a wall is kept clear of: what the search gives way by near it."""
+
+STIFFNESS = 0.01
+"""Residual (radians) of a wall passed by all of its limit."""
+
+LOST = -1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """Limits of a design, and where they are looked at.
+
+    x, y : (n,) lengths
+        Points of the optical zone, cell frame.
+    normal_z : float
+        Least z component of a normal.
+    radius, sag : float, lengths
+        Least radius and greatest height; 0 and infinite without one.
+    thickness : (b,) lengths
+        Least thickness of each body anywhere in its cell.
+    """
+
+    x: Floats
+    y: Floats
+    normal_z: float
+    radius: float
+    sag: float
+    thickness: tuple[float, ...]
+
+    @staticmethod
+    def of(design: Design, window: Window) -> Walls:
+        """Walls of a design whose window, to start from, is built."""
+        rules = profile(design.check.process)
+        limit = {
+            name: process_limit(design, rules, name)[0] for name in ("edge", "neck", "radius", "sag", "slope")
+        }
+        tile = optical_tile(window)
+        low, high = tile.min(axis=0), tile.max(axis=0)
+        x, y = (g.ravel() for g in np.meshgrid(*(np.linspace(low[k], high[k], GRID) for k in (0, 1))))
+        inside, rim = in_optical_tile(window, x, y), outline(tile, GRID)
+        x, y = np.append(x[inside], rim[:, 0]), np.append(y[inside], rim[:, 1])
+        neck = design.body.neck or min(window.lattice.pitch) / 50.0
+        asked = max(limit["edge"], limit["neck"])
+        needs = tuple(
+            max(asked, min(neck, (1.0 - 2.0 * MARGIN) * _thinnest(body, x, y))) for body in window.bodies
+        )
+        return Walls(x, y, max(design.check.graph, cos(limit["slope"])), limit["radius"], limit["sag"], needs)
+
+    def slack(self, window: Window) -> dict[str, float]:
+        """How far every wall is from being passed, in parts of its limit; below 0: passed. One fixed order."""
+        found: dict[str, float] = {}
+        number = 0
+        for body, need in zip(window.bodies, self.thickness, strict=True):
+            heights = []
+            for face in (body.front, body.back):
+                number += 1
+                z, normal = lens_height_and_normal(face, self.x, self.y)
+                heights.append(z)
+                if face.array is not None:
+                    found |= self._of_face(face, f"face {number}", z, normal)
+            if need > 0.0:
+                thinnest = _least_apart(body, *heights)
+                found[f"thickness of {body.name}"] = thinnest / need - 1.0 if isfinite(thinnest) else LOST
+        return found
+
+    def _of_face(self, face: Face, name: str, z: Floats, normal: Floats) -> dict[str, float]:
+        """Walls of one face, of which heights z (n,), lengths, and normals (n, 3) are known."""
+        x, y = self.x - face.vertex[0], self.y - face.vertex[1]
+        points = np.column_stack([x, y, np.zeros_like(x)]) @ face.rotation
+        found = {f"real height of {name}": _radicand(face.surface, points) - REAL}
+        lost = not np.isfinite(z).all()
+        found[f"slope of {name}"] = LOST if lost else float(normal[:, 2].min()) - self.normal_z
+        if self.radius > 0.0:
+            sharpest = max(abs(face.surface.curvature_x), abs(face.surface.curvature_y))
+            found[f"radius of {name}"] = 1.0 - self.radius * sharpest
+        if isfinite(self.sag):
+            found[f"height of {name}"] = LOST if lost else 1.0 - float(np.ptp(z)) / self.sag
+        if face.land is not None:
+            proud = LOST if lost else float((face.side * (face.land - z)).min())
+            found[f"{name} over its land"] = proud if lost else proud / max(float(np.ptp(z)), 1e-300)
+        return found
+
+
+def penalties(slack: dict[str, float]) -> Floats:
+    """Residuals of the walls, (w,) radians: 0 where they are kept clear of."""
+    return STIFFNESS * np.maximum(0.0, MARGIN - np.array(list(slack.values())))
+
+
+def _thinnest(body: Body, x: Floats, y: Floats) -> float:
+    """Least thickness over points (n,) of the zone (length), of a slab over any two cells; NaN where a face is missing."""
+    front, back = (lens_height_and_normal(face, x, y)[0] for face in (body.front, body.back))
+    return _least_apart(body, front, back)
+
+
+def _least_apart(body: Body, front: Floats, back: Floats) -> float:
+    """Least of the thickness between heights (n,), lengths; of a slab whatever cells stand one over the other."""
+    return float((back - front).min() if body.columnar else back.min() - front.max())
+
+
+def _radicand(surface: Surface, points: Floats) -> float:
+    """Least 1 − (1 + K_x) c_x² x² − (1 + K_y) c_y² y² over points (n, 3) of the lens frame: finite where the height is not."""
+    kx, ky = given_conics(surface)
+    a, b = (1.0 + kx) * surface.curvature_x**2, (1.0 + ky) * surface.curvature_y**2
+    return float((1.0 - a * points[:, 0] ** 2 - b * points[:, 1] ** 2).min())

@@ -1,0 +1,96 @@
+"""An even polynomial, compiled: one ray, one face; the same steps as `clacad.optics.surface.even_polynomial`."""
+
+from __future__ import annotations
+
+from math import copysign, inf, isfinite, isnan, nan, sqrt
+
+from clacad.base.compiled import exact
+from clacad.base.types import Floats
+from clacad.optics.surface.even_polynomial import CLOSE, POLYNOMIAL_STEPS, SETTLED, TIGHT
+from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.records import Ray, Vector
+
+
+@exact
+def polynomial_over(
+    faces: Floats, row: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float]:
+    """Normal G towards +z over (x, y), its z component w (0 beyond the equator), the height of z over the face, and
+    the size of what is subtracted.
+    """
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    of_x, of_y = 1.0 + faces[row, slot.KX], 1.0 + faces[row, slot.KY]
+    a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
+    xx, yy = x * x, y * y
+    p = of_x * cx * cx * xx + of_y * cy * cy * yy
+    w = sqrt(1.0 - p) if p < 1.0 else 0.0
+    twist = side * (cx * cy * (of_x * cx - of_y * cy)) * x * y / ((1.0 + w) * (1.0 + w))
+    gx = -side * cx * x - side * w * (x * (4.0 * a * xx + 2.0 * b * yy)) - twist * y
+    gy = -side * cy * y - side * w * (y * (2.0 * b * xx + 4.0 * c * yy)) + twist * x
+    base, terms = (cx * xx + cy * yy) / (1.0 + w), xx * (a * xx + b * yy) + yy * (c * yy)
+    return gx, gy, w, z - side * (base + terms), abs(z) + abs(base) + abs(terms)
+
+
+@exact
+def polynomial_root(faces: Floats, row: int, ray: Ray, base: Vector) -> float:
+    """Distance from the base point to where the ray crosses the face towards the side it goes to; NaN: nowhere."""
+    bx, by, bz = base
+    sense = -1.0 if ray.N < 0.0 else 1.0
+    L, M, N = sense * ray.L, sense * ray.M, sense * ray.N
+    first, last = _real_stretch(faces, row, bx, by, L, M)
+    if not first <= last:
+        return nan
+    t = min(max(0.0, first), last)
+    low, high, stride = -inf, inf, 0.0
+    for _ in range(POLYNOMIAL_STEPS):
+        gx, gy, w, gap, size = polynomial_over(faces, row, bx + t * L, by + t * M, bz + t * N)
+        if isnan(gap):
+            return nan
+        if gap < 0.0:
+            low = t
+        else:
+            high = t
+        onward = gx * L + gy * M + w * N
+        step = t - gap * w / onward if onward > 0.0 else nan
+        bracketed = isfinite(low) and isfinite(high)
+        usable = low <= step <= high and first <= step <= last and isfinite(step)
+        usable = usable and (step != t or gap == 0.0 or w > 0.0)
+        if usable:
+            following = step
+            if abs(step - t) <= SETTLED * abs(step) and abs(gap) <= CLOSE * size:
+                return sense * step
+        elif bracketed:
+            following = 0.5 * (low + high)
+        else:
+            stride = max(2.0 * stride, 2.0 * abs(gap))
+            following = min(max(t + (stride if gap < 0.0 else -stride), first), last)
+            if following == t:
+                return nan
+        if bracketed and onward > 0.0 and high - low <= TIGHT * max(abs(low), abs(high)):
+            return sense * following
+        t = following
+    return nan
+
+
+@exact
+def _real_stretch(faces: Floats, row: int, x: float, y: float, L: float, M: float) -> tuple[float, float]:
+    """Ends of the stretch of the line over which the base is real; see `clacad.optics.surface.even_polynomial`."""
+    cx, cy = faces[row, slot.CX], faces[row, slot.CY]
+    a, b = (1.0 + faces[row, slot.KX]) * cx * cx, (1.0 + faces[row, slot.KY]) * cy * cy
+    square = -(a * L * L + b * M * M)
+    half, constant = -(a * x * L + b * y * M), 1.0 - (a * x * x + b * y * y)
+    square_root = half * half - square * constant
+    q = 0.0
+    if square_root >= 0.0:
+        q = -(half + copysign(sqrt(square_root), half))
+    if q == 0.0:
+        return (-inf, inf) if constant > 0.0 else (inf, -inf)
+    two = constant / q
+    if square == 0.0:
+        return (-inf, two) if q > 0.0 else (two, inf)
+    low, high = min(q / square, two), max(q / square, two)
+    if square < 0.0:
+        return low, high
+    if low >= 0.0 or (high > 0.0 and -low <= high):
+        return -inf, low
+    return high, inf
