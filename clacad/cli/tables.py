@@ -102,7 +102,7 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects that a program finds in a file of a manifest, and what would make one of many; "" where none is."""
-    from clacad.formats.step.step_files import FUSED_CELLS
+    from clacad.formats.step.step_mode import FUSED_CELLS
 
     instanced = entry.get("mode") == "instanced"
     if entry["format"] == "step" and "solids" in entry:
