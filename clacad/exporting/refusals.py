@@ -146,6 +146,14 @@ def _drawing(_window: Window, _asked: Request, _worker: Worker) -> None:
     require_drawing()
 
 
+def _zmx(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Faces that its surfaces hold."""
+    from clacad.formats.sequential.zmx import zmx_lines
+
+    for _ in zmx_lines(window):
+        pass
+
+
 def _optiland(window: Window, _asked: Request, _worker: Worker) -> None:
     """The package that reads it back, and faces that its surfaces hold."""
     from clacad.formats.sequential.optiland_json import optiland_document, require_optiland
@@ -176,6 +184,6 @@ DRAWING_SECONDS = 300.0
 
 _NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
     "gds": _gds, "baffle": _baffle, "frame": _frame, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
-    "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland,
+    "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland, "zmx": _zmx,
 }  # fmt: skip
 """Format → what refuses it; formats of a mere shape are refused by their price alone."""

@@ -16,7 +16,7 @@ from clacad.formats.drawing.orientation import orientation
 from clacad.formats.drawing.views import mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces
-from clacad.optics.surface import conic_constants, principal_radii, sag
+from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag
 from clacad.sheet.lattice import Circle
 from clacad.sheet.window import Face, Window
 
@@ -66,6 +66,8 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
         "apex in its cell x, y, z",
         "phi, theta, psi / deg",
     ]
+    of_fourth_order = any(isinstance(face.surface, EvenPolynomial) for face in window.faces)
+    head += ["x^4, x^2 y^2, y^4 / mm^-3"] if of_fourth_order else []
     rows = []
     for body in window.bodies:
         for side, face in (("front", body.front), ("back", body.back)):
@@ -76,7 +78,15 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face)) if face.array is not None else "-"
             flat = face.array is None
             rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])
+            rows[-1] += [_terms(face, mm)] if of_fourth_order else []
     return table("faces (mm; radius above 0: bends towards +z; lens axes)", head, rows)
+
+
+def _terms(face: Face, mm: float) -> str:
+    """Coefficients of fourth order, towards +z as the radii are."""
+    if not isinstance(face.surface, EvenPolynomial):
+        return "-"
+    return ", ".join(f"{face.side * a / mm**3 + 0.0:.6g}" for a in face.surface.a4)
 
 
 def sag_table(window: Window) -> Canvas:

@@ -1,7 +1,7 @@
 """The faces of one telescopelet in the numbers of a lens designer: apex curvatures, conic constants, pose, index beyond.
 
-A quadric cx x² + cy y² + κ z² − 2 s z = 0 is the biconic with 1 + K = κ/c in each meridian, so that one kind of surface
-holds every face exactly. Lengths are millimetres, the frame is the sheet's with the centre of the telescopelet's own
+A quadric cx x² + cy y² + κ z² − 2 s z = 0 is the biconic with 1 + K = κ/c in each meridian, so that one kind of surface,
+with terms of fourth order where they were given, holds every face exactly. Lengths are millimetres, the frame is the sheet's with the centre of the telescopelet's own
 cell at x = y = 0, curvatures are positive where the face bends towards +z.
 """
 
@@ -17,7 +17,7 @@ from clacad.base.units import millimetres
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Biconic, conic_constants
+from clacad.optics.surface import Biconic, EvenPolynomial, conic_constants
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import Face, Window
@@ -53,6 +53,8 @@ class Station:
         Refractive index beyond the face.
     reach : (x, y), mm
         How far from the apex light of the cell meets the face, at most, along the face's own axes.
+    terms : (3,), 1/mm³
+        Coefficients of x⁴, x² y² and y⁴ on top of it, positive towards +z.
     """
 
     name: str
@@ -62,16 +64,27 @@ class Station:
     rotation: Floats
     index: float
     reach: tuple[float, float]
+    terms: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def flat(self) -> bool:
         """Whether it is a plane."""
-        return self.curvature == (0.0, 0.0)
+        return self.curvature == (0.0, 0.0) and not any(self.terms)
 
     @property
     def rotational(self) -> bool:
         """Whether it is a surface of revolution about its axis, a plane among them."""
-        return self.curvature[0] == self.curvature[1] and (self.flat or self.conic[0] == self.conic[1])
+        same = self.curvature[0] == self.curvature[1] and (
+            self.curvature[0] == 0.0 or self.conic[0] == self.conic[1]
+        )
+        return same and self.terms[1] == 2.0 * self.terms[0] and self.terms[2] == self.terms[0]
+
+    @property
+    def surface(self) -> Biconic | EvenPolynomial:
+        """The face in its own frame, millimetres."""
+        if any(self.terms):
+            return EvenPolynomial(*self.curvature, *self.conic, self.terms, 1)
+        return Biconic(*self.curvature, *self.conic, 1)
 
 
 def stations(window: Window) -> list[Station]:
@@ -89,7 +102,11 @@ def _station(window: Window, name: str, at: Interface, face: Face, scale: float)
     kx, ky = (0.0 if k is None or c == 0.0 else float(k) for k, c in zip(conic_constants(surface), (cx, cy)))
     turn = np.eye(3) if at.rotation is None else np.asarray(at.rotation)
     place = np.asarray(at.vertex) * scale
-    return Station(name, (cx, cy), (kx, ky), place, turn, at.index_after, _reach(window, face, scale))
+    x4, x2y2, y4 = (
+        (surface.side * a / scale**3 + 0.0 for a in surface.a4) if isinstance(surface, EvenPolynomial) else (0.0,) * 3
+    )
+    reach = _reach(window, face, scale)
+    return Station(name, (cx, cy), (kx, ky), place, turn, at.index_after, reach, (x4, x2y2, y4))
 
 
 def _reach(window: Window, face: Face, scale: float) -> tuple[float, float]:
@@ -193,7 +210,7 @@ def traced(read: list[Station], start: Floats, direction: Floats) -> Floats:
     """Directions (n, 3) that faces as read from a file give rays (mm)."""
     before = [1.0, *(one.index for one in read[:-1])]
     sequence = [
-        Interface(Biconic(*one.curvature, *one.conic, 1), one.vertex, index, one.index, one.rotation)
+        Interface(one.surface, one.vertex, index, one.index, one.rotation)
         for one, index in zip(read, before, strict=True)
     ]
     return np.asarray(trace_sequence(sequence, Rays(start, direction)).direction)

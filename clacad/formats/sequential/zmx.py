@@ -33,7 +33,7 @@ from clacad.formats.sequential.stations import (
 from clacad.optics.law import euler_angles, rotation_degrees
 from clacad.sheet.window import Window
 from clacad.storage.atomic import safe_name
-from clacad.storage.errors import UnreadableFile
+from clacad.storage.errors import NotPossible, UnreadableFile
 from clacad.storage.spending import Spending
 
 NO_WAY = "DISZ 0.0"
@@ -116,14 +116,27 @@ def _break(decentre: tuple[float, float], about: int, angle: float) -> list[str]
 
 
 def _face(one: Station) -> list[str]:
-    """Block of one face; its thickness is filled in later."""
+    """Block of one face; its thickness is filled in later.
+
+    Raises
+    ------
+    NotPossible
+        Terms of fourth order that are not those of a surface of revolution.
+    """
     (cx, cy), (kx, ky) = one.curvature, one.conic
-    kind = "STANDARD" if one.rotational else "BICONICX"
+    if any(one.terms) and not one.rotational:
+        raise NotPossible(
+            f"zmx: {one.name} has terms of fourth order that differ along x and y, which none of the surfaces written here holds; "
+            "use format optiland"
+        )
+    kind = "EVENASPH" if any(one.terms) else "STANDARD" if one.rotational else "BICONICX"
     lines = [f"TYPE {kind}", f"COMM {one.name}", f"CURV {cy!r}", NO_WAY]
     if one.index != 1.0:
         lines.append(f"GLAS ___BLANK 1 0 {one.index!r} 0.0 0.0 0 0 0 0 0")
     lines += _rim(min(np.hypot(*one.reach), 1e9)) if np.isfinite(one.reach[0]) else []
     lines.append(f"CONI {ky!r}")
+    if kind == "EVENASPH":
+        lines += ["PARM 1 0.0", f"PARM 2 {one.terms[0]!r}"]
     if not one.rotational:
         lines += [f"PARM 1 {(1.0 / cx if cx else 0.0)!r}", f"PARM 2 {kx!r}"]
     return lines
@@ -189,7 +202,7 @@ def _turned(tilts: list[float]) -> Floats:
 
 def _read_face(block: dict[str, list[str]], place: Floats, turn: Floats) -> Station:
     kind = block["TYPE"][0]
-    if kind not in ("STANDARD", "BICONICX"):
+    if kind not in ("STANDARD", "BICONICX", "EVENASPH"):
         raise ValueError(f"a surface of type {kind}")
     cy, ky = _number(block, "CURV"), _number(block, "CONI")
     cx, kx = cy, ky
@@ -197,7 +210,11 @@ def _read_face(block: dict[str, list[str]], place: Floats, turn: Floats) -> Stat
         radius = _number(block, "PARM 1")
         cx, kx = (1.0 / radius if radius else 0.0), _number(block, "PARM 2")
     index = float(block["GLAS"][3]) if "GLAS" in block else 1.0
-    return Station(" ".join(block.get("COMM", [])), (cx, cy), (kx, ky), place, turn, index, (inf, inf))
+    r4 = _number(block, "PARM 2") if kind == "EVENASPH" else 0.0
+    if kind == "EVENASPH" and _number(block, "PARM 1"):
+        raise ValueError("an even asphere with a term of second order")
+    name = " ".join(block.get("COMM", []))
+    return Station(name, (cx, cy), (kx, ky), place, turn, index, (inf, inf), (r4, 2.0 * r4, r4))
 
 
 def _number(block: dict[str, list[str]], key: str) -> float:
