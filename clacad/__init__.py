@@ -58,6 +58,7 @@ _HOME = {
     "render": "clacad.rendering",
     "render_movie": "clacad.rendering",
     "plan_effects": "clacad.effects",
+    "explore": "clacad.explorer",
 }
 
 __all__ = sorted(_HOME)

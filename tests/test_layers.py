@@ -32,6 +32,7 @@ ROOMS = [
     "verification",
     "rendering",
     "report",
+    "explorer",
     "explain",
     "doctor",
     "cli",

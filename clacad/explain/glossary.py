@@ -29,6 +29,8 @@ WORDS: dict[str, tuple[str, str]] = {
     "diffraction": ("λ/w: w is √12 times the rms distance along a lens axis of what is lit of a lenslet from its middle, the width of a rectangle. The first zero is printed beside it.", ""),
     "sharpest pitch": ("√(2λz/|η(1 − η)|)·max(1, |η|): of smaller cells diffraction blurs what lies z behind the sheet more, of larger ones the defocus of each cell, which is then a quarter wave at the edge of the beam.", "check.object"),
     "invisible pitch": ("Pitch that looks one minute of arc wide to the eye before the sheet.", "check.viewer"),
+    "explorer": ("One page on which η, δ, the angles, pitch, separation and the places of eye and object are moved: the view through ideal thin lenses, and its verdict in closed form. It hands out the design file it shows.", "explore -o page.html"),
+    "field lens": ("A lens at the common focus that images lens 1 onto lens 2: for η < 0 all light within the field p(1 − η)/(2s) meets the partner, min(1, 1/|η|) of it. Shown by the explorer.", "explore -o page.html"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""

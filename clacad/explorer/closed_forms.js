@@ -100,6 +100,22 @@ const closedForms = (function () {
     };
   }
 
+  /* Why no such sheet can be made, of what closed forms know; "" where nothing is against it. */
+  function unbuildable(made) {
+    const f = made.facts, e = made.state.eta;
+    if (e[0] === 1 && e[1] === 1) return "\u03b7 = 1 in x and y is a plain window, without lenses";
+    const factor = (f.index - 1) * (f.form === "biconvex" ? 2 : 1);
+    const reach = Math.max.apply(null, made.tile.map(function (c) { return Math.hypot(c[0], c[1]); }));
+    for (let k = 0; k < 2; k++) for (const power of [made.power1[k], made.power2[k]]) {
+      const lens = "lens " + (power === made.power1[k] ? 1 : 2);
+      if (power !== 0 && Math.abs(factor / power) < reach) return lens + " would be curved more in " + "xy"[k] + " than its cell is wide";
+      if (power < 0 && f.form === "biconvex" && (f.seam > 0 || f.border > 0 || f.outline)) {
+        return lens + " is concave: it has no plate for a seam, a border or an outline";
+      }
+    }
+    return "";
+  }
+
   /* Why a pair can have no field lens on the page; "" where it can. */
   function noFieldLens(made) {
     const e = made.state.eta, quarter = made.turn[0][0] * made.turn[0][1] === 0;
@@ -178,7 +194,7 @@ const closedForms = (function () {
     };
   }
   return {
-    sheet: sheet, share: share, verdict: verdict, noFieldLens: noFieldLens, fieldLens: fieldLens, eyePlace: eyePlace,
+    sheet: sheet, share: share, verdict: verdict, noFieldLens: noFieldLens, unbuildable: unbuildable, fieldLens: fieldLens, eyePlace: eyePlace,
     toLens: toLens, toSheet: toSheet, area: area,
   };
 })();

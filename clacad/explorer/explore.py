@@ -96,7 +96,7 @@ def explore(
     text = page(design)
     if dry_run:
         if file.exists() and not overwrite:
-            raise ExportRefused(f"{file} exists and would not be replaced without overwrite")
+            raise ExportRefused(f"{file} exists; choose another name, or ask to overwrite")
     else:
         write_content(file, text, overwrite=overwrite)
     verdict = first_verdict(window, *places(design, window))

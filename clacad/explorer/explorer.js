@@ -47,10 +47,6 @@
     const [x, y] = pair.map(written);
     return x === y ? x : x + " in x, " + y + " in y";
   }
-  function problem() {
-    if (state.eta_x === 1 && state.eta_y === 1) return "\u03b7 = 1 in x and y is a plain window: no lenses to make.";
-    return "";
-  }
   function sentence(v) {
     const plusMinus = function (t) { return (t === 0 ? "" : "\u00b1") + degrees(t); };
     return "Light to the partner lens: " + digits(100 * v.share) + " % along the middle of the field, "
@@ -65,7 +61,8 @@
       viewer: state.eye, object: state.object,
     };
     const ids = { eta: ["eta_x", "eta_y"], delta: ["delta_x", "delta_y"], euler: ["phi", "theta", "psi"], count: ["pitch"], viewer: ["eye"] };
-    const lines = [];
+    const lines = [], wrong = closedForms.unbuildable(made);
+    if (wrong) lines.push("# cannot be made: " + wrong);
     for (const line of facts.toml) {
       if (typeof line === "string") { lines.push(line); continue; }
       const touched = (ids[line.key] || [line.key]).some(function (id) { return state[id] !== sliders[id].start; })
@@ -110,9 +107,10 @@
     const why = closedForms.noFieldLens(made), box = page.querySelector("[name=field]");
     box.disabled = why !== "";
     page.querySelector("[data-why]").textContent = why === "" ? "" : " (" + why + ")";
-    const wrong = problem();
-    verdictLine.textContent = wrong || sentence(closedForms.verdict(made));
-    tomlBox.value = wrong ? "# " + wrong + "\n" : toml();
+    const wrong = closedForms.unbuildable(made);
+    verdictLine.textContent = (wrong ? "Cannot be made: " + wrong + ". " : "") + sentence(closedForms.verdict(made));
+    verdictLine.classList.toggle("wrong", wrong !== "");
+    tomlBox.value = toml();
     page.querySelector("[name=copy-toml]").disabled = wrong !== "";
     const changed = fragment();
     try { window.history.replaceState(null, "", changed ? "#" + changed : window.location.pathname + window.location.search); }

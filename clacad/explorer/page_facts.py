@@ -27,10 +27,10 @@ PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
     ("stretched: η = (−1/4, −1)", {**_UPRIGHT, "eta_x": -0.25, "eta_y": -1.0}),
     ("stretched and turned by 45°", {**_UPRIGHT, "eta_x": -0.25, "eta_y": -1.0, "phi": 45.0}),
     ("shifted: δ = (.02, .01)", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0, "delta_x": 0.02, "delta_y": 0.01}),
-    ("tilted by 20°", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0, "theta": 20.0}),
+    ("tilted by 2°", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0, "theta": 2.0}),
     ("Galilean, upright: η = 1/2", {**_UPRIGHT, "eta_x": 0.5, "eta_y": 0.5}),
     ("cylinders: η = (1, −1)", {**_UPRIGHT, "eta_x": 1.0, "eta_y": -1.0}),
-    ("seen from aside", {"azimuth": 15.0, "elevation": 10.0}),
+    ("seen from aside", {"azimuth": 2.0, "elevation": 1.5}),
 )
 """Settings that a visitor may choose, each as what differs from the design."""
 

@@ -43,6 +43,7 @@ LINES = {
                    "--no-movies", "--no-measure")),
     "new": Line(("new", "out/fresh"), ("fresh.toml",)),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
+    "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
 
