@@ -26,8 +26,10 @@ class Page:
     def __init__(self, browser, folder, design):
         self.browser, self.file = browser, folder / "page.html"
         explore(design, self.file, overwrite=True)
-        browser.ask("Page.navigate", url="about:blank")  # else a link to the same file would only change its fragment
-        browser.ask("Emulation.setDeviceMetricsOverride", width=300, height=300, deviceScaleFactor=1, mobile=False)
+        browser.ask("Page.navigate", url="about:blank")  # else a link would only change the fragment
+        browser.ask(
+            "Emulation.setDeviceMetricsOverride", width=200, height=200, deviceScaleFactor=1, mobile=False
+        )
         browser.open(self.file)
         browser.wait("window.explorer !== undefined")
 

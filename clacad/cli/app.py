@@ -364,7 +364,9 @@ def explore(
     """One page with sliders: the view through the sheet, live, its verdict, and the design file they make."""
     from clacad.cli.explore_command import explore_design
 
-    return explore_design(design, set or [], out, dry_run=dry_run, overwrite=overwrite, json=json, quiet=quiet)
+    return explore_design(
+        design, set or [], out, dry_run=dry_run, overwrite=overwrite, json=json, quiet=quiet
+    )
 
 
 @app.command()

@@ -18,7 +18,7 @@ def explore_design(
     path: Path, overrides: list[str], out: Path, *, dry_run: bool, overwrite: bool, json: bool, quiet: bool
 ) -> int:
     """Write the page, or with --dry-run say what it would be; print what it says first and what it leaves out."""
-    from clacad.explorer.explore import SECONDS, explore
+    from clacad.explorer.write_page import SECONDS, explore
 
     design = load_counted(path, overrides)
     with forecast("explore", SECONDS, quiet=quiet):

@@ -7,6 +7,6 @@ and held to them by tests. What it writes (`explore`) needs no network and no ot
 
 from __future__ import annotations
 
-from clacad.explorer.explore import Explored, explore
+from clacad.explorer.write_page import Explored, explore
 
 __all__ = ["Explored", "explore"]

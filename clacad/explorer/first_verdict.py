@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from clacad.explorer.sliders import sheet_width
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import viewing
 from clacad.sheet.lattice import inside_outline
@@ -73,13 +72,12 @@ def first_verdict(window: Window, eye: float, distance: float) -> FirstVerdict:
 
 def share_from_eye(window: Window, eye: tuple[float, float, float]) -> float:
     """Mean over the sheet of the share of the light that meets its partner, of the light that reaches an eye (x, y, z), lengths."""
-    wide, tall = sheet_width(window)
-    if window.lattice.hexagonal:  # rows of cells reach into one another
-        wide, tall = window.lattice.count[0] * window.lattice.a1[0], window.lattice.count[1] * window.lattice.a2[1]
+    lattice = window.lattice
+    wide, tall = lattice.count[0] * lattice.a1[0], lattice.count[1] * lattice.a2[1]
     at = (np.arange(GRID) + 0.5) / GRID - 0.5
     points = np.stack(np.meshgrid(at * wide, at * tall, indexing="ij"), axis=-1).reshape(-1, 2)
-    if window.lattice.outline is not None:
-        points = points[inside_outline(window.lattice.outline, points)]
+    if lattice.outline is not None:
+        points = points[inside_outline(lattice.outline, points)]
     if len(points) == 0:
         return 0.0
     directions = np.column_stack([points, np.zeros(len(points))]) - np.array(eye)

@@ -56,10 +56,14 @@ def _outline(design: Design) -> list[Any] | None:
 
 def not_shown(design: Design, window: Window) -> tuple[str, ...]:
     """What of a design the page leaves out, one phrase each."""
-    found = ["aberration, reflections, diffraction, colour and the walls between cells: its lenses are thin and ideal"]
+    found = [
+        "aberration, reflections, diffraction, colour and the walls between cells: its lenses are thin and ideal"
+    ]
     if window.form != "biconvex":
         glass = "slab" if window.form == "slab" else "plano lenses"
-        found.append(f"the glass of the {glass} between the lenses: light crosses the pair in air that it stands for")
+        found.append(
+            f"the glass of the {glass} between the lenses: light crosses the pair in air that it stands for"
+        )
     if design.body.frame is not None:
         found.append("the frame")
     if design.body.roughness > 0.0 or design.body.slope_rms > 0.0:
@@ -69,4 +73,3 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
             f"which of two neighbours a ray meets, for certain, more than {MOST_CELLS // 2} cells from the middle"
         )
     return tuple(found)
-

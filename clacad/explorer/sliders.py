@@ -73,46 +73,49 @@ def places(design: Design, window: Window) -> tuple[float, float]:
     viewer, distance = design.check.viewer, design.check.object
     if viewer is None:
         reach = min(half_field(thin_cells(window)))
-        viewer = float(f"{max(VIEWING_DISTANCE / window.unit, 0.5 * max(sheet_width(window)) / (FILLS * reach)):.3g}")
+        whole = 0.5 * max(sheet_width(window)) / (FILLS * reach)
+        viewer = float(f"{max(VIEWING_DISTANCE / window.unit, whole):.3g}")
     return viewer, SEPARATIONS * window.thin.separation if distance is None else distance
 
 
 def sliders(design: Design, window: Window) -> tuple[Slider, ...]:
     """All sliders of a design, each with a range that holds the design's own value."""
-    law, thin = design.law_spec, window.thin
+    law, thin = design.to_dict()["law"], window.thin  # as the file has it: sliders move its keys
     pitch, separation = window.lattice.pitch[0], thin.separation
     eye, distance = places(design, window)
     fov = float(f"{2.0 * degrees(atan(MARGIN * 0.5 * max(sheet_width(window)) / eye)):.3g}")
-    offset = max(4.0 * pitch / separation, 2.0 * hypot(*law.delta))
-    found = []
-
-    def put(group: str, id: str, label: str, unit: str, start: float, span: Range, about: str, log: bool = False
-            ) -> None:  # fmt: skip
-        low, high = min(span[0], start), max(span[1], start)
-        found.append(Slider(id, label, group, unit, start, low, high, log, about))
-
-    for k, axis in enumerate("xy"):
-        put(LAW, f"eta_{axis}", f"η {axis}", "", law.eta[k], (-3.0, 3.0), "−f2/f1: slopes leave as (t − δ)/η")
-    for k, axis in enumerate("xy"):
-        put(LAW, f"delta_{axis}", f"δ {axis}", "", law.delta[k], (-offset, offset), "offset of lens 2 over f1")
-    for k, (name, letter, most) in enumerate((("phi", "φ", 180.0), ("theta", "θ", 60.0), ("psi", "ψ", 180.0))):
-        put(LAW, name, letter, "deg", law.euler_degrees[k], (-most, most), "turn of the lenses about " + "zxz"[k])
-    put(SHEET, "pitch", "pitch", design.unit, pitch, _pitches(window), "width of a cell; the sheet keeps its size", True)
-    put(SHEET, "separation", "separation", design.unit, separation, (separation / 8.0, 8.0 * separation),
-        "of the two lenses, in air", True)  # fmt: skip
-    put(VIEW, "object", "object behind", design.unit, distance, (distance / 50.0, 50.0 * distance),
-        "distance from array 2 to what is looked at", True)  # fmt: skip
-    put(VIEW, "eye", "eye before", design.unit, eye, (eye / 20.0, 20.0 * eye), "distance from array 1 to the eye", True)
-    put(VIEW, "azimuth", "eye aside", "deg", 0.0, (-60.0, 60.0), "angle of the eye off the sheet's normal, to x")
-    put(VIEW, "elevation", "eye above", "deg", 0.0, (-60.0, 60.0), "angle of the eye off the sheet's normal, to y")
-    put(VIEW, "fov", "angle of view", "deg", min(fov, 120.0), (min(0.05 * fov, 5.0), 120.0), "of the picture's shorter side", True)
-    return tuple(found)
+    offset, (phi, theta, psi) = max(4.0 * pitch / separation, 2.0 * hypot(*law["delta"])), law["euler"]
+    unit, eta, delta = design.unit, "−f2/f1: slopes leave as (t − δ)/η", "offset of lens 2 over f1"
+    rows: tuple[tuple[str, str, str, str, float, Range, bool, str], ...] = (
+        ("eta_x", "η x", LAW, "", law["eta"][0], (-3.0, 3.0), False, eta),
+        ("eta_y", "η y", LAW, "", law["eta"][1], (-3.0, 3.0), False, eta),
+        ("delta_x", "δ x", LAW, "", law["delta"][0], (-offset, offset), False, delta),
+        ("delta_y", "δ y", LAW, "", law["delta"][1], (-offset, offset), False, delta),
+        ("phi", "φ", LAW, "deg", phi, (-180.0, 180.0), False, "turn of the lenses about z"),
+        ("theta", "θ", LAW, "deg", theta, (-60.0, 60.0), False, "turn of the lenses about x"),
+        ("psi", "ψ", LAW, "deg", psi, (-180.0, 180.0), False, "turn of the lenses about z, once more"),
+        ("pitch", "pitch", SHEET, unit, pitch, _pitches(window), True, "width of a cell; the sheet keeps its size"),
+        ("separation", "separation", SHEET, unit, separation, (separation / 8.0, 8.0 * separation), True, "of the two lenses, in air"),
+        ("object", "object behind", VIEW, unit, distance, (distance / 50.0, 50.0 * distance), True, "from array 2 to what is looked at"),
+        ("eye", "eye before", VIEW, unit, eye, (eye / 20.0, 20.0 * eye), True, "from array 1 to the eye"),
+        ("azimuth", "eye aside", VIEW, "deg", 0.0, (-60.0, 60.0), False, "angle of the eye off the sheet's normal, to x"),
+        ("elevation", "eye above", VIEW, "deg", 0.0, (-60.0, 60.0), False, "angle of the eye off the sheet's normal, to y"),
+        ("fov", "angle of view", VIEW, "deg", min(fov, 120.0), (min(0.05 * fov, 5.0), 120.0), True, "of the picture's shorter side"),
+    )  # fmt: skip
+    return tuple(
+        Slider(id, label, group, unit, start, min(low, start), max(high, start), log, about)
+        for id, label, group, unit, start, (low, high), log, about in rows
+    )
 
 
 def _pitches(window: Window) -> Range:
     """Pitches that leave room for seam and walls, and cells within the outline."""
     lattice, wall = window.lattice, 0.0 if window.baffle is None else window.baffle.wall
     aspect = min(1.0, lattice.pitch[1] / lattice.pitch[0])
-    least = max(lattice.pitch[0] / 8.0, 4.0 * max(window.land.seam, wall) / aspect, SMALLEST_PITCH / window.unit / aspect)
+    least = max(
+        lattice.pitch[0] / 8.0,
+        4.0 * max(window.land.seam, wall) / aspect,
+        SMALLEST_PITCH / window.unit / aspect,
+    )
     most = min(8.0 * lattice.pitch[0], 0.25 * min(sheet_width(window)))
     return min(least, lattice.pitch[0]), max(most, lattice.pitch[0])

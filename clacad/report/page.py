@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SECTIONS", "Section", "number", "page", "sections"]
 
+
 @dataclass(frozen=True, slots=True)
 class Section:
     """One section of the page.
@@ -144,4 +145,3 @@ def _common(content: Content) -> dict[str, Any]:
     return {
         "content": content, "report": report, "design": report.design, "verdict": report.verdict(), "counts": report.counts(),
     }  # fmt: skip
-

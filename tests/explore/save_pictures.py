@@ -28,7 +28,9 @@ def main() -> None:
         page = Page(opened, Path(tempfile.mkdtemp()), shipped("paper-a-covered"))
         for number, (_, changes) in enumerate(PRESETS):
             page.set(**changes)
-            Image.fromarray(page.picture(SIDE, SIDE).astype(np.uint8)).save(PICTURES / f"{number}.png", optimize=True)
+            Image.fromarray(page.picture(SIDE, SIDE).astype(np.uint8)).save(
+                PICTURES / f"{number}.png", optimize=True
+            )
     finally:
         opened.close()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +20,6 @@ from clacad.optics.rays import Fate
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.vignetting import ghost_onset, half_field, thin_cells
 
-pytestmark = pytest.mark.skipif(
-    browser.find() is None or importlib.util.find_spec("websockets") is None,
-    reason="no Chromium on the path, or no package websockets to talk to it",
-)
 ROOT = Path(__file__).parents[2]
 PICTURES = Path(__file__).parent / "pictures"
 SIDE = 128
@@ -35,11 +30,12 @@ SLAB = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def chromium():
-    opened = browser.Browser()
-    yield opened
-    opened.close()
+def everyday(*first, others):
+    """Cases of which the first always run, and the others with `-m slow`."""
+    return [
+        *first,
+        *(pytest.param(*(o if isinstance(o, tuple) else (o,)), marks=pytest.mark.slow) for o in others),
+    ]
 
 
 @pytest.fixture
@@ -67,7 +63,7 @@ MOVED = {
 }
 
 
-@pytest.mark.parametrize("name", MOVED)
+@pytest.mark.parametrize("name", everyday("hexagonal", others=[n for n in MOVED if n != "hexagonal"]))
 def test_verdict_is_what_the_closed_forms_give_of_the_design_handed_out(chromium, tmp_path, name):
     """Reference: the sheet's own closed forms, of the window built from the page's TOML."""
     page = Page(chromium, tmp_path, shipped(name))
@@ -87,6 +83,7 @@ def test_verdict_is_what_the_closed_forms_give_of_the_design_handed_out(chromium
     assert told["share"] == pytest.approx(first_verdict(window, 1.0, 1.0).share, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_verdict_before_anything_is_moved_is_the_one_python_tells(chromium, tmp_path):
     design = shipped("tilted")
     page = Page(chromium, tmp_path, design)
@@ -100,7 +97,9 @@ def test_verdict_before_anything_is_moved_is_the_one_python_tells(chromium, tmp_
 # -- design file and link --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["paper-a-covered", "hexagonal", "tilted-seam", "baffled", "window-100mm"])
+@pytest.mark.parametrize(
+    "name", everyday("tilted-seam", others=("paper-a-covered", "hexagonal", "baffled", "window-100mm"))
+)
 def test_an_untouched_page_hands_out_the_very_design(chromium, tmp_path, name):
     design = shipped(name)
     assert Page(chromium, tmp_path, design).design().sha256 == design.sha256
@@ -130,12 +129,12 @@ def test_eta_1_takes_no_offset_and_a_plain_window_is_no_design(page):
     assert page.design().law_spec.delta == (0.0, 0.02)
 
 
-@pytest.mark.parametrize(("name", "moved"), [
-    ("window-100mm", {"eta_x": 1, "eta_y": 1}), ("window-100mm", {"separation": 1.4}), ("window-100mm", {"separation": 1.5}),
+@pytest.mark.parametrize(("name", "moved"), everyday(("window-100mm", {"eta_x": 1, "eta_y": 1}), others=[
+    ("window-100mm", {"separation": 1.4}), ("window-100mm", {"separation": 1.5}),
     ("window-100mm", {"eta_x": 0.1}), ("window-100mm", {"eta_x": 0.7}), ("baffled", {"eta_y": 0.5}), ("baffled", {"eta_y": 3}),
     ("baffled", {"eta_x": -0.3}), ("paper-a-covered", {"eta_x": 0.5}), ("paper-a-covered", {"pitch": 0.02}), ("hexagonal", {"eta_x": -0.05}),
     ("hexagonal", {"eta_x": -0.3}),
-])  # fmt: skip
+]))  # fmt: skip
 def test_the_page_says_that_no_such_sheet_can_be_made_where_prescribe_does(chromium, tmp_path, name, moved):
     page = Page(chromium, tmp_path, shipped(name))
     page.set(**moved)
@@ -145,7 +144,9 @@ def test_the_page_says_that_no_such_sheet_can_be_made_where_prescribe_does(chrom
     except clacad.DesignError:
         refused = True
     assert chromium.run("document.querySelector('[name=copy-toml]').disabled") == refused
-    assert ("Cannot be made" in chromium.run("document.querySelector('[data-verdict]').textContent")) == refused
+    assert (
+        "Cannot be made" in chromium.run("document.querySelector('[data-verdict]').textContent")
+    ) == refused
 
 
 def test_a_link_carries_what_was_moved_and_nothing_else(page):
@@ -159,7 +160,8 @@ def test_a_link_carries_what_was_moved_and_nothing_else(page):
     assert (state["eta_x"], state["azimuth"], state["eta_y"]) == (-0.5, 3.5, -1)
 
 
-@pytest.mark.parametrize("link", ["eta_x=0", "pitch=-1&eye=1e99", "phi=<img src=x>&__proto__=1&toString=2", "&&==&fov", "eta_x=NaN"])
+@pytest.mark.parametrize("link", everyday(
+    "phi=<img src=x>&__proto__=1&toString=2&eta_x=0", others=("pitch=-1&eye=1e99", "&&==&fov", "eta_x=NaN")))  # fmt: skip
 def test_a_spoilt_link_gives_a_page_within_its_ranges(page, link):
     page.browser.ask("Page.navigate", url="about:blank")
     page.browser.ask("Page.navigate", url=page.file.as_uri() + "#" + link)
@@ -189,9 +191,9 @@ def test_markup_in_a_design_stays_text(chromium, tmp_path):
 # -- field lens ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("eta", [[-1.0, -1.0], [-0.25, -1.0], [-2.0, -0.5]])
+@pytest.mark.parametrize("eta", everyday([-0.25, -1.0], others=([-1.0, -1.0], [-2.0, -0.5])))
 def test_with_a_field_lens_light_goes_where_the_closed_form_has_it(chromium, tmp_path, eta):
-    """u = ηξ + m p(1 − η) behind field lens m; share min(1, 1/|η|) for |t| < p(1 − η)/(2s); t' = (t − δ)/η in the partner."""
+    """Closed form: u = ηξ + m p(1 − η) behind field lens m; share min(1, 1/|η|) for |t| < p(1 − η)/(2s); t' = (t − δ)/η in the partner."""
     delta = [0.004, -0.006]
     design = Design.from_dict({**SLAB, "law": {"eta": eta, "delta": delta}, "pair": {
         "form": "biconvex", "separation": 10.0, "index": 1.5}, "lattice": {"pitch": 0.5, "count": [60, 40]}})  # fmt: skip
@@ -224,13 +226,15 @@ def test_with_a_field_lens_light_goes_where_the_closed_form_has_it(chromium, tmp
     assert (last[~on & ~((cell >= 0) & (cell < count)).all(axis=1)] == NOWHERE).all()
 
 
-@pytest.mark.parametrize(("moved", "why"), [({"eta_x": 0.5}, "virtual"), ({"theta": 5}, "tilted"), (
-    {"eta_x": -0.5, "phi": 20}, "crossed")])  # fmt: skip
+@pytest.mark.parametrize(("moved", "why"), everyday(
+    ({"eta_x": 0.5}, "virtual"), others=[({"theta": 5}, "tilted"), ({"eta_x": -0.5, "phi": 20}, "crossed")]))  # fmt: skip
 def test_where_there_can_be_no_field_lens_the_page_says_why(page, moved, why):
     page.set(**moved, field=1)
     assert page.browser.run("document.querySelector('[name=field]').disabled")
     assert why in page.browser.run("document.querySelector('[data-why]').textContent")
-    assert page.verdict()["half_field"] == pytest.approx(half_field(thin_cells(clacad.prescribe(page.design()))))
+    assert page.verdict()["half_field"] == pytest.approx(
+        half_field(thin_cells(clacad.prescribe(page.design())))
+    )
 
 
 # -- pictures --------------------------------------------------------------------------------------
@@ -249,7 +253,9 @@ def test_every_preset_looks_as_it_did(chromium, tmp_path):
         assert (np.abs(now - saved).max(axis=2) > 8).mean() <= 0.01, name
         seen.add(now.tobytes())
         states.add(str(chromium.run("explorer.state()")))
-    assert len(seen) == len(states) >= len(PRESETS) - 1, "each is another picture, but what is the design itself"
+    assert len(seen) == len(states) >= len(PRESETS) - 1, (
+        "each is another picture, but what is the design itself"
+    )
 
 
 def test_ghosts_are_tinted_or_black(page):
@@ -269,17 +275,26 @@ def test_sliders_fields_keys_and_reset_move_the_view(page):
     run("document.querySelector('[data-slide=eta_x]').focus()")
     page.browser.key("ArrowRight")
     assert run("explorer.state().eta_x") > -1
-    run("(() => { const n = document.querySelector('[name=phi]'); n.value = '12.5'; n.dispatchEvent(new Event('input')); })()")
+    run(
+        "(() => { const n = document.querySelector('[name=phi]'); n.value = '12.5'; n.dispatchEvent(new Event('input')); })()"
+    )
     assert run("explorer.state().phi") == 12.5
     run("document.querySelector('canvas').focus()")
     page.browser.key("ArrowLeft")
     page.browser.key("+")
     moved = run("explorer.state()")
     assert moved["azimuth"] != 0
-    start = run("JSON.parse(document.getElementById('explorer').dataset.facts).sliders.find(s => s.id === 'fov').start")
+    start = run(
+        "JSON.parse(document.getElementById('explorer').dataset.facts).sliders.find(s => s.id === 'fov').start"
+    )
     assert moved["fov"] < start
     run("document.querySelector('[name=reset]').click()")
-    assert run("[explorer.state().eta_x, explorer.state().phi, explorer.state().azimuth, location.hash]") == [-1, 0, 0, ""]
+    assert run("[explorer.state().eta_x, explorer.state().phi, explorer.state().azimuth, location.hash]") == [
+        -1,
+        0,
+        0,
+        "",
+    ]
 
 
 def test_one_finger_moves_the_eye_and_two_zoom(page):
@@ -314,7 +329,9 @@ def test_a_preset_is_chosen_by_name(page):
 
 
 def test_nothing_is_wider_than_a_small_screen(page):
-    page.browser.ask("Emulation.setDeviceMetricsOverride", width=400, height=800, deviceScaleFactor=1, mobile=True)
+    page.browser.ask(
+        "Emulation.setDeviceMetricsOverride", width=400, height=800, deviceScaleFactor=1, mobile=True
+    )
     try:
         assert page.browser.run("document.documentElement.scrollWidth") <= 400
         sizes = page.browser.run(
@@ -325,6 +342,8 @@ def test_nothing_is_wider_than_a_small_screen(page):
         page.browser.ask("Emulation.clearDeviceMetricsOverride")
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("chromium")  # skipped where there is no browser
 def test_without_webgl_it_says_so_and_the_rest_works(tmp_path):
     plain = browser.Browser(flags=("--disable-webgl", "--disable-3d-apis"))
     try:

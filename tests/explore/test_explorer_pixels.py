@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
-import browser
 import numpy as np
 import pytest
 from explorerpage import NOWHERE, QUANTUM, Page
@@ -13,10 +11,6 @@ from explorerpage import NOWHERE, QUANTUM, Page
 import clacad
 from clacad.optics.rays import NO_CELL, Fate
 
-pytestmark = pytest.mark.skipif(
-    browser.find() is None or importlib.util.find_spec("websockets") is None,
-    reason="no Chromium on the path, or no package websockets to talk to it",
-)
 ROOT = Path(__file__).parents[2]
 WIDE, TALL = 40, 26  # even: the middle of the picture, which looks at a corner of cells, is between pixels
 
@@ -47,13 +41,6 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def chromium():
-    opened = browser.Browser()
-    yield opened
-    opened.close()
-
-
 def named(cells):
     """Cells (n, 2) as the page writes them."""
     return np.where((cells == NO_CELL).any(axis=1)[:, None], NOWHERE, cells)
@@ -73,7 +60,11 @@ def test_a_thousand_pixels_agree_with_rung_thin_in_slope_cell_and_fate(chromium,
     assert lit.sum() > 100, "the view shows the sheet"
     known = lit & (traced.order != NO_CELL).all(axis=1)
     met = np.where(known[:, None], traced.cell + traced.order, last)
-    same = (fate == traced.fate) & (~lit | (entered == named(traced.cell)).all(axis=1)) & (last == met).all(axis=1)
+    same = (
+        (fate == traced.fate)
+        & (~lit | (entered == named(traced.cell)).all(axis=1))
+        & (last == met).all(axis=1)
+    )
     assert same.mean() >= 0.999, f"{(~same).sum()} of {len(same)} pixels"
     asked = traced.direction[:, :2] / traced.direction[:, 2:]
     shown = lit & same & (np.abs(asked) < 1.0).all(axis=1)

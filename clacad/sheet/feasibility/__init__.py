@@ -47,7 +47,10 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     bodies = tuple(body_facts(window, body) for body in window.bodies)
     second = window.thin.focal_length[1]
     # across an axis without power there is no border of a lens that light could be lost at
-    fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) if np.isfinite(f) else np.inf for w, f in zip(lit, second, strict=True)]
+    fresnel = [
+        (0.5 * w) ** 2 / (wave * abs(f)) if np.isfinite(f) else np.inf
+        for w, f in zip(lit, second, strict=True)
+    ]
     eye = viewing(
         focal_ratio(window.thin),
         fresnel,
