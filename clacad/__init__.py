@@ -63,6 +63,7 @@ _HOME = {
     "render_movie": "clacad.rendering",
     "plan_effects": "clacad.effects",
     "optimise": "clacad.optimising",
+    "explore": "clacad.explorer",
 }
 
 __all__ = sorted(_HOME)

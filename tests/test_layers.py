@@ -34,6 +34,7 @@ ROOMS = [
     "optimising",  # a search needs the walls that checks judge by
     "rendering",
     "report",
+    "explorer",
     "explain",
     "doctor",
     "cli",

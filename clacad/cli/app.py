@@ -392,6 +392,26 @@ def render(
 
 
 @app.command()
+def explore(
+    design: Design,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="The page: one .html file.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what the page would be and cost; write nothing.")]
+    = False,
+    overwrite: Replace = False,
+    set: Set = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """One page with sliders: the view through the sheet, live, its verdict, and the design file they make."""
+    from clacad.cli.explore_command import explore_design
+
+    return explore_design(
+        design, set or [], out, dry_run=dry_run, overwrite=overwrite, json=json, quiet=quiet
+    )
+
+
+@app.command()
 def atlas(
     out: Out,
     scenes: Annotated[Path | None, typer.Option("--scenes", metavar="DIR", help="Folder of the scene files; default those "

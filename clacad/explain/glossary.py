@@ -33,6 +33,8 @@ WORDS: dict[str, tuple[str, str]] = {
     "bending": ("Own radii for the two faces of a lens of one power: the second factor of ten in the search for better faces, after conic constants.", "optimise --free bending"),
     "a4": ("Terms of fourth order of a face: height a x⁴ + b x² y² + c y⁴ on top of the conic, instead of a conic rather than beside it.", "pair.face"),
     "optimise": ("The search for faces that keep closest to the law over a field: least squares over traced rays, within the walls of the process.", "optimise"),
+    "explorer": ("One page on which η, δ, the angles, pitch, separation and the places of eye and object are moved: the view through ideal thin lenses, and its verdict in closed form. It hands out the design file it shows.", "explore -o page.html"),
+    "field lens": ("A lens at the common focus that images lens 1 onto lens 2: for η < 0 all light within the field p(1 − η)/(2s) meets the partner, min(1, 1/|η|) of it. Shown by the explorer.", "explore -o page.html"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""

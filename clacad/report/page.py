@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.report import drawing, figures, plots
 from clacad.report.content import Content, data_uri
 from clacad.report.light_rows import number
+from clacad.report.self_contained import HERE, environment, one_script
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
-
     from clacad.base.types import Progress
 
 __all__ = ["SECTIONS", "Section", "number", "page", "sections"]
-
-HERE = Path(__file__).parent
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +108,13 @@ def sections(content: Content, progress: Progress | None = None) -> list[Section
     """Make the sections of the page, in the order of `SECTIONS`."""
     from markupsafe import Markup
 
-    environment = _environment()
+    templates = environment()
     found = []
     for k, (anchor, title, draw) in enumerate(SECTIONS):
         if progress is not None:
             progress("drawing the report", k / len(SECTIONS))
         drawn = {name: Markup(text) for name, text in draw(content).items()}  # our own drawings
-        template = environment.get_template(f"sections/{anchor}.html.j2")
+        template = templates.get_template(f"sections/{anchor}.html.j2")
         found.append(Section(anchor, title, template.render(_common(content), figure=drawn)))
     return found
 
@@ -139,10 +133,9 @@ def page(content: Content, mark: str, more: Sequence[Section] = (), progress: Pr
     """
     from markupsafe import Markup
 
-    script = (HERE / "viewer.js").read_text(encoding="utf-8")
-    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    script, digest = one_script(HERE / "viewer.js")
     shown = [*sections(content, progress), *more]
-    return _environment().get_template("page.html.j2").render(
+    return environment().get_template("page.html.j2").render(
         _common(content), mark=Markup(mark), script=Markup(script), digest=digest,
         sections=[(s.anchor, s.title, Markup(s.body)) for s in shown],
     )  # fmt: skip
@@ -153,15 +146,3 @@ def _common(content: Content) -> dict[str, Any]:
     return {
         "content": content, "report": report, "design": report.design, "verdict": report.verdict(), "counts": report.counts(),
     }  # fmt: skip
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    return Environment(
-        loader=FileSystemLoader(HERE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )

@@ -16,27 +16,17 @@
   const facts = JSON.parse(store.facts);
   const data = bytes(store.parts);
 
-  function shader(kind, text) {
-    const s = gl.createShader(kind);
-    gl.shaderSource(s, text); gl.compileShader(s);
-    if (!gl.getShaderParameter(s, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(s));
-    return s;
-  }
-  const program = gl.createProgram();
-  gl.attachShader(program, shader(gl.VERTEX_SHADER,
+  const program = webgl.program(gl,
     "attribute vec3 place; attribute vec3 normal; uniform mat4 view; uniform mat3 turn; uniform float slide;" +
     "varying vec3 n; varying float cut;" +
-    "void main() { n = turn * normal; cut = place.y; gl_Position = view * vec4(place + vec3(0.0, 0.0, slide), 1.0); }"));
-  gl.attachShader(program, shader(gl.FRAGMENT_SHADER,
+    "void main() { n = turn * normal; cut = place.y; gl_Position = view * vec4(place + vec3(0.0, 0.0, slide), 1.0); }",
     "precision mediump float; varying vec3 n; varying float cut; uniform vec3 colour; uniform float keep; uniform float lit;" +
     "uniform vec3 from; uniform vec3 power;" +
     "void main() { if (cut > keep) discard; vec3 m = normalize(n); if (!gl_FrontFacing) m = -m;" +
     "float d = power.x + power.y * max(dot(m, normalize(from)), 0.0) + power.z * pow(max(m.z, 0.0), 8.0);" +
-    "gl_FragColor = vec4(mix(colour, colour * d, lit) * (gl_FrontFacing || lit < 0.5 ? 1.0 : 0.72), 1.0); }"));
-  gl.linkProgram(program);
+    "gl_FragColor = vec4(mix(colour, colour * d, lit) * (gl_FrontFacing || lit < 0.5 ? 1.0 : 0.72), 1.0); }");
   gl.useProgram(program);
-  const at = {};
-  for (const name of ["view", "turn", "slide", "colour", "keep", "lit", "from", "power"]) at[name] = gl.getUniformLocation(program, name);
+  const at = webgl.places(gl, program, ["view", "turn", "slide", "colour", "keep", "lit", "from", "power"]);
   const place = gl.getAttribLocation(program, "place"), normal = gl.getAttribLocation(program, "normal");
 
   function buffer(kind, values) {
@@ -67,9 +57,7 @@
   }
   function draw() {
     waiting = false;
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
-    const wide = Math.max(1, Math.round(canvas.clientWidth * ratio)), tall = Math.max(1, Math.round(canvas.clientHeight * ratio));
-    if (canvas.width !== wide || canvas.height !== tall) { canvas.width = wide; canvas.height = tall; }
+    const [wide, tall] = webgl.fit(canvas);
     gl.viewport(0, 0, wide, tall);
     const dark = window.matchMedia && window.matchMedia("(prefers-color-scheme: dark)").matches;
     const paper = dark ? [0.08, 0.1, 0.12] : [0.97, 0.98, 0.99];
@@ -126,25 +114,8 @@
     state.yaw += dx; state.pitch = Math.min(1.57, Math.max(-1.57, state.pitch + dy)); again();
   }
 
-  let held = null;
-  canvas.addEventListener("pointerdown", function (e) { held = [e.clientX, e.clientY]; canvas.setPointerCapture(e.pointerId); });
-  canvas.addEventListener("pointermove", function (e) {
-    if (!held) return;
-    turnBy(0.008 * (e.clientX - held[0]), 0.008 * (e.clientY - held[1])); held = [e.clientX, e.clientY];
-  });
-  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, function () { held = null; });
-  canvas.addEventListener("wheel", function (e) {
-    if (document.activeElement !== canvas) return; // the page scrolls until the view has been chosen
-    e.preventDefault(); zoom(Math.exp(-0.0015 * e.deltaY));
-  }, { passive: false });
-  canvas.addEventListener("keydown", function (e) {
-    const turns = { ArrowLeft: [-0.12, 0], ArrowRight: [0.12, 0], ArrowUp: [0, -0.12], ArrowDown: [0, 0.12] }[e.key];
-    if (turns) turnBy(turns[0], turns[1]);
-    else if (e.key === "+" || e.key === "=") zoom(1.15);
-    else if (e.key === "-") zoom(1 / 1.15);
-    else if (e.key === "0") reset();
-    else return;
-    e.preventDefault();
+  webgl.handle(canvas, {
+    moved: function (dx, dy) { turnBy(0.008 * dx, 0.008 * dy); }, zoomed: zoom, reset: reset,
   });
   const controls = box.querySelector("[data-controls]");
   const cut = controls.querySelector("[name=cut]"), lines = controls.querySelector("[name=rays]"), gap = controls.querySelector("[name=gap]");

@@ -58,7 +58,7 @@ class Rectangle:
 Outline = Circle | Rectangle
 
 
-def _inside_outline(outline: Outline, points: Floats) -> Bools:
+def inside_outline(outline: Outline, points: Floats) -> Bools:
     """Which points (..., 2), lengths, lie in an outline, its edge and what rounding leaves beyond it included."""
     x, y = points[..., 0], points[..., 1]
     room = 0.5 * (1 + 1e-12)
@@ -170,7 +170,7 @@ class Lattice:
         if self.outline is None:
             return np.asarray(inside)
         corners = self.centres(index)[..., None, :] + self.tile()
-        return np.asarray(inside & _inside_outline(self.outline, corners).all(axis=-1))
+        return np.asarray(inside & inside_outline(self.outline, corners).all(axis=-1))
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""

@@ -352,3 +352,15 @@ def test_an_eye_in_the_image_sees_nothing_sharp_and_a_law_without_change_asks_fo
 def test_an_eye_is_somewhere_before_the_sheet(key, value):
     with pytest.raises(clacad.DesignError, match=key):
         clacad.load(DESIGNS / "paper-base.toml").replace({key: value})
+
+
+def test_a_cylindrical_sheet_loses_nothing_across_its_axis_without_power():
+    """There is no border of a lens across it; its Fresnel number is that of the other axis alone."""
+    text = {
+        "format": 1, "name": "cylinders", "unit": "mm", "law": {"eta": [1.0, -1.0]},
+        "pair": {"form": "slab", "separation": 10.0, "index": 1.5}, "lattice": {"pitch": 0.5, "count": 4},
+    }  # fmt: skip
+    facts = feasibility(prescribe(Design.from_dict(text)))
+    fresnel = 0.25**2 / (550e-6 * 5.0)
+    assert facts.fresnel_number == pytest.approx(fresnel, rel=1e-12)
+    assert facts.viewing.lost == (0.0, pytest.approx(0.164 / np.sqrt(fresnel), rel=1e-12))

@@ -48,6 +48,7 @@ LINES = {
     "new": Line(("new", "out/fresh"), ("fresh.toml",)),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml"), ("better.toml",), (), ("better.toml",)),
+    "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
 

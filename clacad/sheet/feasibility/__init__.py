@@ -47,7 +47,11 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
     second = window.thin.focal_length[1]
-    fresnel = [(0.5 * w) ** 2 / (wave * abs(f)) for w, f in zip(lit, second, strict=True)]
+    # across an axis without power there is no border of a lens that light could be lost at
+    fresnel = [
+        (0.5 * w) ** 2 / (wave * abs(f)) if np.isfinite(f) else np.inf
+        for w, f in zip(lit, second, strict=True)
+    ]
     eye = viewing(
         focal_ratio(window.thin),
         fresnel,
@@ -67,7 +71,7 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
         offset_blur=two(w * _offset(window, k) for k, w in enumerate(width)),
         diffraction_blur=two(wave / lit),
         first_zero=two(wave * first_zeros(zone)),
-        fresnel_number=float(min(n for n in fresnel if n > 0.0)),
+        fresnel_number=float(min(fresnel)),
         viewing=eye,
         wavelength=wave * window.unit,
     )

@@ -1,0 +1,75 @@
+"""What the page is told of a design: the facts that stay, its sliders, its presets, and what it does not show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from clacad.design import Design
+from clacad.explorer.design_text import lines
+from clacad.explorer.sliders import Slider, sheet_width
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.window import Window
+
+MOST_CELLS = 8192
+"""Cells a side beyond which single precision may name the neighbour of a cell near the edge."""
+
+CARD = 0.3
+"""Half the side of the card that is looked at, over the shorter side of the sheet."""
+
+_UPRIGHT: Mapping[str, float] = dict.fromkeys(("delta_x", "delta_y", "phi", "theta", "psi"), 0.0)
+
+PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
+    ("as designed", {}),
+    ("negative refraction: η = −1", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0}),
+    ("the same with a field lens", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0, "field": 1.0}),
+    ("stretched: η = (−1/4, −1)", {**_UPRIGHT, "eta_x": -0.25, "eta_y": -1.0}),
+    ("stretched and turned by 45°", {**_UPRIGHT, "eta_x": -0.25, "eta_y": -1.0, "phi": 45.0}),
+    ("shifted: δ = (.02, .01)", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0, "delta_x": 0.02, "delta_y": 0.01}),
+    ("tilted by 2°", {**_UPRIGHT, "eta_x": -1.0, "eta_y": -1.0, "theta": 2.0}),
+    ("Galilean, upright: η = 1/2", {**_UPRIGHT, "eta_x": 0.5, "eta_y": 0.5}),
+    ("cylinders: η = (1, −1)", {**_UPRIGHT, "eta_x": 1.0, "eta_y": -1.0}),
+    ("seen from aside", {"azimuth": 2.0, "elevation": 1.5}),
+)
+"""Settings that a visitor may choose, each as what differs from the design."""
+
+
+def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str, Any]:
+    """All that the page's script needs, as plain JSON; lengths in the design's unit, wavelength and `unitM` in metres."""
+    lattice, aperture = window.lattice, design.lattice.aperture
+    return {
+        "kind": lattice.kind, "form": window.form, "pitch": list(lattice.pitch), "count": list(lattice.count),
+        "outline": _outline(design), "seam": window.land.seam, "border": window.land.border, "opaque": window.land.opaque,
+        "baffle": None if window.baffle is None else window.baffle.wall,
+        "aperture": aperture if isinstance(aperture, str) else list(aperture), "axes": design.law_spec.euler_axes,
+        "index": window.bodies[0].index, "unitM": window.unit, "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
+        "card": CARD * min(sheet_width(window)), "sliders": [asdict(one) for one in moved],
+        "presets": [[name, dict(changes)] for name, changes in PRESETS], "toml": lines(design),
+    }  # fmt: skip
+
+
+def _outline(design: Design) -> list[Any] | None:
+    spec = design.lattice.outline
+    return None if spec is None else [spec.shape, *spec.size[: 1 if spec.shape == "circle" else 2]]
+
+
+def not_shown(design: Design, window: Window) -> tuple[str, ...]:
+    """What of a design the page leaves out, one phrase each."""
+    found = [
+        "aberration, reflections, diffraction, colour and the walls between cells: its lenses are thin and ideal"
+    ]
+    if window.form != "biconvex":
+        glass = "slab" if window.form == "slab" else "plano lenses"
+        found.append(
+            f"the glass of the {glass} between the lenses: light crosses the pair in air that it stands for"
+        )
+    if design.body.frame is not None:
+        found.append("the frame")
+    if design.body.roughness > 0.0 or design.body.slope_rms > 0.0:
+        found.append("what rough faces scatter")
+    if max(window.lattice.count) > MOST_CELLS:
+        found.append(
+            f"which of two neighbours a ray meets, for certain, more than {MOST_CELLS // 2} cells from the middle"
+        )
+    return tuple(found)

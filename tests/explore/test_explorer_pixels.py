@@ -1,0 +1,71 @@
+"""Pixels of the explorer's view against rung `thin` in double precision; skipped where there is no browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from explorerpage import NOWHERE, QUANTUM, Page
+
+import clacad
+from clacad.optics.rays import NO_CELL, Fate
+
+ROOT = Path(__file__).parents[2]
+WIDE, TALL = 40, 26  # even: the middle of the picture, which looks at a corner of cells, is between pixels
+
+
+def shipped(name, **changes):
+    """A design of the repository, some dotted keys of it changed."""
+    return clacad.load(ROOT / f"designs/{name}.toml").replace(changes)
+
+
+ROUND = {"lattice.outline": {"circle": 8.0}, "lattice.seam": 0.03, "body.border": 0.4}
+EVERYDAY = ("paper, turned, offset and from aside", "tilted", "round, with border and seams")
+"""Cases that always run."""
+
+CASES = {
+    "paper": (shipped("paper-a-covered"), {}),
+    "paper, turned, offset and from aside": (shipped("paper-a-covered"), {
+        "eta_x": -0.7, "delta_x": 0.01, "phi": 30.0, "azimuth": 8.0, "elevation": -5.0, "pitch": 0.004}),
+    "window": (shipped("window-100mm"), {"separation": 12.0, "eye": 700.0, "elevation": 1.3}),
+    "Galilean": (shipped("window-100mm"), {"eta_x": 0.5, "eta_y": 1.0, "azimuth": 2.0}),
+    "hexagons": (shipped("hexagonal"), {"phi": 10.0, "azimuth": 3.0, "fov": 1.0}),
+    "tilted": (shipped("tilted"), {}),
+    "steeply tilted": (shipped("tilted"), {"theta": 35.0, "psi": 120.0, "azimuth": 20.0}),
+    "tilted, with seams": (shipped("tilted-seam"), {"theta": 12.0, "elevation": -9.0}),
+    "tilted hexagons": (shipped("hexagonal"), {"theta": -15.0, "phi": 40.0, "azimuth": 12.0}),
+    "round, with border and seams": (shipped("slab", **ROUND), {"delta_x": 0.02, "azimuth": 1.5, "elevation": 0.6, "fov": 0.5}),
+    "opaque land": (shipped("slab", **ROUND, **{"lattice.land": "opaque"}), {"theta": 3.0, "fov": 0.45, "azimuth": 0.7}),
+    "baffle": (shipped("baffled"), {"azimuth": 1.0}),
+}  # fmt: skip
+
+
+def named(cells):
+    """Cells (n, 2) as the page writes them."""
+    return np.where((cells == NO_CELL).any(axis=1)[:, None], NOWHERE, cells)
+
+
+@pytest.mark.parametrize("name", [
+    name if name in EVERYDAY else pytest.param(name, marks=pytest.mark.slow) for name in CASES])  # fmt: skip
+def test_a_thousand_pixels_agree_with_rung_thin_in_slope_cell_and_fate(chromium, tmp_path, name):
+    design, moved = CASES[name]
+    page = Page(chromium, tmp_path, design)
+    page.set(**moved)
+    slope, last, entered, fate = page.debug(WIDE, TALL)
+    window = clacad.prescribe(page.design())
+    traced = clacad.trace(window, clacad.Rays(*page.rays(WIDE, TALL)), rung="thin")
+    assert chromium.complaints() == []
+    lit = np.isin(traced.fate, (Fate.ALIVE, Fate.GHOST, Fate.LAND))
+    assert lit.sum() > 100, "the view shows the sheet"
+    known = lit & (traced.order != NO_CELL).all(axis=1)
+    met = np.where(known[:, None], traced.cell + traced.order, last)
+    same = (
+        (fate == traced.fate)
+        & (~lit | (entered == named(traced.cell)).all(axis=1))
+        & (last == met).all(axis=1)
+    )
+    assert same.mean() >= 0.999, f"{(~same).sum()} of {len(same)} pixels"
+    asked = traced.direction[:, :2] / traced.direction[:, 2:]
+    shown = lit & same & (np.abs(asked) < 1.0).all(axis=1)
+    assert np.abs(slope - asked)[shown].max() <= QUANTUM
