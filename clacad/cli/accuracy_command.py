@@ -10,6 +10,7 @@ from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
 from clacad.cli.option_values import parse_angle
+from clacad.storage.atomic import require_writable
 
 if TYPE_CHECKING:
     from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable
@@ -28,6 +29,8 @@ def measure_accuracy(
     from clacad.verification.accuracy.cheapest_file import files_within
 
     limit = None if target is None else parse_angle("--target", target)
+    if out is not None:
+        require_writable(out, overwrite=overwrite)
     progress, window = Progress(quiet=quiet), prescribe(design)
     try:
         with forecast(TASK, accuracy_seconds(rays, window), quiet=quiet) as span:

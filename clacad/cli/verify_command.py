@@ -12,6 +12,7 @@ from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
 from clacad.cli.option_values import parse_angle, parse_cells
+from clacad.storage.atomic import require_folder
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -46,6 +47,8 @@ def verify_design(
     written: list[Path] = []
     try:
         delivery, rays = _asked(design, request)
+        if request.out is not None:
+            require_folder(request.out)
         with _announced(rays, delivery, request, progress, quiet=quiet):
             report = _judged(design, delivery, rays, request, progress)
             if request.out is not None:

@@ -21,7 +21,7 @@ from clacad.exporting.quads_and_roles import chosen_quads, with_prospects
 from clacad.exporting.refusals import Refusals, require_possible
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
-from clacad.storage.atomic import MANIFEST, Stage, read_manifest, safe_name, translated
+from clacad.storage.atomic import MANIFEST, Stage, read_manifest, require_folder, safe_name, translated
 from clacad.storage.errors import ExportError, ExportIncomplete, NotPossible, WorkerDied
 from clacad.storage.worker import Worker, ended_by_signals
 
@@ -96,6 +96,8 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     ------
     DesignError, NotPossible, LimitRefused, CannotBuild
         The refusals of all formats together.
+    CannotWrite
+        The folder cannot be made or written to.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = known_formats(request.formats)
@@ -144,6 +146,8 @@ def _forecast(
 
     where : folder that is written to, and what draws letters there is hardly room for; None: nothing is refused
     """
+    if where is not None:
+        require_folder(where[0])
     grader = Grader.of(meshes, design)
     refused = Refusals() if where is None else _impossible(design, meshes.window, formats, request, where[1])
     rows = _priced(grader, tuple(name for name in formats if name not in refused), request, refused)

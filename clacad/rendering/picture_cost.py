@@ -14,7 +14,7 @@ import numpy as np
 from clacad.base.types import Ints
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, aim
-from clacad.rendering.picture import tried, worth_compiling
+from clacad.rendering.picture import tile, tried, worth_compiling
 from clacad.rendering.view import Viewing, set_up
 from clacad.scene import Scene
 
@@ -34,12 +34,15 @@ MUCH = 3.0
 FIRST = 3
 """Pixels along each side of the patches that are tried first; twice as many until they are enough."""
 
+SQUARES, NOISY = 5, 3
+"""Squares along a side of the picture that tell how many samples a noise target takes, and pixels along a side of each."""
+
 PATCHES = ((0.31, 0.22), (0.44, 0.61), (0.57, 0.35), (0.7, 0.83))
 """Where in the picture they are, down and across."""
 
 
 def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
-    """Processor seconds of a still, or of so many frames like it; pixels that a noise target renders again are not counted.
+    """Processor seconds of a still, or of so many frames like it; some pixels tell how often a noise target takes them again.
 
     Parameters
     ----------
@@ -52,7 +55,20 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
     view = aim(scene.camera)
     viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene), passage)
     each = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
-    return frames * (FIXED + each * view.width * view.height)
+    return frames * (FIXED + each * _again(viewing, scene, view) * view.width * view.height)
+
+
+def _again(viewing: Viewing, scene: Scene, view: View) -> float:
+    """Samples of a pixel over those it gets at first, by squares of pixels all over the picture."""
+    if not scene.camera.noise > 0.0:
+        return 1.0
+    counts = []
+    for y in (np.arange(SQUARES) + 0.5) * (view.height / SQUARES):
+        for x in (np.arange(SQUARES) + 0.5) * (view.width / SQUARES):
+            rows = slice(int(y), min(int(y) + NOISY, view.height))
+            columns = slice(int(x), min(int(x) + NOISY, view.width))
+            counts.append(tile(viewing, scene, view, rows, columns)[1].mean())
+    return float(np.mean(counts)) / scene.camera.samples
 
 
 def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> float:

@@ -257,16 +257,26 @@ def require_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -
         As `write_file` would.
     """
     path = Path(path)
-    place = path.parent.absolute()
+    require_folder(path.parent)
+    Stage(path.parent, overwrite=overwrite)._may_replace(path.name)
+
+
+def require_folder(folder: str | os.PathLike[str]) -> None:
+    """Refuse before long work a folder that cannot be made or written to; nothing is made.
+
+    Raises
+    ------
+    CannotWrite
+    """
+    place = Path(folder).absolute()
     while not os.path.lexists(place):
         place = place.parent
-    with translated(path.parent):
+    with translated(Path(folder)):
         if not place.is_dir():
             raise CannotWrite(f"{place} is a file; a folder is needed there")
         probe = place / f".clacad-{secrets.token_hex(6)}"
         probe.mkdir(mode=0o700)
         probe.rmdir()
-    Stage(path.parent, overwrite=overwrite)._may_replace(path.name)
 
 
 def write_file(path: str | os.PathLike[str], write: Callable[[Path], None], *, overwrite: bool = False,

@@ -92,3 +92,38 @@ def test_no_letter_is_wider_or_taller_than_what_tells_without_drawing_that_a_lin
         box = lettering(text, 1.0).bounding_box()
         assert box.size.X <= WIDEST * len(text)
         assert box.size.Y <= TALL / 0.7
+
+
+@pytest.mark.parametrize("how", [(), ("--dry-run",)])
+@pytest.mark.parametrize("inside", ["a file", "/proc"])
+def test_a_folder_that_cannot_be_made_is_status_4_before_any_work(tmp_path, capsys, monkeypatch, how, inside):
+    place = tmp_path / "file"
+    place.touch()
+    out = (place if inside == "a file" else Path(inside)) / "x"
+    monkeypatch.setattr(import_module("clacad.exporting.run"), "chosen_quads", None)  # nothing is meshed
+    assert main(["export", PLANO, "-o", str(out), "--format", "table", "--cells", "2x2", *how]) == 4
+    said = capsys.readouterr().err
+    assert "clacad:" in said
+    assert str(out.parent) in said
+
+
+@pytest.mark.parametrize(
+    ("command", "work"),
+    [
+        (("accuracy", PLANO, "-o", "PLACE/x.svg"), "clacad.verification.accuracy.accuracy_table:accuracy"),
+        (("verify", PLANO, "-o", "PLACE/x"), "clacad.verification.run:verified"),
+        (
+            ("render", str(DESIGNS / "scenes" / "effects-narrow.toml"), "-o", "PLACE/x.png"),
+            "clacad.rendering.picture:view_through",
+        ),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_long_work_is_not_begun_for_a_folder_that_cannot_be_written(
+    tmp_path, capsys, monkeypatch, command, work
+):
+    (tmp_path / "file").touch()
+    module, name = work.split(":")
+    monkeypatch.setattr(import_module(module), name, None)
+    assert main([word.replace("PLACE", str(tmp_path / "file")) for word in command]) == 4
+    assert "file; a folder is needed there" in capsys.readouterr().err

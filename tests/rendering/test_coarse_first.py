@@ -12,10 +12,13 @@ from PIL import Image
 from clacad.cli import main
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering import coarse_first
+from clacad.rendering.camera import aim
 from clacad.rendering.coarse_first import BLOCK, BROAD, CoarseView, _broad, _spread, enlarge, view_coarsely
 from clacad.rendering.photograph_view import EyeRequest, eye_scene
 from clacad.rendering.picture import Picture, view_through
+from clacad.rendering.picture_cost import _again
 from clacad.rendering.sheet_passage import plan_passage
+from clacad.rendering.view import set_up
 
 DESIGN = Path(__file__).parents[2] / "designs" / "window-100mm.toml"
 FEW = ("lattice.count=[6, 6]",)
@@ -122,3 +125,17 @@ def test_the_coarse_picture_is_there_before_the_fine_one_is_drawn(photo, tmp_pat
     asked[asked.index("-o") + 1] = str(photo / "eye.png")
     assert main(asked) == 4
     assert "is a file; a folder is needed there" in capsys.readouterr().err
+
+
+def test_a_forecast_counts_the_samples_that_a_noise_target_takes(photo):
+    scene = eye_scene(EyeRequest(DESIGN, photo, pixels=48, samples=4), FEW)
+    plain = scene.replace({"effects.mode": "none"})
+    noisy = plain.replace({"camera.noise": 0.004, "camera.most_samples": 64})
+    window = prescribe(scene.design())
+    passage = plan_passage(plain, window)
+    drawn = view_through(noisy, passage=passage, compiled=False)
+    viewing = set_up(noisy, window, False, passage)
+    found = _again(viewing, noisy, aim(noisy.camera))
+    assert drawn.samples.mean() > 6.0  # most pixels are taken again
+    assert found == pytest.approx(drawn.samples.mean() / 4.0, rel=0.6)
+    assert _again(viewing, plain, aim(plain.camera)) == 1.0
