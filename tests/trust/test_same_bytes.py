@@ -88,7 +88,7 @@ def made(place: Path, **changes: str) -> dict[str, bytes]:
         text=True,
         cwd=place,
         env=environment(HOME=str(place / "home"), XDG_CACHE_HOME=str(place / "home"), **changes),
-        timeout=800,
+        timeout=2400,
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.partition("ACCURACY")[2])
@@ -132,7 +132,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.long
-@pytest.mark.timeout(1500)
+@pytest.mark.timeout(6000)
 def test_another_seed_folder_home_language_zone_and_two_threads_give_the_same_bytes(here, tmp_path):
     entries = json.loads(here["files/manifest.json"])
     assert set(entries["options"]["formats"]) == set(WRITTEN)
@@ -141,7 +141,7 @@ def test_another_seed_folder_home_language_zone_and_two_threads_give_the_same_by
 
 
 @pytest.mark.long
-@pytest.mark.timeout(1500)
+@pytest.mark.timeout(6000)
 def test_kernels_compiled_in_that_very_run_give_the_same_bytes(here, tmp_path):
     assert_same(here, made(tmp_path / "cold", **ELSEWHERE, NUMBA_CACHE_DIR=str(tmp_path / "kernels")))
     assert list((tmp_path / "kernels").rglob("*.nbc"))
