@@ -28,11 +28,16 @@ WORDS: dict[str, tuple[str, str]] = {
     "not judged": ("The verdict on a delivery in which nothing optical was judged: it holds only other files, or its manifest withholds the optical ones. Exit status 1.", ""),
     "diffraction": ("λ/w: w is √12 times the rms distance along a lens axis of what is lit of a lenslet from its middle, the width of a rectangle. The first zero is printed beside it.", ""),
     "best pitch": ("√(λD/min(1, 1/|η|)): a pixel of this pitch looks as large as the diffraction of light that comes back through lens 1 to a viewer D away.", ""),
+    "wish": ("What `clacad new --for` is asked: eta, width or circle; and if you like delta, euler, viewing and object distances, process, material, form, kind and field.", "new --for"),
+    "trade-off": ("What other sizes would give: half the pitch doubles diffraction, λ/(p min(1, 1/|η|)), and halves the pixel, p/D; nearer lenses widen the field, p(1 + |η|)/(2s), and err by (p/s)³; tilt makes steps of p tan θ.", "new --for"),
+    "sharpest pitch": ("√(2λz/|η(1 − η)|) max(1, |η|): what stands z behind the sheet is least blurred, for its defocus is a quarter wave at the edge of the beam of one cell.", "new --for object=LENGTH"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""
 
 SYNONYMS = {
+    "wishes": "wish",
+    "trade-offs": "trade-off",
     "master": "optical-master",
     "preview": "shape-preview",
     "shape_only": "shape only",

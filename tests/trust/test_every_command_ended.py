@@ -41,7 +41,8 @@ LINES = {
                    ("x.png",)),
     "atlas": Line(("atlas", "-o", "out", "--scenes", f"{ROOT}/designs/scenes", "--rows", "F2", "--size", "32", "--samples", "1",
                    "--no-movies", "--no-measure")),
-    "new": Line(("new", "out/fresh"), ("fresh.toml",)),
+    "new": Line(("new", "out/fresh"), ("fresh.toml", "clacad.schema.json")),
+    "new for": Line(("new", "out/wished", "--for", "eta=-1, width=5, process=moulding"), ("wished.toml", "clacad.schema.json")),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
