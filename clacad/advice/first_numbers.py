@@ -153,7 +153,9 @@ def upper_pitches(wish: Wish, ratio: float, shape: Shape) -> Iterator[Bound]:
     rules = profile(wish.process)
     steepest = max(_sags(wish, _radii(wish, ratio, shape, index_of(wish))))
     yield Bound(min(wish.size.size) / FEWEST_CELLS, f"{FEWEST_CELLS} cells across the sheet")
-    yield Bound(MILLIMETRES * NEAR * rules.sag / steepest, f"greatest height of a lens of {wish.process}")
+    yield Bound(
+        0.95 * MILLIMETRES * NEAR * rules.sag / steepest, f"greatest height of a lens of {wish.process}"
+    )
 
 
 def _fresnel_pitch(wish: Wish, ratio: float) -> float:

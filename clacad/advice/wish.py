@@ -149,11 +149,14 @@ def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
 
 def written(text: str) -> Any:
     """A typed value: a number or [list] where it reads as one (0 may be left out before a point), else the text."""
-    whole = re.sub(r"(?<![\w.])\.(?=\d)", "0.", text.strip())
+    text = text.strip()
+    if text.startswith("[") and text.endswith("]"):
+        return [written(part) for part in text[1:-1].split(",")]
+    number = re.sub(r"^([+-]?)[.](?=[0-9])", r"\g<1>0.", text)
     try:
-        return tomllib.loads(f"value = {whole}")["value"]
+        return tomllib.loads(f"value = {number}")["value"]
     except ValueError:
-        return text.strip().strip("\"'")
+        return text.strip("\"'")
 
 
 def read_word(name: str, value: object) -> Any:

@@ -35,11 +35,15 @@ WORDS: dict[str, tuple[str, str]] = {
     "optimise": ("The search for faces that keep closest to the law over a field: least squares over traced rays, within the walls of the process.", "optimise"),
     "explorer": ("One page on which η, δ, the angles, pitch, separation and the places of eye and object are moved: the view through ideal thin lenses, and its verdict in closed form. It hands out the design file it shows.", "explore -o page.html"),
     "field lens": ("A lens at the common focus that images lens 1 onto lens 2: for η < 0 all light within the field p(1 − η)/(2s) meets the partner, min(1, 1/|η|) of it. Shown by the explorer.", "explore -o page.html"),
+    "wish": ("What `clacad new --for` is asked: eta, width or circle; and if you like delta, euler, viewing and object distances, process, material, form, kind and field.", "new --for"),
+    "trade-off": ("What other sizes would give: half the pitch doubles diffraction, λ/(p min(1, 1/|η|)), and halves the pixel, p/D; nearer lenses widen the field, p(1 + |η|)/(2s), and err by (p/s)³; tilt makes steps of p tan θ.", "new --for"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""
 
 SYNONYMS = {
+    "wishes": "wish",
+    "trade-offs": "trade-off",
     "master": "optical-master",
     "preview": "shape-preview",
     "shape_only": "shape only",

@@ -1,0 +1,245 @@
+"""Wishes: how they are read, the formulas they start from, the designs that come of them."""
+
+from __future__ import annotations
+
+import json
+from math import radians
+
+import pytest
+from mpmath import asin, atan, mp, mpf, sin, sqrt, tan
+from trust.running import clacad
+
+from clacad.advice.candidate import Variant, built
+from clacad.advice.first_numbers import (
+    WAVELENGTH,
+    balanced_pitch,
+    lower_pitches,
+    shape_of,
+    sharpest_pitch,
+    undistorted_conic,
+    upper_pitches,
+)
+from clacad.advice.judged import judge
+from clacad.advice.proposal import NoSuchSheet, design_for
+from clacad.advice.wish import Wish, parse_wish, read_wish
+from clacad.design import DesignError, load
+from clacad.design.sections import Outline
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import feasibility
+from clacad.verification import verify
+
+ROUND = "eta=-1, circle=60 mm, kind=hexagonal, material=PC, process=moulding"
+
+
+# --- reading ------------------------------------------------------------------------------------------------
+
+
+def test_a_wish_is_read_with_units_lists_and_defaults():
+    wish = read_wish(parse_wish(["eta=[-.5, -2], delta=[.1,.05]", "width=[4 cm, 30], viewing = 0.5 m"]))
+    assert wish == Wish((-0.5, -2.0), Outline("rectangle", (40.0, 30.0)), delta=(0.1, 0.05), viewing=500.0)
+    assert (wish.process, wish.material, wish.field) == ("diamond-turning", "PMMA", radians(1.0))
+
+
+def test_what_a_wish_says_in_words_is_the_wish_again():
+    texts = [ROUND, "eta=.5, width=[50, 20], euler=[0, 2, 0], object=300, field=0.5 deg"]
+    for wish in (read_wish(parse_wish([text])) for text in texts):
+        assert read_wish(wish.words()) == wish
+
+
+def test_every_mistake_of_a_wish_is_told_at_once_with_what_is_allowed():
+    with pytest.raises(DesignError) as caught:
+        read_wish(
+            parse_wish(["eta=[0, -1], process=moldin, outline=3, circle=60 m m, width=5, material=PMMB"])
+        )
+    text = str(caught.value)
+    for part in ('did you mean "moulding"', "unknown word outline; did you mean circle?", "eta_x = 0", "exclude each other",
+                 'circle = "60 m m"', "unknown material 'PMMB'"):  # fmt: skip
+        assert part in text
+
+
+@pytest.mark.parametrize("text", ["eta", "eta=", "=3"])
+def test_what_is_not_key_and_value_is_refused(text):
+    with pytest.raises(DesignError, match="KEY=VALUE"):
+        parse_wish([text])
+
+
+# --- formulas -----------------------------------------------------------------------------------------------
+
+
+def exit_slope(form: str, index: float, conic: float, height: float) -> mpf:
+    """Slope at which an axis ray leaves lens 2 (R = 1) at a height off its vertex, by Snell's law in 30 digits."""
+    mp.dps = 30
+    n, u = mpf(index), mpf(height)
+    lean = atan(u / sqrt(1 - (1 + mpf(conic)) * u**2))  # slope of a conic of unit radius
+    if form == "slab":  # out of the glass at the curved face
+        return tan(asin(n * sin(lean)) - lean)
+    return tan(asin(n * sin(lean - asin(sin(lean) / n))))  # into it there, out of it at the plane face
+
+
+@pytest.mark.parametrize(("form", "curved"), [("slab", "outside"), ("plano", "inside")])
+@pytest.mark.parametrize("index", [1.4, 1.4936, 1.6])
+def test_the_undistorted_conic_leaves_an_error_of_fifth_order_only(form, curved, index):
+    conic = undistorted_conic(form, curved, index)
+    errors = [abs(exit_slope(form, index, conic, h) - (mpf(index) - 1) * mpf(h)) for h in (0.02, 0.01)]
+    assert 30.0 < errors[0] / errors[1] < 34.0
+    other = [abs(exit_slope(form, index, conic + 0.2, h) - (mpf(index) - 1) * mpf(h)) for h in (0.02, 0.01)]
+    assert 7.5 < other[0] / other[1] < 8.5
+
+
+def test_the_sharpest_pitch_leaves_a_quarter_wave_of_defocus_at_the_beams_edge():
+    for eta in (-1.0, -0.25, -2.0, 0.5):
+        wish, z = Wish((eta, eta), Outline("circle", (50.0, 50.0))), 300.0
+        pitch = sharpest_pitch(wish, z)
+        beam = pitch * min(1.0, 1.0 / abs(eta))
+        vergence = eta * (eta - 1.0) / z  # of a cell's own image at z/eta^2 less the array's at z/eta
+        assert 0.5 * (0.5 * beam) ** 2 * abs(vergence) == pytest.approx(1e3 * WAVELENGTH / 4.0)
+
+
+def test_the_balanced_pitch_is_the_one_that_check_prints():
+    wish = read_wish(parse_wish(["eta=[-2, -.5], width=20, viewing=1 m"]))
+    design = built(wish, Variant("slab"), 0.75, 12.0, "x")
+    assert balanced_pitch(wish) == pytest.approx(feasibility(prescribe(design)).pixel)
+
+
+@pytest.mark.parametrize("eta", [(-1.0, -1.0), (-0.5, -2.0), (0.5, 0.5)])
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_a_pitch_by_the_fresnel_formula_has_that_number(eta, kind):
+    wish = Wish(eta, Outline("rectangle", (20.0, 20.0)), process="none", kind=kind)
+    bound = next(lower_pitches(wish, 12.0, shape_of("slab", 1.49)))
+    facts = feasibility(prescribe(built(wish, Variant("slab"), bound.value, 12.0, "x")))
+    assert 10.3 <= facts.fresnel_number <= 12.0  # the more where a hexagon is cut across its corners
+
+
+@pytest.mark.parametrize("process", ["diamond-turning", "moulding", "greyscale", "sla"])
+def test_the_bounds_on_the_pitch_keep_the_rules_of_the_process(process):
+    wish = Wish((-1.0, -1.0), Outline("rectangle", (500.0, 500.0)), process=process)
+    shape = shape_of("slab", 1.49)
+    low = max(bound.value for bound in lower_pitches(wish, 10.0, shape))
+    high = min(bound.value for bound in upper_pitches(wish, 10.0, shape))
+    for pitch in (low, high):
+        rules = {
+            check.id: check.state for check in judge(built(wish, Variant("slab"), pitch, 10.0, "x")).rules
+        }
+        of_sizes = ("pitch", "radius", "sag", "tool", "voxel", "layer", "edge", "fresnel_number")
+        assert {rules[name] for name in of_sizes if name in rules} == {"pass"}
+
+
+# --- designs ------------------------------------------------------------------------------------------------
+
+
+def test_a_wish_comes_true_as_a_commented_file_that_verify_passes(tmp_path):
+    found = design_for(parse_wish([ROUND]), name="round")
+    (tmp_path / "round.toml").write_text(found.text, encoding="utf-8")
+    design = load(tmp_path / "round.toml")
+    assert design == found.design
+    assert (design.law_spec.eta, design.pair.material, design.check.process) == (
+        (-1.0, -1.0),
+        "PC",
+        "moulding",
+    )
+    assert design.lattice.outline == Outline("circle", (60.0, 60.0))
+    report = verify(design)
+    assert report.exit_status == 0
+    assert not [check.id for check in report.checks if check.state == "warn"]
+    assert found.trades[0].rms < 0.003
+    assert {trade.name for trade in found.trades} >= {"this design", "half the pitch", "lenses nearer"}
+
+
+@pytest.mark.slow
+def test_nearer_lenses_see_more_and_err_more_by_the_third_power():
+    found = design_for({"eta": -1, "width": 30, "process": "none"})
+    own, nearer = (
+        next(t for t in found.trades if t.name == name) for name in ("this design", "lenses nearer")
+    )
+    assert nearer.field > own.field
+    assert nearer.rms / own.rms == pytest.approx((own.separation / nearer.separation) ** 3, rel=0.15)
+
+
+@pytest.mark.slow
+def test_what_a_person_sets_is_kept_by_every_design_tried():
+    found = design_for({"eta": -1, "width": 20}, ["pair.separation=14", "body.roughness='5 nm'"])
+    assert found.design.pair.separation == 14.0
+    assert found.design.body.roughness == pytest.approx(5e-6)
+
+
+@pytest.mark.slow
+def test_a_wish_that_cannot_come_true_names_what_binds_and_a_wish_that_does():
+    with pytest.raises(NoSuchSheet) as caught:
+        design_for({"eta": -1, "width": 2, "process": "sla", "viewing": 300})
+    text = str(caught.value)
+    assert "asks for a pitch of" in text
+    assert "5 cells across the sheet" in text
+    [word] = [line.strip().split(" comes true")[0] for line in text.splitlines() if " comes true" in line][:1]
+    words = {"eta": -1, "width": 2, "process": "sla", "viewing": 300}
+    assert design_for(words | parse_wish([word])).judged.passes
+
+
+# --- the command --------------------------------------------------------------------------------------------
+
+
+def test_new_for_a_wish_writes_the_design_and_the_schema_beside_it(tmp_path):
+    ended = clacad("new", "w", "--for", "eta=.5, width=20, process=moulding", "--json", cwd=tmp_path)
+    assert ended.status == 0, ended.err
+    told = json.loads(ended.out)
+    assert (tmp_path / "w.toml").read_text(encoding="utf-8") == told["text"]
+    assert told["passed"] is True
+    schema = json.loads((tmp_path / "clacad.schema.json").read_text(encoding="utf-8"))
+    assert schema["title"] == "clacad design"
+    assert told["text"].startswith("#:schema clacad.schema.json\n")
+    assert not ended.packages & {"OCP", "build123d", "matplotlib", "trimesh"}
+
+
+def test_a_dry_run_prints_the_file_and_writes_nothing(tmp_path):
+    ended = clacad("new", "w", "--template", "biconvex", "--dry-run", cwd=tmp_path)
+    assert ended.status == 0
+    assert 'form = "biconvex"' in ended.out
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_schema_of_another_program_is_left_alone_and_an_older_one_of_ours_is_renewed(tmp_path):
+    beside = tmp_path / "clacad.schema.json"
+    for text, kept in (('{"title": "mine"}', True), ('{"title": "clacad design"}', False)):
+        beside.write_text(text)
+        ended = clacad("new", "w", "--overwrite", cwd=tmp_path)
+        assert ended.status == 0
+        assert (beside.read_text() == text) is kept
+        assert ("was left as it is" in ended.err) is kept
+
+
+@pytest.mark.parametrize(("words", "status", "told"), [
+    (("new",), 2, "a NAME is needed"),
+    (("new", "w", "--for", "eta=-1"), 2, "the sheet's size"),
+    (("new", "w", "--for", "eta=-1, width=5", "--template", "slab"), 2, "exclude each other"),
+    (("new", "w", "--set", "pair.index=1.5"), 2, "--set belongs to --for"),
+    (("new", "a/../../b?", "--for", "eta=-1, width=5"), 2, "must not hold"),
+    pytest.param(("new", "w", "--for", "eta=-1, width=2, process=sla, viewing=300"), 1, "no design was found",
+                 marks=pytest.mark.long),
+])  # fmt: skip
+def test_what_cannot_be_written_is_said_and_nothing_is(tmp_path, words, status, told):
+    ended = clacad(*words, cwd=tmp_path)
+    assert ended.status == status
+    assert told in ended.err
+    assert not list(tmp_path.rglob("*.toml"))
+
+
+def test_a_file_that_is_there_is_refused_before_the_search(tmp_path):
+    (tmp_path / "w.toml").write_text("mine")
+    ended = clacad("new", "w", "--for", ROUND, cwd=tmp_path)
+    assert ended.status == 4
+    assert "clacad.tracing" not in ended.modules
+    assert (tmp_path / "w.toml").read_text() == "mine"
+
+
+def test_questions_have_defaults_and_a_wrong_answer_is_explained_and_asked_again(monkeypatch, capsys):
+    from clacad.cli.questions import ask
+
+    typed = iter(["", "0", "-.5", "", "", "circle 6 cm", "2 m", "moldin", "moulding", "PC", "", "hexagonal"])
+    monkeypatch.setattr("builtins.input", lambda question: next(typed))
+    name, words = ask()
+    said = capsys.readouterr().out
+    assert "eta_x = 0" in said
+    assert 'did you mean "moulding"?' in said
+    assert name == "window"
+    assert read_wish(words) == Wish(
+        (-0.5, -0.5), Outline("circle", (60.0, 60.0)), viewing=2000.0, process="moulding", material="PC", kind="hexagonal"
+    )  # fmt: skip
