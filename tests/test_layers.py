@@ -189,9 +189,8 @@ def test_only_the_forecast_of_light_traces_in_export_and_meshes_and_solids_know_
 
 
 def test_intent_is_read_once():
-    """Only law, design, a wish for one, prescription and the judges read an attribute named eta*: the rest sees geometry."""
-    wishes = ("advice/wish.py", "advice/first_numbers.py")
-    free = ("optics/law/", "design/", "prescription/", "verification/", *wishes)
+    """Only law, design, advice on it, prescription and the judges read an attribute named eta*: the rest sees geometry."""
+    free = ("optics/law/", "design/", "advice/", "prescription/", "verification/")
     bound = ("verification/accuracy/", "verification/stability/")
     for name, path in files().items():
         if name.startswith(free) and not name.startswith(bound):

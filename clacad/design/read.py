@@ -104,7 +104,12 @@ def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     whole = {section for section in SECTIONS if section in data and not isinstance(data[section], dict)}
     asked = Asked(values, written, unit)
     missing = {m.key for m in mistakes if m.code == "CL103"} | whole
-    mistakes += [m for m in broken(asked) if m.key.split(".")[0] not in missing]
+    meant = {m.hint for m in mistakes if m.code == "CL102"}  # a misspelt key is not missing as well
+    mistakes += [
+        m
+        for m in broken(asked)
+        if m.key.split(".")[0] not in missing and (m.code != "CL103" or m.key not in meant)
+    ]
     return values, mistakes
 
 
