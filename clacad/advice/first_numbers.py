@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import inf, isfinite, pi, sqrt
+from math import inf, isfinite, sqrt
 
 from clacad.advice.wish import WAVELENGTH, Wish
 from clacad.design.process_profiles import profile
 from clacad.optics.material.catalogue import find
+from clacad.sheet.feasibility import pitch_for_eye
 from clacad.verification.checks import NEAR
 
 MILLIMETRES = 1e3
@@ -24,9 +25,6 @@ FRESNEL = 10.5
 
 FEWEST_CELLS = 5
 """Across a sheet."""
-
-ARCMINUTE = pi / 180.0 / 60.0
-"""What an eye tells apart."""
 
 SPHERICAL = 1.5
 """Rms error of a slab of spheres with eta = -1, over (pitch/separation)³."""
@@ -74,14 +72,9 @@ def balanced_pitch(wish: Wish) -> float:
 
 
 def sharpest_pitch(wish: Wish, behind: float) -> float:
-    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer.
-
-    Each cell is a small telescope whose own image of the point lies at z/η², the array's at z/η; least blur is where that
-    defocus is a quarter wave at the beam's edge, p = √(2 λ z/|η(1 − η)|) max(1, |η|); of two meridians the lesser.
-    """
-    wave = WAVELENGTH * MILLIMETRES
-    return min(
-        sqrt(2.0 * wave * behind / abs(eta * (1.0 - eta))) * max(1.0, abs(eta)) for eta in powers(wish)
+    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer; of two meridians the lesser."""
+    return MILLIMETRES * min(
+        pitch_for_eye.sharpest_pitch(eta, behind / MILLIMETRES, WAVELENGTH) for eta in powers(wish)
     )
 
 

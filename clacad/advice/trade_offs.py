@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from math import atan, degrees, inf
 
 from clacad.advice.candidate import round_to
-from clacad.advice.first_numbers import ARCMINUTE, MILLIMETRES, returning, sharpest_pitch
+from clacad.advice.first_numbers import MILLIMETRES, returning, sharpest_pitch
 from clacad.advice.judged import Judged, judge
 from clacad.advice.wish import WAVELENGTH, Wish
 from clacad.base.digits import digits
 from clacad.design import Design, DesignError
+from clacad.sheet.feasibility.pitch_for_eye import ARC_MINUTE
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +137,10 @@ def _texts(t: Trade) -> tuple[str, ...]:
 def sentences(wish: Wish, own: Trade) -> tuple[str, ...]:
     """What the numbers say of each other, for this wish."""
     wave = WAVELENGTH * MILLIMETRES
-    fine, sharp = wish.viewing * ARCMINUTE, wave / (ARCMINUTE * returning(wish))
+    fine, sharp = wish.viewing * ARC_MINUTE, wave / (ARC_MINUTE * returning(wish))
     found = [
         f"pitch: pixels vanish from {wish.viewing:g} mm at {fine:.3g} mm and below, diffraction at {sharp:.3g} mm and above; "
-        + (f"both only from {sharp / ARCMINUTE / MILLIMETRES:.3g} m on" if sharp > fine else "both hold between them"),
+        + (f"both only from {sharp / ARC_MINUTE / MILLIMETRES:.3g} m on" if sharp > fine else "both hold between them"),
         f"separation: nearer lenses show the law in a wider field, +-{degrees(own.field):.3g} deg here, which is "
         f"{own.seen:.3g} mm of the sheet seen from {wish.viewing:g} mm, but aberration grows as the third power of pitch over "
         "separation",

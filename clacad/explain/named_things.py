@@ -85,11 +85,13 @@ def _effect(name: str) -> Entry:
 
 
 def _material(one: Material) -> Entry:
-    short, long = one.range_m
+    short, long = one.range_m or (0.0, inf)
     wave = GREEN if short <= GREEN <= long else 0.5 * (short + long)
     told = [
         f"n = {float(one.index(wave)):.4f} at {1e9 * wave:.0f} nm",
-        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm",
+        f"known from {1e9 * short:.0f} to {1e9 * long:.0f} nm"
+        if one.range_m
+        else "the same at all wavelengths",
     ]
     told += [] if one.density_kg_m3 is None else [f"{one.density_kg_m3:g} kg/m³"]
     told += ["absorption known"] if one.extinction else []

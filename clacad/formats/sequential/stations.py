@@ -103,7 +103,9 @@ def _station(window: Window, name: str, at: Interface, face: Face, scale: float)
     turn = np.eye(3) if at.rotation is None else np.asarray(at.rotation)
     place = np.asarray(at.vertex) * scale
     x4, x2y2, y4 = (
-        (surface.side * a / scale**3 + 0.0 for a in surface.a4) if isinstance(surface, EvenPolynomial) else (0.0,) * 3
+        (surface.side * a / scale**3 + 0.0 for a in surface.a4)
+        if isinstance(surface, EvenPolynomial)
+        else (0.0,) * 3
     )
     reach = _reach(window, face, scale)
     return Station(name, (cx, cy), (kx, ky), place, turn, at.index_after, reach, (x4, x2y2, y4))
