@@ -95,10 +95,18 @@ def test_the_sharpest_pitch_leaves_a_quarter_wave_of_defocus_at_the_beams_edge()
         assert 0.5 * (0.5 * beam) ** 2 * abs(vergence) == pytest.approx(1e3 * WAVELENGTH / 4.0)
 
 
-def test_the_balanced_pitch_is_the_one_that_check_prints():
+def test_the_balanced_pitch_looks_as_wide_as_the_diffraction_of_what_comes_back():
+    """The angles p/D and λ/(p min(1, 1/|η|)) are the same."""
     wish = read_wish(parse_wish(["eta=[-2, -.5], width=20, viewing=1 m"]))
+    pitch = balanced_pitch(wish)
+    assert pitch / 1000.0 == pytest.approx(WAVELENGTH * 1e3 / (pitch * 0.5))
+
+
+def test_the_sharpest_pitch_is_the_one_that_check_prints():
+    wish = read_wish(parse_wish(["eta=[-2, -.5], width=20, viewing=1 m, object=500 mm"]))
     design = built(wish, Variant("slab"), 0.75, 12.0, "x")
-    assert balanced_pitch(wish) == pytest.approx(feasibility(prescribe(design)).pixel)
+    told = feasibility(prescribe(design), viewer=1.0, distance=0.5).viewing
+    assert sharpest_pitch(wish, 500.0) == pytest.approx(1e3 * min(told.sharpest))
 
 
 @pytest.mark.parametrize("eta", [(-1.0, -1.0), (-0.5, -2.0), (0.5, 0.5)])
