@@ -7,6 +7,7 @@
   for (const s of facts.sliders) sliders[s.id] = s;
   const LEAST_ETA = 0.01, REST = 160; // milliseconds after which a picture that stands is drawn finely
   const FINE = 12; // rays a pixel of it
+  const LIVE = 50; // milliseconds that a picture may take while something moves; else it is drawn coarser
   let state = {}, made = null;
 
   function started() {
@@ -234,11 +235,17 @@
     for (let k = 0; k < bytes.length; k += 8192) text += String.fromCharCode.apply(null, bytes.subarray(k, k + 8192));
     return btoa(text);
   }
-  let waiting = false, resting = 0;
+  let waiting = false, resting = 0, coarser = 1;
+  const one = new Uint8Array(4);
   function drawNow(kind) {
     waiting = false;
-    const [wide, tall] = webgl.fit(canvas);
+    const began = performance.now(), [wide, tall] = webgl.fit(canvas, kind === "fine" ? 1 : coarser);
     render(kind, wide, tall, 0);
+    if (kind === "view") {
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, one); // waits until it is drawn
+      const took = performance.now() - began;
+      coarser = took > LIVE ? Math.min(4, 1.4 * coarser) : took < 0.3 * LIVE ? Math.max(1, coarser / 1.4) : coarser;
+    }
     page.dataset.state = kind === "fine" ? "fine" : "drawn";
   }
   function draw() {
@@ -295,7 +302,6 @@
     times: function (size, frames) { // milliseconds of each frame
       const found = [];
       aside(size, size, function () {
-        const one = new Uint8Array(4);
         for (let k = 0; k < frames; k++) {
           const began = performance.now();
           render("view", size, size, 0);

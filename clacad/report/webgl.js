@@ -20,8 +20,8 @@ const webgl = (function () {
     for (const name of names) at[name] = gl.getUniformLocation(p, name);
     return at;
   }
-  function fit(canvas) { // the canvas as many pixels as it is shown on, at most two a length of the page
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  function fit(canvas, coarser) { // the canvas as many pixels as it is shown on, at most two a length of the page, or fewer by a factor
+    const ratio = Math.min(window.devicePixelRatio || 1, 2) / (coarser || 1);
     const wide = Math.max(1, Math.round(canvas.clientWidth * ratio)), tall = Math.max(1, Math.round(canvas.clientHeight * ratio));
     if (canvas.width !== wide || canvas.height !== tall) { canvas.width = wide; canvas.height = tall; }
     return [wide, tall];
