@@ -72,7 +72,7 @@ def shown(
     if holds is None or not (_finite(value) and _finite(limit)):
         return Shown(_text(value, factor, DIGITS), _text(limit, factor, DIGITS), name)
     truth = holds(value, limit)
-    if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[operator, arg-type]
+    if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[arg-type]
         return shown(0, limit, relation, unit, state)
     texts = next(
         (found for count in range(DIGITS, MOST + 1)

@@ -85,6 +85,7 @@ def _effect(name: str) -> Entry:
 
 
 def _material(one: Material) -> Entry:
+    assert one.range_m is not None, "every material of the table has its range"
     short, long = one.range_m
     wave = GREEN if short <= GREEN <= long else 0.5 * (short + long)
     told = [
