@@ -85,7 +85,8 @@ def _effect(name: str) -> Entry:
 
 
 def _material(one: Material) -> Entry:
-    short, long = one.range_m or (0.0, inf)
+    assert one.range_m is not None, "every material of the table has its range"
+    short, long = one.range_m
     wave = GREEN if short <= GREEN <= long else 0.5 * (short + long)
     told = [
         f"n = {float(one.index(wave)):.4f} at {1e9 * wave:.0f} nm",

@@ -25,6 +25,9 @@ a report.
 PER_RAY, PER_FACET, PER_LIT, PER_BYTE = 4.8e-6, 1.1e-6, 8e-6, 1e-6
 """Seconds of a ray of the main bundle, a facet in a file, a facet of the cells that are lit, a byte of a solid's text."""
 
+FOUND, PER_FOUND = 0.2, 1.5e-6
+"""Seconds of finding how a part lies that no manifest lists, and of a facet of it: of 2,500 and of 334,000 facets."""
+
 MOST_LIT = 500_000
 """Facets of one cell up to which finer ones take longer to light."""
 
@@ -36,13 +39,15 @@ def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
     ----------
     rays : int
     files : sequence of Subject
-        Meshes cost their triangles, and once the study of how facets converge; solids their text.
+        Meshes cost their triangles, and once the study of how facets converge; returned ones are found besides; solids
+        cost their text.
     report : bool
         Whether a report is written of it.
     """
     meshes = [subject for subject in files if subject.is_mesh]
     solids = [subject for subject in files if subject.is_solid]
     triangles = sum(MESH + PER_FACET * _facets(subject) + PER_LIT * _lit(subject) for subject in meshes)
+    triangles += sum(FOUND + PER_FOUND * _facets(subject) for subject in meshes if _returned(subject))
     text = sum(SOLID + PER_BYTE * subject.bytes for subject in solids)
     once = DESIGN + PER_RAY * rays + (CONVERGENCE if meshes else 0.0) + (REPORT if report else 0.0)
     return once + triangles + text
@@ -55,7 +60,13 @@ def task(files: Sequence[Subject], report: bool = False) -> str:
         for name, is_one in (("mesh", "is_mesh"), ("step", "is_solid"))
         if any(getattr(s, is_one) for s in files)
     ]
-    return " ".join(["verify", *kinds, *(["report"] if report else [])])
+    returned = ["returned"] if any(s.is_mesh and _returned(s) for s in files) else []
+    return " ".join(["verify", *kinds, *returned, *(["report"] if report else [])])
+
+
+def _returned(subject: Subject) -> bool:
+    """Whether no manifest lists a file: how it lies is not known."""
+    return not subject.entry
 
 
 def _lit(subject: Subject) -> float:

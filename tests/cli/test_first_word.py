@@ -15,9 +15,9 @@ from clacad.exporting.request import Request
 from clacad.exporting.roles import Role
 from clacad.exporting.rough_seconds import rough_span
 from clacad.exporting.run import forecast_rows, in_all
-from clacad.verification.files.find_files import find_files, list_files
+from clacad.verification.files.find_files import Subject, find_files, list_files
 from clacad.verification.run import verified
-from clacad.verification.verification_cost import seconds
+from clacad.verification.verification_cost import seconds, task
 
 TEXT = {
     "format": 1, "name": "small", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
@@ -109,3 +109,17 @@ def test_verifying_instances_is_forecast_by_the_facets_in_the_file(tmp_path: Pat
     (subject,) = list_files(tmp_path).subjects
     assert subject.entry["triangles"] == 2500 * subject.entry["triangles_stored"]
     assert seconds(2048, [subject]) < 10.0
+
+
+def test_a_returned_part_is_forecast_with_finding_how_it_lies():
+    stated = {"quads": 48, "triangles": 334_080}
+    listed, returned = (
+        Subject(Path("x.stl"), "x.stl", "stl-binary", entry, 84 + 50 * 334_080) for entry in (stated, {})
+    )
+    lit = seconds(0, [listed]) - seconds(
+        0, [Subject(Path("x.stl"), "x.stl", "stl-binary", {"triangles": 334_080})]
+    )
+    assert seconds(0, [returned]) - (seconds(0, [listed]) - lit) == pytest.approx(
+        0.7, abs=0.05
+    )  # as measured
+    assert task([returned]) != task([listed])  # what one took says little of the other

@@ -289,7 +289,7 @@ def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) 
     i0, j0 = (int(v) for v in found.first)
     n1, n2 = face.cells.shape
     image = axes.imshow(
-        (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal",
+        (face.cells * microns).T, origin="lower", cmap="viridis", aspect="equal", vmin=0.0,
         extent=(i0 - 0.5, i0 + n1 - 0.5, j0 - 0.5, j0 + n2 - 0.5),
     )  # fmt: skip
     mine = [dent for dent in found.dents if dent.face == face.name]
