@@ -42,6 +42,7 @@ LINES = {
     "atlas": Line(("atlas", "-o", "out", "--scenes", f"{ROOT}/designs/scenes", "--rows", "F2", "--size", "32", "--samples", "1",
                    "--no-movies", "--no-measure")),
     "new": Line(("new", "out/fresh"), ("fresh.toml",)),
+    "check": Line(("check", "{}/t.toml", "--set", "check.law_rms=1 mrad", "--fix", "-o", "out/better.toml"), ("better.toml",)),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
