@@ -177,7 +177,9 @@ def _grown(trials: Trials, state: _State) -> list[_State]:
     levers = UNBUILT if judged is None else levers_of(now, failing)
     found = []
     for lever in levers:
-        if lever.key in state.changes:
+        if (
+            lever.key in state.changes and lever.way != "shape"
+        ):  # a shape is tuned again for what was changed since
             continue
         changes = _pulled(trials, state.changes, lever, now, judged, failing)
         if changes is not None:
@@ -192,7 +194,8 @@ def _pulled(
     mine = [c for c in failing if mends(lever, c)]
     values = settings(lever, now, judged, failing)
     if lever.way == "shape":
-        return trials.shaped(before, values)
+        tuned = {k: before[k] for k in ("pair.surface", "pair.conic") if "pair.conic" in before}
+        return trials.shaped(before, (tuned,) if tuned else values)
     met = trials.nearest(before, values, lambda trial: all(settled(trial, c) for c in mine))
     if met is not None:
         return met
