@@ -130,7 +130,7 @@ def settings(
         present = getattr(design.pair, lever.key.partition(".")[2], design.lattice.aperture)
         return tuple({lever.key: word} for word in _WORDS[lever.key] if word != present)
     if lever.way == "shape":
-        return tuple(_conic(k) for k in CONICS)
+        return tuple(_conic(k, k) for k in CONICS)
     making: Callable[[Design, str, Judged | None], tuple[Changes, ...]] | None = _SCALED.get(lever.key)
     if making is not None:
         return making(design, lever.way, judged)
@@ -139,14 +139,15 @@ def settings(
     return tuple({lever.key: value} for value in _lengths(lever, design, checks))
 
 
-def _conic(k: float) -> Changes:
-    return {"pair.surface": "biconic", "pair.conic": [nice(k, 3), nice(k, 3)]}
+def _conic(x: float, y: float) -> Changes:
+    return {"pair.surface": "biconic", "pair.conic": [nice(x, 3), nice(y, 3)]}
 
 
 def conics_about(changes: Changes, step: float) -> tuple[Changes, ...]:
-    """The same changes with a conic constant a step less, and a step more."""
-    k = changes["pair.conic"][0]
-    return tuple({**changes, **_conic(k + change)} for change in (-step, step))
+    """The same changes with the conic constant of one meridian a step less, and a step more."""
+    x, y = changes["pair.conic"]
+    beside = ((x - step, y), (x + step, y), (x, y - step), (x, y + step))
+    return tuple({**changes, **_conic(*one)} for one in beside)
 
 
 def _separations(design: Design, way: str, _: Judged | None) -> tuple[Changes, ...]:
