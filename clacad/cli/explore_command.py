@@ -18,9 +18,9 @@ def explore_design(
     path: Path, overrides: list[str], out: Path, *, dry_run: bool, overwrite: bool, json: bool, quiet: bool
 ) -> int:
     """Write the page, or with --dry-run say what it would be; print what it says first and what it leaves out."""
+    design = load_counted(path, overrides)  # refuses before anything is loaded that makes pages
     from clacad.explorer.write_page import SECONDS, explore
 
-    design = load_counted(path, overrides)
     with forecast("explore", SECONDS, quiet=quiet):
         made = explore(design, out, overwrite, dry_run=dry_run)
     if json:

@@ -37,7 +37,7 @@ CASES = {
     "tilted hexagons": (shipped("hexagonal"), {"theta": -15.0, "phi": 40.0, "azimuth": 12.0}),
     "round, with border and seams": (shipped("slab", **ROUND), {"delta_x": 0.02, "azimuth": 1.5, "elevation": 0.6, "fov": 0.5}),
     "opaque land": (shipped("slab", **ROUND, **{"lattice.land": "opaque"}), {"theta": 3.0, "fov": 0.45, "azimuth": 0.7}),
-    "baffle": (shipped("baffled"), {"azimuth": 1.0}),
+    "baffle": (shipped("baffled"), {"azimuth": 1.0, "fov": 1.37}),
 }  # fmt: skip
 
 
