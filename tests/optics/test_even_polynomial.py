@@ -114,7 +114,9 @@ def test_where_base_and_terms_cancel_the_height_is_zero_to_rounding_of_the_terms
     assert np.abs(met.distance - 1.0).max() <= 4 * ULP
 
 
-@pytest.mark.parametrize("slope", [10.0, 100.0, 1e4])
+@pytest.mark.parametrize(
+    "slope", [10.0, pytest.param(100.0, marks=pytest.mark.slow), pytest.param(1e4, marks=pytest.mark.slow)]
+)
 def test_a_grazing_ray_meets_the_face_or_is_lost_but_never_somewhere_else(slope):
     """Many crossings are possible: what is returned lies on the face, on its real part, in the ray's own sense."""
     for name, shape in SHAPES.items():

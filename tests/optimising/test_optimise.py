@@ -86,7 +86,12 @@ BARS = {
 }
 
 
-@pytest.mark.parametrize("name", BARS)
+HEAVY = ("paper-a-covered bending and a4", "window-100mm radii and conics")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in HEAVY else ()) for name in BARS]
+)
 def test_bars_are_reached_by_fresh_rays_through_another_tracer(name):
     sheet, free, bar, share = BARS[name]
     design, found = load(DESIGNS / f"{sheet}.toml"), found_of(sheet, free)
@@ -255,6 +260,7 @@ def test_walls_that_leave_no_room_are_told_with_the_nearest_miss():
         optimise(design, ("conic",))
 
 
+@pytest.mark.slow
 def test_faces_stay_within_the_walls(paper):
     design, window = paper
     found = found_of("paper-a-covered", ("bending", "a4"))
