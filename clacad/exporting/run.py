@@ -38,8 +38,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     report = progress if progress is not None else silent
     formats = known_formats(request.formats)
     made = design if request.cells is None else design.with_cells(request.cells)
-    if not request.force:
-        limits.refuse_uncountable(made)
+    _refuse_by_count(made, formats, request)
     began, used = time.monotonic(), time.process_time()
     with ended_by_signals(), Worker(memory=limits.worker_memory(), preload=CAD_MODULES) as worker:
         if "step" in formats:
@@ -101,8 +100,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     """
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = known_formats(request.formats)
-    if not request.force:
-        limits.refuse_uncountable(made)
+    _refuse_by_count(made, formats, request)
     meshes = Meshes(_prescribed(made), request.saddle_bevel, request.fused)
     if out is None:
         return _forecast(made, meshes, formats, request, None)
@@ -120,10 +118,22 @@ def refuse_impossible(design: Design, request: Request) -> None:
     """
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = known_formats(request.formats)
-    if not request.force:
-        limits.refuse_uncountable(made)
+    _refuse_by_count(made, formats, request)
     with ended_by_signals(), Worker(memory=limits.worker_memory()) as worker:
         _impossible(made, _prescribed(made), formats, request, worker).complete()
+
+
+def _refuse_by_count(design: Design, formats: tuple[str, ...], request: Request) -> None:
+    """Refuse what no format can be for the mere number of its lenslets, before the design is even made."""
+    if request.force:
+        return
+    limits.refuse_uncountable(design)
+    refused = Refusals()
+    for name in formats:
+        with refused.of(name):
+            limits.refuse_early(design, (name,), request.quads)
+    if all(name in refused for name in formats):
+        refused.complete()
 
 
 def _impossible(

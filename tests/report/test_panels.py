@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 import warnings
+from types import SimpleNamespace
 
-from clacad.report.figures import svg
+import numpy as np
+
+from clacad.report.figures import convergence_caption, svg
 from clacad.report.panels import Margins, panels
+from clacad.verification.light.facet_convergence import Convergence
 
 
 def test_panels_keep_their_margins_and_nobody_complains():
@@ -25,3 +29,18 @@ def test_panels_keep_their_margins_and_nobody_complains():
     left, bottom, width, height = placed[0]
     assert abs(4.0 * left - 0.5) + abs(2.0 * bottom - 0.4) < 1e-12
     assert abs(4.0 * width - 3.25) + abs(2.0 * height - 1.4) < 1e-12
+
+
+def test_the_caption_of_the_refinement_plot_tells_the_plots_own_numbers():
+    found = Convergence(np.array([4, 8]), np.array([20e-3, 10.4e-3]), np.array([0.08, 0.03]), 0.943, 1.415)
+    said = convergence_caption(SimpleNamespace(convergence=found))
+    for words in (
+        "4, 8 quads",
+        "from 20 to 10 mrad",
+        "to the power 0.94",
+        "from 8 to 3 %",
+        "to the power 1.42",
+        "expected is 1",
+    ):
+        assert words in said
+    assert convergence_caption(SimpleNamespace(convergence=None)) == ""

@@ -12,7 +12,7 @@ from clacad.formats.mesh.readers import read_mesh
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import CannotRegister, verify
 from clacad.verification.files.find_files import find_files
-from clacad.verification.returned.deviation_map import deviation_map, plot_deviation
+from clacad.verification.returned.deviation_map import _draw, deviation_map, plot_deviation
 from clacad.verification.returned.judge_part import cut_to
 from clacad.verification.returned.registration import place
 
@@ -256,6 +256,16 @@ def test_facets_cut_to_a_cell_keep_its_area_and_their_side():
     assert area.sum() == pytest.approx(1.0, rel=1e-12)
 
 
+def labels(mapped, found):
+    """Texts beside the axes of the picture of a map."""
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    _draw(figure, mapped, "part.stl")
+    for axes in figure.axes:
+        found += [axes.get_xlabel(), axes.get_ylabel()]
+
+
 def test_the_deviation_map_is_a_picture_and_a_table(soup):
     generator = np.random.default_rng(1)
     scan = soup + generator.normal(0.0, 1e-4, soup.shape)
@@ -269,6 +279,15 @@ def test_the_deviation_map_is_a_picture_and_a_table(soup):
     table = mapped.to_dict()
     assert np.array(table["faces"][0]["folded"], dtype=float).shape == (16, 16)
     assert np.array(table["faces"][0]["cells"], dtype=float).shape == (7, 5)
+    assert table["unit_mm"] == 1.0
+    lattice = prescribe(DESIGN).lattice
+    np.testing.assert_allclose(
+        mapped.steps, lattice.centres(np.array([[1, 1]]))[0] - lattice.centres(np.array([[0, 0]]))[0]
+    )
+    drawn_in_units = []
+    labels(mapped, drawn_in_units)
+    assert any("rms deviation / µm" in text for text in drawn_in_units)
+    assert any("mm" in text and text.startswith("cell i") for text in drawn_in_units)
     first = plot_deviation(mapped, "part.stl")
     assert first.startswith(b"\x89PNG")
     assert first == plot_deviation(mapped, "part.stl")
