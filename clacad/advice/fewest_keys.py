@@ -1,8 +1,8 @@
 """The fewest keys that make a design pass, its law kept; where nothing passes, which limits bind.
 
 Sets of one key are tried first, then of two, three and four. Of as many keys that set is taken which changes least. Longer sets
-grow from the two shorter ones that come nearest to passing; so a set found is tried and passes, and no single key of those
-tried does if it has two, but a set of other keys that no part of leads towards may be missed.
+grow from the two shorter ones that come nearest to passing, and lose at last every key that they pass without; so a set found
+is tried and passes, but a set of other keys that no part of leads towards may be missed.
 """
 
 from __future__ import annotations
@@ -130,8 +130,21 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
             best = min([best, *beam], key=lambda state: (state.bad, state.size))
     except NoMoreTrials:
         pass
-    changed = design.replace(best.changes) if best.changes else design
-    return Fixed(changed, design, best.changes, trials.judged(best.changes), len(trials.made))
+    changes = _pruned(trials, best.changes) if best.bad == 0.0 else best.changes
+    changed = design.replace(changes) if changes else design
+    return Fixed(changed, design, changes, trials.judged(changes), len(trials.made))
+
+
+def _pruned(trials: Trials, changes: Changes) -> Changes:
+    """The same set without the keys that it passes without: a longer set may have grown past the need of its first ones."""
+    trials.most += len(changes)
+    for key in changes:
+        less = {
+            k: v for k, v in changes.items() if k != key and (k, key) != ("lattice.count", "lattice.pitch")
+        }
+        if key != "lattice.count" and less and badness(trials.judged(less), trials.design) == 0.0:
+            changes = less
+    return changes
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,7 +93,7 @@ class Trials:
         )
         if bad == inf:
             return None
-        found = {**before, **settings[best]}
+        found: Changes = {**before, **settings[best]}
         for step in CONIC_STEPS:
             for one in conics_about(found, step):
                 if bad > 0.0 and (now := self._bad(one)) < bad:

@@ -30,7 +30,9 @@ class Several:
         if not isinstance(value, list):
             if self.single:
                 return (self.kind.read(value, unit),) * len(self.names)
-            raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit), self._listed(value, unit))
+            raise Refusal(
+                "CL104", not_this(value, "a list"), value, self.allowed(unit), self._listed(value, unit)
+            )
         if len(value) != len(self.names):
             raise Refusal(
                 "CL108", f"has {len(value)} value{'s' * (len(value) != 1)}", value, self.allowed(unit)

@@ -34,7 +34,9 @@ def polygon_area(points: Floats) -> float:
 
 def polygon_areas(points: Floats) -> Floats:
     """Signed areas (k,), length², of polygons (k, m, 2) of as many corners each."""
-    x, y = np.moveaxis(points - points[:, :1], -1, 0)  # shoelace about a corner: no cancellation far from the origin
+    x, y = np.moveaxis(
+        points - points[:, :1], -1, 0
+    )  # shoelace about a corner: no cancellation far from the origin
     return np.asarray(0.5 * np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1))
 
 

@@ -99,6 +99,7 @@ def test_a_fix_changes_the_fewest_keys_keeps_the_law_and_every_comment_and_passe
     assert passed(by_all_rays(fixed).values())
 
 
+@pytest.mark.slow
 def test_overrides_are_written_too(too_close, tmp_path):
     out = tmp_path / "better.toml"
     assert (
@@ -138,6 +139,7 @@ def test_where_nothing_passes_the_limits_that_bind_are_named_and_nothing_is_writ
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_design_that_cannot_be_built_is_led_to_one_that_can():
     design = Design.from_dict(tomllib.loads(ROUND)).replace({"pair.separation": 0.5})
     with pytest.raises(ValueError, match="radius"):
@@ -147,6 +149,7 @@ def test_a_design_that_cannot_be_built_is_led_to_one_that_can():
     assert fixed.design.law_spec == design.law_spec
 
 
+@pytest.mark.slow
 def test_an_edge_too_thin_is_told_of_the_keys_of_its_form_and_one_of_them_passes():
     design = Design.from_dict(BICONVEX)
     judged = judge(design)
@@ -171,6 +174,7 @@ def test_another_pitch_keeps_the_size_of_the_sheet():
         assert abs(width - 5.0) <= 0.5 * changes["lattice.pitch"] + 1e-9
 
 
+@pytest.mark.slow
 def test_check_ends_with_the_verdict_of_verify_and_tells_json_the_same(too_close, capsys):
     assert main(["check", str(too_close), "--set", "pair.separation=10"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "verify will pass"

@@ -121,6 +121,40 @@ def differing(record: dict[str, Any]) -> list[str]:
     return found
 
 
+def table(record: dict[str, Any]) -> str:
+    """The record as predictions.md."""
+    rows = [row for row in record.values() if "check" in row]
+    masters = [row for row in rows if "passed" in row]
+    seconds = [sum(row["seconds"][k] for row in rows) / len(rows) for k in (0, 1)]
+    apart: dict[str, float] = {}
+    for row in rows:
+        name, far = row["apart"]
+        apart[name] = max(far, apart.get(name, 0.0))
+    lines = [
+        "# Verdicts of check against those of verify", "", "    " + "python tests/benchmarks/predictions.py -n 200 --step", "",
+        "Random designs of `soak_designs.py`; check sends 8192 rays over the field and 1024 at each of nine field points, where verify",
+        "sends 65536 and 4096.", "", "| | |", "|---|---:|",
+        f"| designs judged by both | {len(rows)} |", f"| refused by both | {len(record) - len(rows)} |",
+        f"| of those judged, verify fails | {sum(not row['verify'] for row in rows)} |",
+        f"| verdicts that differ | {sum(row['check'] != row['verify'] for row in rows)} |",
+        f"| … where no check that decides is within {BAND:.0%} of its limit | "
+        f"{sum(row['check'] != row['verify'] and not row['near'] for row in rows)} |",
+        f"| single checks of another state | {sum(len(row['states']) for row in rows)} |",
+        f"| STEP masters verified | {len(masters)} |",
+        f"| … whose verdict differs from check's | {sum(row['passed'] != row['check'] for row in masters)} |",
+        f"| … outside the band | {len([n for n in differing(record) if 'passed' in record[n]])} |",
+        f"| STEP refused by export | {sum(row.get('step') == 'refused' for row in rows)} |",
+        f"| processor seconds a design, check / verify without curves | {seconds[0]:.2f} / {seconds[1]:.2f} |",
+        "", "Farthest apart of what the two measure, in parts of the limit, the farthest check of each design:", "",
+        "| check | at most |", "|---|---:|",
+        *(f"| {name} | {far:.2g} |" for name, far in sorted(apart.items(), key=lambda one: -one[1])),
+    ]  # fmt: skip
+    for number in differing(record):
+        lines += ["", f"Design {number} differs: check {record[number]['check']}, STEP {record[number].get('step')}; fails: "
+                  f"{', '.join(record[number]['fails'])}."]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
 def main() -> int:
     """Compare; exit 1 if a verdict differs outside the band."""
     parser = argparse.ArgumentParser(description="Verdicts of check against verdicts of verify.")
@@ -132,6 +166,8 @@ def main() -> int:
     record = json.loads(RECORD.read_text()) if RECORD.exists() else {}
     if not asked.table:
         run(record, asked.n, asked.seconds, step=asked.step)
+    if asked.table:
+        TABLE.write_text(table(record))
     bad = differing(record)
     sys.stdout.write(f"{sum('check' in row for row in record.values())} designs, differing: {bad}\n")
     return 1 if bad else 0

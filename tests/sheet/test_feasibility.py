@@ -193,6 +193,25 @@ def test_the_closed_form_share_is_what_thin_lenses_do_to_traced_rays(changes):
     assert share(cells, direction[None])[0] == pytest.approx(alive, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    "changes", [{}, {"law.euler": [20.0, 5.0, 0.0]}, {"lattice.kind": "hexagonal", "law.eta": [-1.5, -1.5]}]
+)
+@pytest.mark.parametrize("cone", [0.02, 0.2, 1.0])
+def test_shares_of_many_directions_are_those_of_each_copy_cut_by_itself(changes, cone):
+    cells = thin_cells(window_of(changes))
+    direction = np.column_stack([cone * (2.0 * sobol(64, 2) - 1.0), np.ones(64)])
+    arrival, target = cells.separation * cells.slopes(direction), cells.zone + cells.neighbour((0, 0))
+
+    def area(polygon):
+        x, y = polygon.T if len(polygon) > 2 else np.zeros((2, 3))
+        return 0.5 * float(np.dot(x, np.roll(y, -1)) - np.dot(np.roll(x, -1), y))
+
+    each = [area(clip(cells.image + at, target)) for at in arrival]
+    assert share(cells, direction) == pytest.approx(
+        cells.part * np.array(each) / area(cells.image), abs=1e-12
+    )
+
+
 def test_shares_of_all_ghost_orders_add_to_one():
     cells = thin_cells(window_of({"law.euler": [20.0, 0.7, 0.0]}))
     direction = np.array([[0.03, -0.02, 1.0]])

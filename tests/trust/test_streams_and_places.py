@@ -145,7 +145,7 @@ def test_what_is_printed_into_a_closed_stream_ends_up_in_no_file(tmp_path: Path)
 ], ids=str)  # fmt: skip
 def test_a_stream_that_lacks_letters_changes_no_status(tmp_path: Path, changes: dict[str, str]) -> None:
     done = shell("check t.toml", "", tmp_path, **changes)
-    assert (done.returncode, "the design rules hold" in done.stdout) == (0, True), done.stderr
+    assert (done.returncode, "verify will pass" in done.stdout) == (0, True), done.stderr
     done = clacad("check", "t.toml", "--json", cwd=tmp_path, **changes)
     assert json.loads(done.out) == json.loads(clacad("check", "t.toml", "--json", cwd=tmp_path).out)
 

@@ -112,9 +112,7 @@ class Turn:
     doubt: float
 
 
-def measure(
-    design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS
-) -> Optics:
+def measure(design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS) -> Optics:
     """Trace the bundles of the checks through something and gather what they say.
 
     Parameters
