@@ -88,19 +88,11 @@ def wanted_pitch(wish: Wish) -> Bound:
     return Bound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.viewing:g} mm")
 
 
-def aberration(wish: Wish, ratio: float) -> float:
-    """Rms error of the law (radians) to expect of spherical lenses at a separation of `ratio` pitches.
-
-    Lens i errs by the third power of its aperture over f_i, pitch × (1 − η)/separation, lens 1 seen through lens 2, 1/|η|;
-    and the exit slope t/η keeps a distortion of its third power.
-    """
-    sphere = max(SPHERICAL * abs(1.0 - eta) ** 3 * (1.0 + 1.0 / abs(eta)) / 16.0 for eta in powers(wish))
-    exit_slope = max(wish.field / abs(eta) for eta in powers(wish))
-    return sqrt((sphere / ratio**3) ** 2 + (0.5 * exit_slope**3) ** 2)
-
-
 def least_ratio(wish: Wish, error: float) -> float:
-    """Separation over pitch at which spherical aberration alone makes this rms error (radians)."""
+    """Separation over pitch at which spherical aberration alone makes this rms error (radians).
+
+    Lens i errs by the third power of its aperture over f_i, pitch x (1 - eta)/separation; lens 1 is seen through lens 2, 1/|eta|.
+    """
     sphere = max(SPHERICAL * abs(1.0 - eta) ** 3 * (1.0 + 1.0 / abs(eta)) / 16.0 for eta in powers(wish))
     return float((sphere / error) ** (1.0 / 3.0))
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import typer
+
 from clacad.advice.wish import KEYS, UNIT, read_wish, read_word, written
 from clacad.config.design_error import DesignError
 from clacad.design import template
@@ -35,7 +37,10 @@ def ask() -> tuple[str, dict[str, Any]]:
 
 def _answer(question: str, default: str, read: Callable[[str], Any]) -> Any:
     while True:
-        typed = input(f"{question} [{default}]: ").strip() or default
+        try:
+            typed = input(f"{question} [{default}]: ").strip() or default
+        except EOFError:  # Ctrl-D: no more answers
+            raise typer.Abort from None
         try:
             return read(typed)
         except DesignError as problem:

@@ -251,3 +251,16 @@ def test_questions_have_defaults_and_a_wrong_answer_is_explained_and_asked_again
     assert read_wish(words) == Wish(
         (-0.5, -0.5), Outline("circle", (60.0, 60.0)), viewing=2000.0, process="moulding", material="PC", kind="hexagonal"
     )  # fmt: skip
+
+
+def test_a_person_who_gives_no_more_answers_ends_the_command(monkeypatch):
+    from typer import Abort
+
+    from clacad.cli.questions import ask
+
+    def gone(question):
+        raise EOFError
+
+    monkeypatch.setattr("builtins.input", gone)
+    with pytest.raises(Abort):
+        ask()
