@@ -31,6 +31,7 @@ class Line:
 
 LINES = {
     "trace": Line(("trace", "{}/t.toml", "{}/rays.npz", "-o", "out/traced.npz"), ("traced.npz",)),
+    "check": Line(("check", "{}/t.toml", "--set", "check.law_rms=1 mrad", "--fix", "-o", "out/better.toml"), ("better.toml",)),
     "verify": Line(("verify", "{}/t.toml", "--rays", "256", "-o", "out"), ("report.html", "report.json")),
     "accuracy": Line(("accuracy", "{}/t.toml", "--rays", "400", "-o", "out/plot.svg")),
     "tolerance": Line(("tolerance", "{}/t.toml", "--samples", "6", "--rays", "64", "-o", "out"),
@@ -42,7 +43,6 @@ LINES = {
     "atlas": Line(("atlas", "-o", "out", "--scenes", f"{ROOT}/designs/scenes", "--rows", "F2", "--size", "32", "--samples", "1",
                    "--no-movies", "--no-measure")),
     "new": Line(("new", "out/fresh"), ("fresh.toml",)),
-    "check": Line(("check", "{}/t.toml", "--set", "check.law_rms=1 mrad", "--fix", "-o", "out/better.toml"), ("better.toml",)),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
