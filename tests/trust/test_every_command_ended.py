@@ -35,6 +35,7 @@ class Line:
 
 LINES = {
     "trace": Line(("trace", "{}/t.toml", "{}/rays.npz", "-o", "out/traced.npz"), ("traced.npz",)),
+    "check": Line(("check", "{}/t.toml", "--set", "check.law_rms=1 mrad", "--fix", "-o", "out/better.toml"), ("better.toml",)),
     "verify": Line(("verify", "{}/t.toml", "--rays", "256", "-o", "out"), ("report.html", "report.json")),
     "accuracy": Line(("accuracy", "{}/t.toml", "--rays", "400", "-o", "out/plot.svg")),
     "tolerance": Line(("tolerance", "{}/t.toml", "--samples", "6", "--rays", "64", "-o", "out"),
