@@ -48,7 +48,6 @@ LINES = {
                    "--no-movies", "--no-measure")),
     "new": Line(("new", "out/fresh"), ("fresh.toml", "clacad.schema.json")),
     "new for": Line(("new", "out/wished", "--for", "eta=-1, width=5, process=moulding"), ("wished.toml", "clacad.schema.json")),
-    "check": Line(("check", "{}/t.toml", "--set", "check.law_rms=1 mrad", "--fix", "-o", "out/better.toml"), ("better.toml",)),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml"), ("better.toml",), (), ("better.toml",)),
     "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
