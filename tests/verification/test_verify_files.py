@@ -11,6 +11,7 @@ from filesonly import only_files
 from oracle.plain_mesh import facets, sheet_facets, write_stl
 
 from clacad.design import Design
+from clacad.exporting.export_design import export
 from clacad.prescription.prescribe import prescribe
 from clacad.verification import CannotRegister, passed, verify
 from clacad.verification.files.find_files import find_files
@@ -291,3 +292,19 @@ def test_a_preview_of_a_manifest_counts_as_declared_only_where_it_was(tmp_path, 
         report = verify(DESIGN, sealed(tmp_path, soup, **told), rays=RAYS)
         assert (report.word, report.exit_status) == ("shape only", status)
         assert failed(report) == set()
+
+
+def test_a_thin_sheet_whose_steps_are_closed_on_purpose_keeps_its_volume(tmp_path):
+    """Twelve steps of less than a nanometre in plates 9 µm thick: 1.6e-8 of their volume, and nothing is wrong."""
+    thin = Design.from_dict({
+        "format": 1, "name": "thin", "unit": "um",
+        "law": {"eta": [-1.9780287328263166, -1.3573234770625056],
+                "euler": [64.77035801904802, 0.12297237488719004, -161.37747648584093], "euler_axes": "fixed"},
+        "pair": {"form": "plano", "separation": 4506.298149886586, "curved": "outside", "material": "PMMA"},
+        "lattice": {"kind": "rectangular", "pitch": [127.99756841609715, 103.35026271817053], "count": [4, 4]},
+    })  # fmt: skip
+    manifest = export(thin, tmp_path, formats=("step",))
+    assert manifest.files[0]["merged_steps"] == 12
+    volume = next(c for c in verify(thin, tmp_path, rays=RAYS).checks if c.id == "volume")
+    assert volume.state == "pass"
+    assert 1e-9 < abs(volume.value) / 0.001864294501938 < 1e-7  # mm³, the design's by quadrature
