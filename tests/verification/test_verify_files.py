@@ -294,6 +294,7 @@ def test_a_preview_of_a_manifest_counts_as_declared_only_where_it_was(tmp_path, 
         assert failed(report) == set()
 
 
+@pytest.mark.slow
 def test_a_thin_sheet_whose_steps_are_closed_on_purpose_keeps_its_volume(tmp_path):
     """Twelve steps of less than a nanometre in plates 9 µm thick: 1.6e-8 of their volume, and nothing is wrong."""
     thin = Design.from_dict({
