@@ -19,6 +19,9 @@ from clacad.verification.checks import Check
 TRIALS = 60
 """Designs that are tried at most: some ten seconds."""
 
+SECONDS = 20.0
+"""Processor seconds after which `check` tries no more: designs with much tilt take seconds each."""
+
 MOST = 3
 """Ways that are told of each check."""
 
@@ -119,7 +122,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     from clacad.base.types import silent
 
     judged = judge(design) if judged is None else judged
-    trials = Trials(design, TRIALS, progress or silent)
+    trials = Trials(design, TRIALS, progress or silent, SECONDS)
     wanted = [*judged.failing, *judged.warning]
     found: list[Changes] = []
     try:

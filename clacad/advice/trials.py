@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import inf
+from time import process_time
 
 from clacad.advice.judged import Judged, judge, tight
 from clacad.advice.levers import CONIC_STEPS, Changes, conics_about
@@ -20,7 +21,7 @@ STAGE = "trying changed keys"
 
 
 class NoMoreTrials(Exception):
-    """As many designs were tried as may be."""
+    """As many designs were tried as may be, or for as long."""
 
 
 @dataclass(eq=False)
@@ -35,12 +36,16 @@ class Trials:
         Trials that may be made.
     progress : callable
         Called with the stage and the part of the trials made.
+    seconds : float
+        Processor seconds after which none is begun.
     """
 
     design: Design
     most: int
     progress: Progress = silent
+    seconds: float = inf
     made: dict[str, Judged | None] = field(default_factory=dict)
+    _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
         """The design with some keys changed, judged; None where it is no design or cannot be built.
@@ -51,7 +56,7 @@ class Trials:
         """
         name = _name(changes)
         if name not in self.made:
-            if len(self.made) >= self.most:
+            if len(self.made) >= self.most or process_time() - self._begun > self.seconds:
                 raise NoMoreTrials
             self.progress(STAGE, len(self.made) / self.most)
             try:

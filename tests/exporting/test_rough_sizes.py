@@ -53,7 +53,7 @@ def test_rough_sizes_are_near_the_close_ones(name: str) -> None:
 
 def test_a_check_loads_no_mesher_no_solids_and_no_writer() -> None:
     program = (
-        "import json, sys; from clacad.cli.design_commands import check_design; from pathlib import Path; "
+        "import json, sys; from clacad.cli.check_command import check_design; from pathlib import Path; "
         "check_design(Path('designs/plano.toml'), [], json=False, quiet=True); print(json.dumps(sorted(sys.modules)))"
     )
     loaded = json.loads(

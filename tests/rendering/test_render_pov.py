@@ -173,7 +173,7 @@ def test_a_sheet_that_the_scene_cannot_hold_is_refused_in_words():
     from clacad.design import load
 
     window = prescribe(load(ROOT / "designs" / "slab.toml", ('pair.surface="biconic"',)))
-    with pytest.raises(NotForPov, match="cannot hold biconic faces"):
+    with pytest.raises(NotForPov, match="cannot hold biconic or polynomial faces"):
         list(pov_lines(window, None))
 
 
