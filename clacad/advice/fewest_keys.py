@@ -148,7 +148,7 @@ def _pruned(trials: Trials, changes: Changes) -> Changes:
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
+class _Changed:
     """A set of changes, how far it is from passing, and how much it changes."""
 
     changes: Changes
@@ -156,20 +156,20 @@ class _State:
     size: float
 
 
-def _state(trials: Trials, changes: Changes) -> _State:
-    return _State(changes, badness(trials.judged(changes), trials.design), size_of(changes, trials.design))
+def _state(trials: Trials, changes: Changes) -> _Changed:
+    return _Changed(changes, badness(trials.judged(changes), trials.design), size_of(changes, trials.design))
 
 
-def _unlike(states: Sequence[_State]) -> list[_State]:
+def _unlike(states: Sequence[_Changed]) -> list[_Changed]:
     """States of different changes, those that come to nothing left out."""
-    found: list[_State] = []
+    found: list[_Changed] = []
     for state in states:
         if state.bad < inf and not any(state.changes == other.changes for other in found):
             found.append(state)
     return found
 
 
-def _grown(trials: Trials, state: _State) -> list[_State]:
+def _grown(trials: Trials, state: _Changed) -> list[_Changed]:
     """The state with one more key changed, in each way that may help."""
     judged = trials.judged(state.changes)
     now = trials.design.replace(state.changes) if state.changes else trials.design

@@ -1,6 +1,6 @@
 """Closed formulas that say, before anything is built, between which pitches and separations a wish can come true.
 
-They are first numbers for the search (`clacad.advice.search`), which builds and judges; nothing is promised by them.
+They are first numbers for the search (`clacad.advice.wish_search`), which builds and judges; nothing is promised by them.
 Sources: thin-lens relations and third-order sums as in Welford, *Aberrations of Optical Systems*; the pitch of least blur
 from the quarter-wave rule (wave-traced within 10 %).
 """
@@ -31,7 +31,7 @@ SPHERICAL = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class PitchBound:
     """A length (millimetres) that a pitch is held against, and why."""
 
     value: float
@@ -39,16 +39,16 @@ class Bound:
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class FormNumbers:
     """What the formulas need of a form: its radii over (n - 1) f, and the thickness of the part over its separation."""
 
     radius: float
     thickness: float
 
 
-def shape_of(form: str, index: float) -> Shape:
+def shape_of(form: str, index: float) -> FormNumbers:
     """Of biconvex lenses both faces share the power; a slab is n times its separation thick."""
-    return Shape(2.0 if form == "biconvex" else 1.0, index if form == "slab" else 0.0)
+    return FormNumbers(2.0 if form == "biconvex" else 1.0, index if form == "slab" else 0.0)
 
 
 def index_of(wish: Wish) -> float:
@@ -78,14 +78,14 @@ def sharpest_pitch(wish: Wish, behind: float) -> float:
     )
 
 
-def wanted_pitch(wish: Wish) -> Bound:
+def wanted_pitch(wish: Wish) -> PitchBound:
     """The pitch that looks best, before anybody has to make it."""
     if wish.object is not None:
-        return Bound(
+        return PitchBound(
             sharpest_pitch(wish, wish.object),
             f"least blur of what stands {wish.object:g} mm behind the sheet",
         )
-    return Bound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.viewing:g} mm")
+    return PitchBound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.viewing:g} mm")
 
 
 def least_ratio(wish: Wish, error: float) -> float:
@@ -97,7 +97,7 @@ def least_ratio(wish: Wish, error: float) -> float:
     return float((sphere / error) ** (1.0 / 3.0))
 
 
-def _radii(wish: Wish, ratio: float, shape: Shape, index: float) -> list[list[float]]:
+def _radii(wish: Wish, ratio: float, shape: FormNumbers, index: float) -> list[list[float]]:
     """|R| of lens 1 and lens 2 in each meridian, over the pitch."""
     first = [inf if eta == 1.0 else ratio / abs(1.0 - eta) for eta in wish.eta]
     second = [f * abs(eta) for f, eta in zip(first, wish.eta, strict=True)]
@@ -112,33 +112,35 @@ def _sags(wish: Wish, radii: list[list[float]]) -> list[float]:
     return [sum(corner / (2.0 * r) for r in lens if isfinite(r)) for lens in radii]
 
 
-def lower_pitches(wish: Wish, ratio: float, shape: Shape) -> Iterator[Bound]:
+def lower_pitches(wish: Wish, ratio: float, shape: FormNumbers) -> Iterator[PitchBound]:
     """Pitches that the wish must not fall below at a separation of `ratio` pitches, each with its reason."""
     rules, index = profile(wish.process), index_of(wish)
     radii = _radii(wish, ratio, shape, index)
     least, flattest = min(min(lens) for lens in radii), min(_sags(wish, radii))
     made = wish.process
-    yield Bound(_fresnel_pitch(wish, ratio), f"Fresnel number {FRESNEL:g} at {ratio:g} pitches of separation")
-    yield Bound(MILLIMETRES * rules.pitch / NEAR, f"least pitch of {made}")
-    yield Bound(MILLIMETRES * 20.0 * rules.voxel, f"20 voxels of {made} across a cell")
-    yield Bound(MILLIMETRES * rules.radius / NEAR / least, f"least radius of {made}")
-    yield Bound(
+    yield PitchBound(
+        _fresnel_pitch(wish, ratio), f"Fresnel number {FRESNEL:g} at {ratio:g} pitches of separation"
+    )
+    yield PitchBound(MILLIMETRES * rules.pitch / NEAR, f"least pitch of {made}")
+    yield PitchBound(MILLIMETRES * 20.0 * rules.voxel, f"20 voxels of {made} across a cell")
+    yield PitchBound(MILLIMETRES * rules.radius / NEAR / least, f"least radius of {made}")
+    yield PitchBound(
         MILLIMETRES * 10.5 * rules.tool / least, f"the tool of {made} leaves a tenth of a cell rounded"
     )
     if rules.layer > 0.0:
-        yield Bound(
+        yield PitchBound(
             MILLIMETRES * 21.0 * rules.layer / flattest, f"20 layers of {made} in the height of a lens"
         )
     if shape.thickness > 0.0:
-        yield Bound(MILLIMETRES * rules.edge / NEAR / (shape.thickness * ratio), f"least edge of {made}")
+        yield PitchBound(MILLIMETRES * rules.edge / NEAR / (shape.thickness * ratio), f"least edge of {made}")
 
 
-def upper_pitches(wish: Wish, ratio: float, shape: Shape) -> Iterator[Bound]:
+def upper_pitches(wish: Wish, ratio: float, shape: FormNumbers) -> Iterator[PitchBound]:
     """Pitches that the wish must not exceed at a separation of `ratio` pitches, each with its reason."""
     rules = profile(wish.process)
     steepest = max(_sags(wish, _radii(wish, ratio, shape, index_of(wish))))
-    yield Bound(min(wish.size.size) / FEWEST_CELLS, f"{FEWEST_CELLS} cells across the sheet")
-    yield Bound(
+    yield PitchBound(min(wish.size.size) / FEWEST_CELLS, f"{FEWEST_CELLS} cells across the sheet")
+    yield PitchBound(
         0.95 * MILLIMETRES * NEAR * rules.sag / steepest, f"greatest height of a lens of {wish.process}"
     )
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from clacad.advice.search import Search, Tried
 from clacad.advice.wish import Wish
+from clacad.advice.wish_search import Search, Tried
 from clacad.base.digits import shown
 from clacad.design.sections import Outline
 from clacad.verification.checks import Check

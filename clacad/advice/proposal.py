@@ -8,9 +8,9 @@ from typing import Any
 
 from clacad.advice.judged import Judged
 from clacad.advice.nearest_wish import binding, nearest
-from clacad.advice.search import Search, Tried
 from clacad.advice.trade_offs import Trade, sentences, trade_offs
 from clacad.advice.wish import Wish, read_wish
+from clacad.advice.wish_search import Search, Tried
 from clacad.base.types import Progress, silent
 from clacad.design import Design
 

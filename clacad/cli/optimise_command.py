@@ -57,7 +57,7 @@ def optimise_design(
     """Search, write the better design, say what was gained; exit 1 where it breaks a design rule, 130 when stopped."""
     design = load_counted(path, overrides)
     from clacad.optimising import optimise, outlook
-    from clacad.optimising.design_text import design_text
+    from clacad.optimising.optimised_text import design_text
     from clacad.storage.atomic import write_file
 
     ahead = outlook(design, request.free)
@@ -100,7 +100,7 @@ def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:
 
 def _finished(found: Optimised, out: Path, *, json: bool, quiet: bool) -> int:
     """Say what was found and written; the exit status."""
-    from clacad.optimising.design_text import gains
+    from clacad.optimising.optimised_text import gains
 
     failed = broken_rules(found.design) if found.finished else []
     if json:

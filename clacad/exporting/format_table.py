@@ -391,7 +391,7 @@ def _optiland(job: Job) -> list[FileRecord]:
 def _drawing(job: Job) -> list[FileRecord]:
     """One DXF with all sheets, and one PDF."""
     from clacad.formats.drawing.dxf import check_drawing_dxf, write_drawing_dxf
-    from clacad.formats.drawing.layout import sheets
+    from clacad.formats.drawing.sheet_layout import sheets
     from clacad.formats.drawing.sheets_pdf import check_drawing_pdf, write_drawing_pdf
     from clacad.formats.study_file import study_of
     from clacad.sheet.feasibility import feasibility

@@ -18,8 +18,8 @@ from clacad.design.given_faces import FaceSpec, face_table
 from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
+from clacad.optimising.search_walls import Walls, penalties
 from clacad.optimising.unknowns import Unknowns, chosen
-from clacad.optimising.walls import Walls, penalties
 from clacad.prescription.given import given_surface
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle, central_cell, cone, launched, middle_direction
@@ -114,7 +114,7 @@ def optimise(
     window = prescribe(design)
     unknowns = chosen(window, tuple(free))
     half_angle = design.check.field if field is None else field
-    search = _Search(design, window, unknowns, half_angle, progress)
+    search = _FaceSearch(design, window, unknowns, half_angle, progress)
     before = tuple(measured(window, part * half_angle, design) for part in FIELDS)
     finished = True
     try:
@@ -159,7 +159,7 @@ def outlook(design: Design, free: tuple[str, ...]) -> dict[str, float]:
     }
 
 
-class _Search:
+class _FaceSearch:
     """Residuals of one search, and the best within the walls so far."""
 
     def __init__(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.digits import shown
 from clacad.base.text import plain
-from clacad.formats.drawing.orientation import orientation
+from clacad.formats.drawing.orientation_notes import orientation
 from clacad.report.fabrication import FabricationLine, fabrication
 from clacad.report.light_rows import LightRows
 from clacad.sheet.feasibility import describe

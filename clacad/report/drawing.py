@@ -28,7 +28,7 @@ def telescopelet(report: Report) -> str:
     light = None
     if report.evidence is not None and report.evidence.foci is not None:
         focus = report.evidence.foci[0].lens1.focus[0] * report.window.thin.rotation[2, 2]
-        light = views.Light(ray_fan(report.window), float(focus))
+        light = views.DrawnLight(ray_fan(report.window), float(focus))
     return views.telescopelet(report.window, report.facts, light, allowances(report.design)).svg()
 
 

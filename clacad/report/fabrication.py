@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.base.units import millimetres
-from clacad.formats.drawing.orientation import orientation
+from clacad.formats.drawing.orientation_notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.lattice import Circle, polygon_area
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent

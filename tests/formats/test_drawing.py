@@ -17,7 +17,7 @@ import pytest
 import clacad
 from clacad.exporting.export_design import export
 from clacad.formats.drawing import views
-from clacad.formats.drawing.layout import MARGIN, PAPERS, sheets
+from clacad.formats.drawing.sheet_layout import MARGIN, PAPERS, sheets
 from clacad.sheet.feasibility import feasibility
 from clacad.storage.errors import FileDisagrees, NotPossible
 
@@ -170,7 +170,7 @@ def test_neither_hash_seed_nor_home_changes_a_byte_of_the_dxf(tmp_path):
     script = (
         "import sys; from pathlib import Path; import clacad\n"
         "from clacad.formats.drawing.dxf import write_drawing_dxf\n"
-        "from clacad.formats.drawing.layout import sheets\n"
+        "from clacad.formats.drawing.sheet_layout import sheets\n"
         "from clacad.sheet.feasibility import feasibility\n"
         f"design = clacad.load({str(DESIGNS / 'slab.toml')!r}).with_cells((2, 2)); window = clacad.prescribe(design)\n"
         "write_drawing_dxf(sheets(design, window, feasibility(window), 'a3', None), Path(sys.argv[1]))\n"

@@ -16,10 +16,10 @@ from trust.running import clacad as run
 from clacad import Design, DesignError, load, optimise, prescribe
 from clacad.optics.fit import LOST, AskedLight, law_residuals, minimise
 from clacad.optimising import search as searching
-from clacad.optimising.search import _kept_light, _Search, given_design, measured
+from clacad.optimising.search import _FaceSearch, _kept_light, given_design, measured
+from clacad.optimising.search_walls import LOST as BEYOND
+from clacad.optimising.search_walls import Walls, penalties
 from clacad.optimising.unknowns import chosen
-from clacad.optimising.walls import LOST as BEYOND
-from clacad.optimising.walls import Walls, penalties
 from clacad.sheet.telescopelet import interfaces
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -159,7 +159,7 @@ def test_trap_2_walls_hold_where_no_ray_of_the_field_goes():
 def test_trap_3_a_conic_that_light_does_not_feel_is_held(paper):
     design, window = paper
     unknowns = chosen(window, ("radii", "conic"))
-    search = _Search(design, window, unknowns, np.radians(1.0), None)
+    search = _FaceSearch(design, window, unknowns, np.radians(1.0), None)
     residuals = search.residuals(unknowns.vector)
     ties = residuals[-4:]
     np.testing.assert_allclose(ties, searching.TIE * unknowns.conics(unknowns.vector))
@@ -213,7 +213,7 @@ def test_least_squares_find_the_least_of_a_known_sum():
 
 
 def test_the_same_search_gives_the_same_file_and_the_file_reads_back(paper):
-    from clacad.optimising.design_text import design_text
+    from clacad.optimising.optimised_text import design_text
 
     one, two = found_of("window-100mm", ("radii",)), optimise(load(DESIGNS / "window-100mm.toml"), ("radii",))
     text = design_text(one)

@@ -13,7 +13,7 @@ import pytest
 
 from clacad.design import Design
 from clacad.formats.drawing.body_outlines import across_cell, heights, outlines
-from clacad.formats.drawing.orientation import orientation
+from clacad.formats.drawing.orientation_notes import orientation
 from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe
 from clacad.report import drawing

@@ -25,7 +25,7 @@ STYLE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class LineMark:
     """A line through points (k, 2), px, or the closed outline that they are."""
 
     points: Floats
@@ -34,7 +34,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True)
-class Ring:
+class CircleMark:
     """A circle, px."""
 
     at: Point
@@ -62,17 +62,17 @@ class ScaleNote:
 
 
 @dataclass(frozen=True, eq=False)
-class Measure:
+class DimensionMark:
     """A dimension: the two points it is taken between, a point of its line, its words, and what it is drawn with."""
 
     ends: tuple[Point, Point]
     base: Point
     upright: bool
     words: str
-    drawn: tuple[Shape | Words, ...]
+    drawn: tuple[LineMark | Words, ...]
 
 
-Mark = Shape | Ring | Words | ScaleNote | Measure
+Mark = LineMark | CircleMark | Words | ScaleNote | DimensionMark
 
 
 class Canvas:
@@ -88,15 +88,15 @@ class Canvas:
 
     def polygon(self, points: Floats, kind: str) -> None:
         """Draw a closed outline (k, 2)."""
-        self.marks.append(Shape(np.asarray(points, dtype=np.float64), kind, closed=True))
+        self.marks.append(LineMark(np.asarray(points, dtype=np.float64), kind, closed=True))
 
     def line(self, points: Floats | Sequence[Point], kind: str) -> None:
         """Draw a line through points (k, 2)."""
-        self.marks.append(Shape(np.asarray(points, dtype=np.float64), kind))
+        self.marks.append(LineMark(np.asarray(points, dtype=np.float64), kind))
 
     def circle(self, at: Point, radius: float, kind: str) -> None:
         """Draw a circle."""
-        self.marks.append(Ring(at, radius, kind))
+        self.marks.append(CircleMark(at, radius, kind))
 
     def text(self, at: Point, words: str, anchor: str = "middle", kind: str = "") -> None:
         """Write words; `anchor` is start, middle or end."""
@@ -108,7 +108,7 @@ class Canvas:
 
     def across(self, x0: float, x1: float, y: float, words: str, start: tuple[float, float]) -> None:
         """Dimension between two x at height y; extension lines come from `start` (y at x0, y at x1)."""
-        drawn: list[Shape | Words] = [
+        drawn: list[LineMark | Words] = [
             _line([(x, from_y), (x, y + (4 if y > from_y else -4))], "ext")
             for x, from_y in zip((x0, x1), start, strict=True)
         ]
@@ -122,11 +122,11 @@ class Canvas:
         else:
             drawn.append(_backed((min(x0, x1) - (4 if room > 26 else 16), y + 4), words, "end"))
         ends = ((x0, start[0]), (x1, start[1]))
-        self.marks.append(Measure(ends, (x0, y), False, words, tuple(drawn)))
+        self.marks.append(DimensionMark(ends, (x0, y), False, words, tuple(drawn)))
 
     def upright(self, y0: float, y1: float, x: float, words: str, start: tuple[float, float]) -> None:
         """Dimension between two y at place x; extension lines come from `start` (x at y0, x at y1)."""
-        drawn: list[Shape | Words] = [
+        drawn: list[LineMark | Words] = [
             _line([(from_x, y), (x + (4 if x > from_x else -4), y)], "ext")
             for y, from_x in zip((y0, y1), start, strict=True)
         ]
@@ -136,7 +136,7 @@ class Canvas:
         middle = 0.5 * (y0 + y1) if room > 14 else min(y0, y1) - 16
         drawn.append(_backed((x + (5 if right else -5), middle + 4), words, "start" if right else "end"))
         ends = ((start[0], y0), (start[1], y1))
-        self.marks.append(Measure(ends, (x, y0), True, words, tuple(drawn)))
+        self.marks.append(DimensionMark(ends, (x, y0), True, words, tuple(drawn)))
 
     def leader(self, tip: Point, elbow: Point, words: str, anchor: str = "start") -> None:
         """Words at the end of a line that points at something."""
@@ -178,15 +178,15 @@ def scale_text(pixels_per_mm: float) -> str:
     return f"{ratio:.3g} : 1" if ratio >= 1 else f"1 : {1 / ratio:.3g}"
 
 
-def _line(points: Sequence[Point], kind: str) -> Shape:
-    return Shape(np.asarray(points, dtype=np.float64), kind)
+def _line(points: Sequence[Point], kind: str) -> LineMark:
+    return LineMark(np.asarray(points, dtype=np.float64), kind)
 
 
 def _backed(at: Point, words: str, anchor: str) -> Words:
     return Words(at, words, anchor, room=CHARACTER * len(words))
 
 
-def _measure(a: Point, b: Point, inside: bool) -> list[Shape]:
+def _measure(a: Point, b: Point, inside: bool) -> list[LineMark]:
     """Dimension line with its heads, from inside or, where there is no room, from outside."""
     way = np.subtract(b, a)
     length = float(np.hypot(*way))
@@ -196,29 +196,29 @@ def _measure(a: Point, b: Point, inside: bool) -> list[Shape]:
     if inside:
         return [_line([a, b], "dim"), _head(a, -unit), _head(b, unit)]
     return [
-        Shape(np.array([np.asarray(a) - 14 * unit, a]), "dim"), Shape(np.array([b, np.asarray(b) + 14 * unit]), "dim"),
+        LineMark(np.array([np.asarray(a) - 14 * unit, a]), "dim"), LineMark(np.array([b, np.asarray(b) + 14 * unit]), "dim"),
         _head(a, unit), _head(b, -unit),
     ]  # fmt: skip
 
 
-def _head(tip: Point, way: Floats) -> Shape:
+def _head(tip: Point, way: Floats) -> LineMark:
     unit = np.asarray(way, dtype=np.float64)
     unit = unit / max(float(np.hypot(*unit)), 1e-9)
     aside = np.array([-unit[1], unit[0]])
     corners = np.array([tip, tip - 7 * unit + 2.2 * aside, tip - 7 * unit - 2.2 * aside])
-    return Shape(corners, "head", closed=True)
+    return LineMark(corners, "head", closed=True)
 
 
 def _svg(mark: Mark, scale: float | None, zoom: float) -> str:
     """One mark as SVG."""
-    if isinstance(mark, Shape):
+    if isinstance(mark, LineMark):
         element = "polygon" if mark.closed else "polyline"
         return f'<{element} class="{mark.kind}" points="{_points(mark.points)}"/>'
-    if isinstance(mark, Ring):
+    if isinstance(mark, CircleMark):
         return (
             f'<circle class="{mark.kind}" cx="{mark.at[0]:.1f}" cy="{mark.at[1]:.1f}" r="{mark.radius:.1f}"/>'
         )
-    if isinstance(mark, Measure):
+    if isinstance(mark, DimensionMark):
         return "\n".join(_svg(one, scale, zoom) for one in mark.drawn)
     if isinstance(mark, ScaleNote):
         mark = said_scale(mark, scale, zoom)

@@ -14,8 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from clacad.formats.drawing.canvas import Mark, Measure, Ring, ScaleNote, Shape, Words, said_scale
-from clacad.formats.drawing.layout import MARGIN, Placed, Sheet
+from clacad.formats.drawing.canvas import (
+    CircleMark,
+    DimensionMark,
+    LineMark,
+    Mark,
+    ScaleNote,
+    Words,
+    said_scale,
+)
+from clacad.formats.drawing.sheet_layout import MARGIN, PlacedBlock, Sheet
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
 
 GAP = 20.0
@@ -108,10 +116,10 @@ class _Pen:
         for placed in sheet.placed:
             self._board(sheet, placed, x)
 
-    def _board(self, sheet: Sheet, placed: Placed, x: float) -> None:
+    def _board(self, sheet: Sheet, placed: PlacedBlock, x: float) -> None:
         self._left, self._top, self._unit = x + placed.x, sheet.paper[1] - placed.y, sheet.unit
         for mark in placed.canvas.marks:
-            if isinstance(mark, Measure):
+            if isinstance(mark, DimensionMark):
                 self._measure(mark, placed.canvas.scale)
             else:
                 self._mark(self.space, mark, placed.canvas.scale, sheet.zoom)
@@ -120,9 +128,9 @@ class _Pen:
         return self._left + float(point[0]) * self._unit, self._top - float(point[1]) * self._unit
 
     def _mark(self, into: Any, mark: Mark, scale: float | None, zoom: float) -> None:
-        if isinstance(mark, Shape):
+        if isinstance(mark, LineMark):
             self._shape(into, mark)
-        elif isinstance(mark, Ring):
+        elif isinstance(mark, CircleMark):
             layer = {"layer": LAYER_OF.get(mark.kind, "OUTLINE")}
             into.add_circle(self._at(mark.at), mark.radius * self._unit, dxfattribs=layer)
         elif isinstance(mark, ScaleNote):
@@ -130,7 +138,7 @@ class _Pen:
         elif isinstance(mark, Words):
             self._words(into, mark)
 
-    def _shape(self, into: Any, shape: Shape) -> None:
+    def _shape(self, into: Any, shape: LineMark) -> None:
         points = [self._at(point) for point in shape.points]
         layer = {"layer": LAYER_OF.get(shape.kind, "OUTLINE")}
         if shape.kind in ("head", "mark"):
@@ -151,7 +159,7 @@ class _Pen:
         text = into.add_text(words.words, height=height, dxfattribs=attributes)
         text.set_placement(self._at(words.at), align=where[words.anchor])
 
-    def _measure(self, mark: Measure, scale: float | None) -> None:
+    def _measure(self, mark: DimensionMark, scale: float | None) -> None:
         """A DIMENSION whose picture is what the board shows: ezdxf's own would measure words by fonts of this machine."""
         assert scale is not None, "a dimension stands on a view to scale"
         factor = 1.0 / (scale * self._unit)

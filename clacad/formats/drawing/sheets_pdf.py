@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from clacad.formats.drawing.canvas import STYLE
-from clacad.formats.drawing.layout import MARGIN, Sheet
+from clacad.formats.drawing.sheet_layout import MARGIN, Sheet
 from clacad.storage.errors import FileDisagrees
 
 

@@ -34,7 +34,7 @@ MOST_CELLS = 240
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class DrawnLight:
     """What of the light is drawn through a telescopelet.
 
     Parameters
@@ -160,7 +160,7 @@ def plan(window: Window) -> Canvas:
 
 
 def telescopelet(
-    window: Window, facts: Feasibility, light: Light | None = None, allowed: Allowances = NO_ALLOWANCES
+    window: Window, facts: Feasibility, light: DrawnLight | None = None, allowed: Allowances = NO_ALLOWANCES
 ) -> Canvas:
     """One telescopelet cut along x, light from the left, with separation, thicknesses, pitch and focal plane."""
     mm = millimetres(window.unit)
@@ -238,7 +238,7 @@ def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[st
     return found
 
 
-def _focal_plane(canvas: Canvas, window: Window, light: Light, at: Callable[..., Floats], middle: float
+def _focal_plane(canvas: Canvas, window: Window, light: DrawnLight, at: Callable[..., Floats], middle: float
                  ) -> None:  # fmt: skip
     """Common focal plane along x, where it lies between the lenses, and traced rays."""
     for ray in light.rays:

@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
-from clacad.sheet.feasibility.pitch_for_eye import Two, Viewing
+from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice, Two
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
@@ -124,7 +124,7 @@ def _pitch_rows(
     ]  # fmt: skip
 
 
-def _conflict(eye: Viewing) -> str:
+def _conflict(eye: EyeAdvice) -> str:
     """Say what the choice between cells that are not seen and cells that are sharp costs."""
     if eye.invisible >= eye.advised:
         return "the sharpest pitch is among them"

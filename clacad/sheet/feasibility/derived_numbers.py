@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from clacad.sheet.feasibility.pitch_for_eye import Two, Viewing
+from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice, Two
 
 DEFAULT_WAVELENGTH = 550e-9
 """Metres; for windows whose index was given bare."""
@@ -161,7 +161,7 @@ class Feasibility:
         Of the Fraunhofer pattern of that zone along the lens axes; λ/w where the zone is a rectangle along them.
     fresnel_number : float
         (w/2)²/(λ |f2|), the least over the lens axes, with the same widths.
-    viewing : Viewing
+    viewing : EyeAdvice
         Pitches that an eye before array 1 asks for.
     wavelength : float, metres
     """
@@ -178,7 +178,7 @@ class Feasibility:
     diffraction_blur: Two
     first_zero: Two
     fresnel_number: float
-    viewing: Viewing
+    viewing: EyeAdvice
     wavelength: float
 
 

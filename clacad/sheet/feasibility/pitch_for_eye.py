@@ -35,7 +35,7 @@ LOST = 0.164
 
 
 @dataclass(frozen=True, slots=True)
-class Viewing:
+class EyeAdvice:
     """Pitches for one place of the eye and one of what it looks at.
 
     viewer, object : float, metres
@@ -92,12 +92,12 @@ def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float)
 
 def viewing(
     etas: Sequence[float], fresnel: Sequence[float], viewer: float, distance: float, wavelength: float
-) -> Viewing:
+) -> EyeAdvice:
     """All advice for a pair of these η along lens x and y, and Fresnel numbers of what is lit (infinite: none)."""
     x, y = etas
     fine = tuple(wavelength / ARC_MINUTE * max(1.0, abs(eta)) for eta in (x, y))
     lost = tuple(min(1.0, LOST / sqrt(n)) for n in fresnel)
-    return Viewing(
+    return EyeAdvice(
         viewer=viewer,
         object=distance,
         sharpest=(sharpest_pitch(x, distance, wavelength), sharpest_pitch(y, distance, wavelength)),

@@ -12,7 +12,7 @@ import numpy as np
 from clacad.base.units import millimetres
 from clacad.formats.drawing.allowances import Allowances
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
-from clacad.formats.drawing.orientation import orientation
+from clacad.formats.drawing.orientation_notes import orientation
 from clacad.formats.drawing.views import mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces

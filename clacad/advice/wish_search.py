@@ -11,7 +11,7 @@ from math import inf
 
 from clacad.advice.candidate import Variant, built, round_to
 from clacad.advice.first_numbers import (
-    Bound,
+    PitchBound,
     index_of,
     least_ratio,
     lower_pitches,
@@ -64,7 +64,7 @@ class Tried:
 
     variant: Variant
     ratio: float
-    pitch: Bound
+    pitch: PitchBound
     judged: Judged
 
     @property
@@ -166,14 +166,14 @@ class Search:
                     f"{variant.form}: along the axis ray {1e3 * left:.3g} mrad are left of the law at {ratio:g} pitches"
                 )
                 return None
-            one = Tried(variant, ratio, Bound(pitch, bound.why), judge(design))
+            one = Tried(variant, ratio, PitchBound(pitch, bound.why), judge(design))
         except DesignError as problem:
             self.refused.append(problem.mistakes[0].message)
             return None
         self.tried.append(one)
         return one
 
-    def pitch_at(self, variant: Variant, ratio: float) -> Bound | None:
+    def pitch_at(self, variant: Variant, ratio: float) -> PitchBound | None:
         """The pitch that looks best, or the nearest that can be made; None where none can."""
         shape = shape_of(variant.form, index_of(self.wish))
         low = max(lower_pitches(self.wish, ratio, shape), key=lambda b: b.value)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clacad.formats.drawing import tables, views
+from clacad.formats.drawing import drawing_tables, views
 from clacad.formats.drawing.allowances import allowances
 from clacad.formats.drawing.canvas import Canvas
 
@@ -32,7 +32,7 @@ ZOOMS = (1.6, 1.4, 1.2, 1.1, 1.0, 0.9, 0.8)
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedBlock:
     """A drawing board with its upper left corner at x, y (mm from the upper left of the paper)."""
 
     canvas: Canvas
@@ -46,7 +46,7 @@ class Sheet:
 
     paper: tuple[float, float]
     zoom: float
-    placed: tuple[Placed, ...]
+    placed: tuple[PlacedBlock, ...]
 
     @property
     def unit(self) -> float:
@@ -75,35 +75,35 @@ def sheets(design: Design, window: Window, facts: Feasibility, paper: str, study
     boards: list[Canvas] = [
         views.assembly(window), views.plan(window), views.telescopelet(window, facts, None, allowed),
         *(views.lens_detail(window, facts, array, allowed) for array in (0, 1)),
-        tables.faces_table(window, allowed), tables.sag_table(window),
-        tables.errors_table(design, window, allowed, study),
-        tables.notes(window, allowed, design.body.slope_rms, views.WIDTH),
+        drawing_tables.faces_table(window, allowed), drawing_tables.sag_table(window),
+        drawing_tables.errors_table(design, window, allowed, study),
+        drawing_tables.notes(window, allowed, design.body.slope_rms, views.WIDTH),
     ]  # fmt: skip
-    heading = tables.Heading(design.sha256[:12], __version__, paper)
-    title = tables.title_block(window, heading, 9, 9)
+    heading = drawing_tables.Heading(design.sha256[:12], __version__, paper)
+    title = drawing_tables.title_block(window, heading, 9, 9)
     tried = [(zoom, _packed(boards, title, PAPERS[paper], zoom)) for zoom in ZOOMS]
     zoom, pages = min(tried, key=lambda one: len(one[1]))  # the fewest sheets, and of those the largest
     made = []
     for number, page in enumerate(pages, 1):
-        block = tables.title_block(window, heading, number, len(pages))
+        block = drawing_tables.title_block(window, heading, number, len(pages))
         made.append(Sheet(PAPERS[paper], zoom, (*page, _in_corner(block, PAPERS[paper], zoom))))
     return tuple(made)
 
 
-def _in_corner(block: Canvas, paper: tuple[float, float], zoom: float) -> Placed:
+def _in_corner(block: Canvas, paper: tuple[float, float], zoom: float) -> PlacedBlock:
     """The title block in the lower right corner of the frame."""
     unit = PIXEL * zoom
-    return Placed(block, paper[0] - MARGIN - block.width * unit, paper[1] - MARGIN - block.height * unit)
+    return PlacedBlock(block, paper[0] - MARGIN - block.width * unit, paper[1] - MARGIN - block.height * unit)
 
 
 def _packed(
     boards: Sequence[Canvas], title: Canvas, paper: tuple[float, float], zoom: float
-) -> list[list[Placed]]:
+) -> list[list[PlacedBlock]]:
     """Boards in rows from the top, each row as tall as its first board; pages as they fill up."""
     unit = PIXEL * zoom
     wide, tall = paper[0] - 2 * (MARGIN + ROOM), paper[1] - 2 * (MARGIN + ROOM)
     corner = title.height * unit + ROOM
-    pages: list[list[Placed]] = [[]]
+    pages: list[list[PlacedBlock]] = [[]]
     left = list(boards)
     y = 0.0
     while left:
@@ -122,7 +122,7 @@ def _packed(
             y = 0.0
         at = MARGIN + ROOM
         for board in row:
-            pages[-1].append(Placed(board, at, MARGIN + ROOM + y))
+            pages[-1].append(PlacedBlock(board, at, MARGIN + ROOM + y))
             at += board.width * unit + ROOM
         y += height + ROOM
     return pages
