@@ -71,7 +71,7 @@ def draw(number: int) -> dict[str, Any]:
     if chance.random() < 0.25:
         lattice["seam"] = float(pitch * chance.uniform(0.02, 0.1))
     if chance.random() < 0.1:
-        lattice |= {"count": [7, 7], "outline": {"shape": "circle", "diameter": 5.0 * pitch}}
+        lattice |= {"count": [7, 7], "outline": {"circle": 5.0 * pitch}}
     design = {
         "format": 1,
         "name": f"soak-{number}",
