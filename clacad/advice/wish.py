@@ -13,6 +13,7 @@ from math import degrees, radians
 from typing import Any, Final, Literal
 
 from clacad.base.text import did_you_mean, near
+from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.config.compound_kinds import Several
 from clacad.config.design_error import DesignError
@@ -21,7 +22,7 @@ from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import Refusal, Word, shown
 from clacad.design.keys import CHECK, LAW, PAIR, REQUIRED, Key
 from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known
-from clacad.design.sections import Outline, Pair2
+from clacad.design.sections import Outline
 
 UNIT: Final = Unit("mm", LENGTHS["mm"])
 """Of bare lengths in a wish, and of the design that is made of it."""

@@ -27,6 +27,9 @@ Bytes = NDArray[np.uint8]
 Singles = NDArray[Any]
 """Compiled passes over float32 take either precision."""
 
+Pair2 = tuple[float, float]
+"""A number for each of two axes or lenses."""
+
 Rung = Literal["law", "thin", "surfaces", "mesh"]
 """Step of the ladder of exactness that a trace runs on."""
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from clacad.base.units import LENGTHS, SHOWN, Unit, split
 from clacad.config.compound_kinds import InlineTable, ListOf, Several
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import JsonSchema, Refusal, not_this
 
-Pair2 = tuple[float, float]
+if TYPE_CHECKING:  # a design is read without numpy
+    from clacad.base.types import Pair2
+
 _XY: Final = ("x", "y")
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from clacad.design.given_faces import FaceSpec
 
-Pair2 = tuple[float, float]
+if TYPE_CHECKING:  # a design is read without numpy
+    from clacad.base.types import Pair2
 
 
 @dataclass(frozen=True, slots=True)

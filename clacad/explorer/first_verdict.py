@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import viewing
 from clacad.sheet.lattice import inside_outline
@@ -15,8 +16,6 @@ from clacad.sheet.window import Window
 
 GRID = 9
 """Points a side of the sheet over which the share that the eye sees is averaged."""
-
-Two = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +33,9 @@ class FirstVerdict:
 
     share: float
     share_from_eye: float
-    half_field: Two
-    ghost_onset: Two
-    sharpest_pitch: Two
+    half_field: Pair2
+    ghost_onset: Pair2
+    sharpest_pitch: Pair2
     advised_pitch: float
 
     def to_dict(self) -> dict[str, Any]:

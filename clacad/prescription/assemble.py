@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.digits import rounded_up
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Pair2
 from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
 from clacad.prescription import poses
@@ -27,7 +27,6 @@ from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
 from clacad.prescription.radii import (
     LensPair,
     NoSuchLens,
-    Pair2,
     biconvex_exact,
     biconvex_thin,
     single_surface,

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Pair2
 from clacad.optics.surface import Biconic, Quadric
-from clacad.prescription.radii import LensPair, Pair2
+from clacad.prescription.radii import LensPair
 from clacad.sheet.window import IDENTITY, Body, Face, Surface
 
 

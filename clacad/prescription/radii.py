@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import copysign, inf, isinf, nan, sqrt
 
-Pair2 = tuple[float, float]
+from clacad.base.types import Pair2
 
 
 class NoSuchLens(ValueError):

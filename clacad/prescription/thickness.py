@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from clacad.base.types import Pair2
 from clacad.prescription.cell_heights import border_overlap, least_thickness, proud_of_land
-from clacad.prescription.radii import NoSuchLens, Pair2
+from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.window import Window
 
 

@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from called_parts import called
 from hard.measure import ULP, assert_whole, error, fate_of, interfaces, off, relative
 from hard.paths import PAGE, PATHS, faceted, turned_by_facets
 from hard.rays import HARD
@@ -37,17 +38,6 @@ from clacad.tracing.compiled import packing as slot
 
 numba = pytest.importorskip("numba")
 from clacad.tracing.compiled import face as kernel  # noqa: E402  (needs numba)
-
-
-@cache
-def called(part):
-    """A part of kernels made callable: Python itself calls none."""
-
-    @numba.njit(error_model="numpy")
-    def entry(*given):
-        return part(*given)
-
-    return entry
 
 
 def packed(surface):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
+from called_parts import called
 from mpmath import mp, mpf
 from oracle.polynomial import DIGITS, Shape, crossing
 
@@ -37,17 +36,6 @@ def rays_at(seed, number, slope):
     start = np.column_stack([rng.uniform(-0.55, 0.55, (number, 2)), np.zeros(number)])
     direction = np.column_stack([rng.uniform(-slope, slope, (number, 2)), rng.choice([-1.0, 1.0], number)])
     return start, direction / np.linalg.norm(direction, axis=1)[:, None]
-
-
-@cache
-def called(part):
-    import numba
-
-    @numba.njit(error_model="numpy")
-    def entry(*given):
-        return part(*given)
-
-    return entry
 
 
 def compiled(surface, start, direction):

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.digits import digits
+from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
-from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice, Two
+from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 from clacad.sheet.lattice import Circle
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
@@ -43,7 +44,7 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
     size, name = length_unit(window.unit)
     scale = window.unit / size
 
-    def of_length(value: float | Two) -> str:
+    def of_length(value: float | Pair2) -> str:
         values = value if isinstance(value, tuple) else (value,)
         return ", ".join(digits(v * scale) for v in values)
 
@@ -60,7 +61,7 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
 
 
 def _sheet_rows(
-    window: Window, facts: Feasibility, of_length: Callable[[float | Two], str], name: str
+    window: Window, facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str
 ) -> list[FactRow]:
     """Rows of the sheet as a whole; `of_length` writes lengths in the unit `name`."""
     lattice = window.lattice
@@ -81,7 +82,7 @@ def _sheet_rows(
     ]  # fmt: skip
 
 
-def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+def _view_rows(facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of what is seen through the sheet; `of_length` writes lengths in the unit `name`."""
     wave = f"λ = {digits(1e9 * facts.wavelength)} nm"
     return [
@@ -107,7 +108,7 @@ def _view_rows(facts: Feasibility, of_length: Callable[[float | Two], str], name
 
 
 def _pitch_rows(
-    facts: Feasibility, of_length: Callable[[float | Two], str], name: str, unit: float
+    facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str, unit: float
 ) -> list[FactRow]:
     """Rows of the pitches an eye asks for; `unit` is the window's, metres."""
     eye = facts.viewing
@@ -131,7 +132,7 @@ def _conflict(eye: EyeAdvice) -> str:
     return f"they blur more than the sharpest pitch, {digits(eye.advised / eye.invisible)} times as large"
 
 
-def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of one lens; `of_length` writes lengths in the unit `name`."""
     about = f"lens {lens.array + 1}"
     rows = [
@@ -164,7 +165,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: s
     return rows
 
 
-def _shape_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+def _shape_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Radii and conic constants, face by face where the faces differ."""
     about, rows = f"lens {lens.array + 1}", []
     one = FaceShape("", lens.radius, lens.conic, None)
@@ -183,7 +184,7 @@ def _shape_rows(lens: LensFacts, of_length: Callable[[float | Two], str], name: 
     return rows
 
 
-def _body_rows(body: BodyFacts, of_length: Callable[[float | Two], str], name: str) -> list[FactRow]:
+def _body_rows(body: BodyFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     rows = [
         FactRow(body.name, "edge thickness", of_length(body.edge), name, "least along the outer side"),
         FactRow(body.name, "greatest step", of_length(body.step), name, "of a face across a border of cells"),
@@ -197,9 +198,9 @@ def _body_rows(body: BodyFacts, of_length: Callable[[float | Two], str], name: s
     return rows
 
 
-def _mrad(angles: Two) -> str:
+def _mrad(angles: Pair2) -> str:
     return ", ".join(digits(1e3 * v) for v in angles)
 
 
-def _angles(slopes: Two) -> str:
+def _angles(slopes: Pair2) -> str:
     return ", ".join(digits(degrees(float(np.arctan(s)))) for s in slopes)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice, Two
+from clacad.base.types import Pair2
+from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 
 DEFAULT_WAVELENGTH = 550e-9
 """Metres; for windows whose index was given bare."""
@@ -26,7 +27,7 @@ class FaceShape:
     """
 
     side: str
-    radius: Two
+    radius: Pair2
     conic: tuple[float | None, float | None]
     a4: tuple[float, float, float] | None
 
@@ -66,20 +67,20 @@ class LensFacts:
     """
 
     array: int
-    radius: Two
+    radius: Pair2
     conic: tuple[float | None, float | None]
     kappa: float | None
-    focal_length: Two
-    built_focal_length: Two
+    focal_length: Pair2
+    built_focal_length: Pair2
     sag: float
     thickness: float
     least_thickness: float
     corner: float
     cover: float
-    rim: Two
-    rim_at: Two
+    rim: Pair2
+    rim_at: Pair2
     least_normal_z: float
-    f_number: Two
+    f_number: Pair2
     shapes: tuple[FaceShape, ...] = ()
 
     @property
@@ -112,8 +113,8 @@ class BorderFacts:
     joint: float
     joints: int
     corners: tuple[bool, bool]
-    rise: Two
-    mean_rise: Two
+    rise: Pair2
+    mean_rise: Pair2
 
 
 @dataclass(frozen=True)
@@ -170,19 +171,19 @@ class Feasibility:
     bodies: tuple[BodyFacts, ...]
     clearance: float
     separation: float
-    aperture: Two
-    undeviated: Two
-    half_field: Two
-    ghost_onset: Two
-    offset_blur: Two
-    diffraction_blur: Two
-    first_zero: Two
+    aperture: Pair2
+    undeviated: Pair2
+    half_field: Pair2
+    ghost_onset: Pair2
+    offset_blur: Pair2
+    diffraction_blur: Pair2
+    first_zero: Pair2
     fresnel_number: float
     viewing: EyeAdvice
     wavelength: float
 
 
-def two(values: Iterable[float]) -> Two:
-    """Two floats from any iterable of two."""
+def two(values: Iterable[float]) -> Pair2:
+    """Pair2 floats from any iterable of two."""
     x, y = values
     return float(x), float(y)

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Pair2
 from clacad.optics.surface import conic_constants, principal_radii
 from clacad.sheet.feasibility.convex_extremes import Heights, least, reach, share_covered
 from clacad.sheet.feasibility.derived_numbers import FaceShape, LensFacts, two
-from clacad.sheet.feasibility.pitch_for_eye import Two
 from clacad.sheet.window import Body, Face, Window, lens_height, lens_height_and_normal, optical_tile
 
 
@@ -126,7 +125,7 @@ def _centre_thickness(body: Body, face: Face) -> float:
     return (body.back.vertex[2] - body.front.vertex[2]) / float(face.rotation[2, 2])
 
 
-def _built_focal_length(body: Body, array: int) -> Two:
+def _built_focal_length(body: Body, array: int) -> Pair2:
     """Thick lensmaker per meridian: φ = (n − 1)(c + c' − (n − 1) T c c'/n), convex positive."""
     n, found = body.index, []
     for meridian in ("curvature_x", "curvature_y"):
@@ -149,7 +148,7 @@ def _cover(margin: Heights, zone: Floats) -> float:
     return share_covered(inside, zone, np.array(pole))
 
 
-def _rim(window: Window, face: Face, margin: Heights) -> Two:
+def _rim(window: Window, face: Face, margin: Heights) -> Pair2:
     """Half width of the whole lens along its own axes from its axis, not cut by the cell."""
     far = 8.0 * window.lattice.circumradius
     cx, cy = face.vertex[:2]

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, pi, sqrt
 
-Two = tuple[float, float]
+from clacad.base.types import Pair2
 
 VIEWING_DISTANCE = 1.0
 """Metres from the sheet to the eye, where a design names none."""
@@ -54,11 +54,11 @@ class EyeAdvice:
 
     viewer: float
     object: float
-    sharpest: Two
-    blur: Two
+    sharpest: Pair2
+    blur: Pair2
     invisible: float
-    fine: Two
-    lost: Two
+    fine: Pair2
+    lost: Pair2
 
     @property
     def advised(self) -> float:
