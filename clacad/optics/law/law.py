@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import frexp, isfinite, ldexp
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.pairs import two_product, two_sum
-from clacad.base.types import Cells, Floats
+from clacad.base.types import Floats
 from clacad.optics.law.compose import canonical, compose
 from clacad.optics.law.fitting import NO_POWER, Fit, fit_law
 from clacad.optics.law.orientation import Axes, rotation
+from clacad.optics.law.refraction import refracted
 
-_HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny components stay representable
-_BLOCK = 8192  # rows at a time: the temporaries stay in the cache
 _NUMBERS = ("eta_x", "eta_y", "delta_x", "delta_y", "phi", "theta", "psi")
 
 
@@ -122,16 +120,7 @@ class Law:
         because t ≈ δ keeps its relative accuracy; powers of two are carried apart, so neither 1e±200 in d
         nor |δ| = 1e200 nor η = 1e±200 overflows.
         """
-        directions = np.asarray(d, np.float64)
-        if directions.ndim == 0 or directions.shape[-1] != 3:
-            raise ValueError(f"directions have shape {directions.shape}; the last dimension must be 3")
-        rows = directions.reshape(-1, 3)
-        out = np.empty(rows.shape)
-        r = self.rotation
-        for start in range(0, len(rows), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            out[block] = _refract_rows(self, r, rows[block])
-        return out.reshape(directions.shape)
+        return refracted((self.eta_x, self.eta_y), (self.delta_x, self.delta_y), self.rotation, d)
 
     def undeviated(self) -> Floats:
         """Direction through both lens centres, which the sheet does not turn: slopes δ/(1 − η).
@@ -274,61 +263,3 @@ def with_linear_numbers(law: Law, numbers: Floats) -> Law:
     if x == 0.0 or y == 0.0:
         raise ValueError(NO_POWER)
     return Law(1.0 / x, 1.0 / y, offset_x / x, offset_y / y, law.phi, law.theta, law.psi, law.axes)
-
-
-def _refract_rows(law: Law, r: Floats, directions: Floats) -> Floats:
-    """`Law.refract` for (n, 3) directions; r is the law's rotation."""
-    # Scale rows by powers of two; rows without an answer travel along as the sheet's normal.
-    largest = np.maximum(
-        np.maximum(np.abs(directions[:, 0]), np.abs(directions[:, 1])), np.abs(directions[:, 2])
-    )
-    answered = (directions[:, 2] > 0.0) & (largest < np.inf)
-    rows = np.where(answered[:, np.newaxis], directions, (0.0, 0.0, 1.0))
-    shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]
-    x, y, z = np.ldexp(rows.T, shift)
-
-    # Turn into the lens frame; untilted sheets skip it, which keeps tiny components relative.
-    turned = not np.array_equal(r, np.eye(3))
-    if turned:
-        x, y, z = _times(r.T, x, y, z)
-        answered &= z > 0.0
-
-    # Apply M; each component is significand · 2**exponent.
-    x, e_x = _offset_and_divide(x, z, law.delta_x, law.eta_x)
-    y, e_y = _offset_and_divide(y, z, law.delta_y, law.eta_y)
-    x, y, z = _common_scale(x, e_x, y, e_y, z)
-
-    # Turn back and judge the exit.
-    if turned:
-        x, y, z = _times(r, x, y, z)
-    answered &= z > 0.0
-    length = np.sqrt(x * x + y * y + z * z)
-    out = np.stack([x, y, z], axis=1) / np.where(answered, length, 1.0)[:, np.newaxis]
-    return np.where(answered[:, np.newaxis], out, np.nan)
-
-
-def _times(matrix: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    """Matrix times columns, summed in a fixed order: a ray alone and in a batch agree to the last bit."""
-    a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in matrix)
-    return a, b, c
-
-
-def _offset_and_divide(m: Floats, m_z: Floats, delta: float, eta: float) -> tuple[Floats, int]:
-    """(m − δ m_z)/η as q · 2**k: returns q (n,) and k. The difference is compensated."""
-    up = max(frexp(delta)[1], 0)
-    eta_significand, eta_exponent = frexp(eta)
-    if delta != 0.0:
-        product, product_error = two_product(ldexp(delta, -up), m_z)
-        total, total_error = two_sum(np.ldexp(m, -up), -product)
-        m = total + (total_error - product_error)
-    else:
-        up = 0
-    return m / eta_significand, up - eta_exponent
-
-
-def _common_scale(x: Floats, e_x: int, y: Floats, e_y: int, z: Floats) -> tuple[Floats, Floats, Floats]:
-    """Bring x · 2**e_x, y · 2**e_y and z over one power of two per row: the largest is about 1."""
-    top: Cells = np.frexp(z)[1]
-    for q, e in ((x, e_x), (y, e_y)):
-        top = np.maximum(top, np.where(q != 0.0, np.frexp(q)[1] + e, top))
-    return np.ldexp(x, e_x - top), np.ldexp(y, e_y - top), np.ldexp(z, -top)

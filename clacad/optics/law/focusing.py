@@ -1,0 +1,246 @@
+"""What a sheet whose cells differ images, per axis and in closed form.
+
+Chief rays run through the centres X of the lenses of array 1 and leave array 2 at X + s t with the slope
+t' = (t − δ₀ − κX)/η. Every point then goes to a point. Heights z count from array 1, image distances ζ from array 2,
+both towards +z, so what light comes from has z < 0. With η < 0 both foci lie on one side, unlike those of any lens:
+C. Hembd-Sölner, R. F. Stevens and M. C. Hutley, J. Opt. A 1, 94 (1999); D. Gabor, UK patent 541 753 (1940).
+
+All numbers of a sheet are few and are worked out as fractions, rounded once: κ = 1e-12, pitches that agree to
+1e-12 and objects beside a focus lose nothing. A quotient without end is infinite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from math import hypot, inf, isinf
+
+from clacad.base.types import Pair2
+
+Exact = Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Glens:
+    """One axis of a sheet of thin pairs with δ(x) = δ₀ + κ x.
+
+    Parameters
+    ----------
+    eta, kappa : float, number and 1/length
+    separation : float, length
+        From array 1 to array 2; 0 is the sheet of no thickness.
+    delta : float
+        δ₀, at the sheet's origin.
+    """
+
+    eta: float
+    kappa: float
+    separation: float = 0.0
+    delta: float = 0.0
+
+    @property
+    def f_image(self) -> float:
+        """Where parallel light meets, from array 2 (length): η/κ."""
+        return _ratio(Exact(self.eta), Exact(self.kappa))
+
+    @property
+    def f_object(self) -> float:
+        """Height (length) whose light leaves parallel, from array 1: −1/κ."""
+        return _ratio(Exact(-1), Exact(self.kappa))
+
+    @property
+    def nodal_z(self) -> float:
+        """Height (length) of the point whose light is not turned: (η − 1)/κ."""
+        return _ratio(Exact(self.eta) - 1, Exact(self.kappa))
+
+    def image_distance(self, z: float) -> float:
+        """ζ, length: where light from height z (length, −inf: parallel light) meets, from array 2; negative: virtual."""
+        if isinf(z):
+            return self.f_image
+        return _ratio(*self._distance(Exact(z)))
+
+    def image_x(self, x: float, z: float) -> float:
+        """Where light from the point (x, z), lengths, meets across; z finite, infinite beside the focus."""
+        high, low = self._distance(Exact(z))
+        chief = Exact(x) / Exact(z)  # slope through the middle of lens 1
+        return _ratio((chief - Exact(self.delta)) * high + Exact(self.eta) * low * Exact(self.separation) * chief,
+                      Exact(self.eta) * low)  # fmt: skip
+
+    def image_x_of_parallel(self, slope: float) -> float:
+        """Where parallel light of a slope t meets across, length: s t + (t − δ₀)/κ."""
+        t, kappa = Exact(slope), Exact(self.kappa)
+        return _ratio(Exact(self.separation) * t * kappa + t - Exact(self.delta), kappa)
+
+    def magnification(self, z: float) -> float:
+        """Of an object at height z (length): dx_i/dx_o."""
+        high, low = self._distance(Exact(z))
+        place, eta = Exact(z), Exact(self.eta)
+        return _ratio(high + Exact(self.separation) * eta * low, eta * place * low)
+
+    def width(self, z: float, pitch: float) -> float:
+        """Full width (length) of the image of a point at height z where cells of a pitch fill lens 1.
+
+        A cell does not focus: this is the limit of its pixels. Parallel light (z = −inf): |η| p.
+        """
+        if isinf(z):
+            return float(abs(Exact(self.eta) - (self.kappa == 0.0)) * Exact(pitch))
+        place, s = Exact(z), Exact(self.separation)
+        power = 1 + Exact(self.kappa) * place
+        spread = (Exact(self.eta) * place - s) * power - (place - s)
+        return abs(_ratio(Exact(pitch) * spread, place * power))
+
+    def _distance(self, z: Exact) -> tuple[Exact, Exact]:
+        """ζ = η (z − s)/(1 + κz) as numerator and denominator."""
+        return Exact(self.eta) * (z - Exact(self.separation)), 1 + Exact(self.kappa) * z
+
+
+def focusing_at(eta: float, f_image: float) -> float:
+    """κ, 1/length: the gradient of δ that brings parallel light to f_image (length) behind array 2."""
+    return 0.0 if isinf(f_image) else _ratio(Exact(eta), Exact(f_image))
+
+
+def imaging(eta: float, z: float, image: float, separation: float = 0.0) -> float:
+    """κ, 1/length, that images the height z to `image` behind array 2 (lengths) with a given η."""
+    if isinf(z):
+        return focusing_at(eta, image)
+    place = Exact(z)
+    reach = Exact(0) if isinf(image) else Exact(eta) * (place - Exact(separation)) / Exact(image)
+    return _ratio(reach - 1, place)
+
+
+def imaging_scaled(z: float, image: float, magnification: float, separation: float = 0.0) -> Pair2:
+    """η and κ (1/length) that image the height z to `image` behind array 2 (lengths) with a magnification.
+
+    Both are infinite where the object's image would lie in array 2 itself, m z = s.
+    """
+    reach = Exact(magnification) * Exact(z) - Exact(separation)
+    return _ratio(Exact(image), reach), _ratio(1 - Exact(magnification), reach)
+
+
+@dataclass(frozen=True, slots=True)
+class Superlens:
+    """One axis of two arrays of thin lenses of two pitches, cells and vertices of each at its own.
+
+    Parameters
+    ----------
+    pitches, focal_lengths : (2,) lengths
+        p1, p2 and f1, f2; the arrays stand f1 + f2 apart.
+
+    Notes
+    -----
+    Each cell of array 2 looks at the nodal point: light along the normal stays with its partner over one `zone_period`,
+    so a single superlens is a lattice of lenses of that period and of `f_number`.
+    """
+
+    pitches: Pair2
+    focal_lengths: Pair2
+
+    @property
+    def eta(self) -> float:
+        """η = −f2/f1."""
+        f1, f2 = map(Exact, self.focal_lengths)
+        return _ratio(-f2, f1)
+
+    @property
+    def kappa(self) -> float:
+        """κ = (p2 − p1)/(p1 f1), 1/length."""
+        (p1, p2), f1 = map(Exact, self.pitches), Exact(self.focal_lengths[0])
+        return _ratio(p2 - p1, p1 * f1)
+
+    @property
+    def f_image(self) -> float:
+        """Where parallel light meets behind array 2, length: f2 p1/(p1 − p2)."""
+        return self._over_difference(Exact(self.focal_lengths[1]))
+
+    @property
+    def f_object(self) -> float:
+        """Height whose light leaves parallel, length: f1 p1/(p1 − p2)."""
+        return self._over_difference(Exact(self.focal_lengths[0]))
+
+    @property
+    def nodal_z(self) -> float:
+        """Height (length) of the point that all pairs look at: (f1 + f2) p1/(p1 − p2)."""
+        return self._over_difference(sum(map(Exact, self.focal_lengths), Exact(0)))
+
+    @property
+    def moire_period(self) -> float:
+        """p1 p2/|p1 − p2|, length."""
+        return abs(self._over_difference(Exact(self.pitches[1])))
+
+    @property
+    def zone_period(self) -> float:
+        """Width, length, over which light along the normal stays with its partner: p1²/|p2 − p1|."""
+        return abs(self._over_difference(Exact(self.pitches[0])))
+
+    @property
+    def f_number(self) -> float:
+        """|f_image| over the zone: |f2|/p1."""
+        return abs(_ratio(Exact(self.focal_lengths[1]), Exact(self.pitches[0])))
+
+    def _over_difference(self, length: Exact) -> float:
+        p1, p2 = map(Exact, self.pitches)
+        return _ratio(length * p1, p1 - p2)
+
+
+def moire_magnification(pitch: float, pitch_2: float, turn: float) -> float:
+    """Magnification p/√(Δp² + (pα)²) of a moiré magnifier: pitches in lengths, small turn α in radians.
+
+    M. C. Hutley et al., Pure Appl. Opt. 3, 133 (1994); H. Kamal, R. Völkel and J. Alda, Opt. Eng. 37(11) (1998).
+    """
+    apart = hypot(float(Exact(pitch_2) - Exact(pitch)), pitch * turn)
+    return inf if apart == 0.0 else pitch / apart
+
+
+@dataclass(frozen=True, slots=True)
+class SharpPair:
+    """Thin lenses that image one plane to another sharply, pair by pair and all pairs alike: not afocal.
+
+    Parameters
+    ----------
+    focal_lengths : (2,) lengths
+    object_z : float, length
+        Height of the object plane, array 1 at 0.
+    image_distance : float, length
+        From array 2.
+
+    Notes
+    -----
+    With v the image by lens 1 and u = f2 ζ/(ζ − f2): every ray of every pair meets at the image.
+    """
+
+    focal_lengths: Pair2
+    object_z: float
+    image_distance: float
+
+    @property
+    def separation(self) -> float:
+        """Of the arrays, length: v + u."""
+        (a, b), (c, d) = self._between()
+        return _ratio(a * d + c * b, b * d)
+
+    @property
+    def pitch_ratio(self) -> float:
+        """p2/p1 = (1 − v/z) ζ/(u + ζ)."""
+        (a, b), (c, d) = self._between()
+        z, far = Exact(self.object_z), Exact(self.image_distance)
+        return _ratio((b * z - a) * far * d, b * z * (c + far * d))
+
+    @property
+    def magnification(self) -> float:
+        """−v ζ/(z u)."""
+        (a, b), (c, d) = self._between()
+        return _ratio(-a * Exact(self.image_distance) * d, b * Exact(self.object_z) * c)
+
+    def _between(self) -> tuple[tuple[Exact, Exact], tuple[Exact, Exact]]:
+        """Give v and u, each as numerator and denominator."""
+        f1, f2 = map(Exact, self.focal_lengths)
+        z, far = Exact(self.object_z), Exact(self.image_distance)
+        return (f1 * z, z + f1), (f2 * far, far - f2)
+
+
+def _ratio(numerator: Exact, denominator: Exact) -> float:
+    """A quotient rounded once; what no double holds is infinite, and so is a quotient by 0."""
+    try:
+        return float(numerator / denominator)
+    except (OverflowError, ZeroDivisionError):
+        return inf if (numerator < 0) == (denominator < 0) else -inf

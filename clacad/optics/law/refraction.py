@@ -1,0 +1,111 @@
+"""What the law does to directions, with one offset δ for all of them or one for each.
+
+Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed, so nothing is
+divided by m_z; the differences are compensated, so light that leaves along the axis because t ≈ δ keeps its
+relative accuracy; powers of two are carried apart, so neither 1e±200 in d nor |δ| = 1e200 nor η = 1e±200 overflows.
+"""
+
+from __future__ import annotations
+
+from math import frexp
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clacad.base.pairs import two_product, two_sum
+from clacad.base.types import Cells, Floats, Pair2
+
+_HEADROOM = 500  # rows are scaled to 2**500: the rounding errors of tiny components stay representable
+_BLOCK = 8192  # rows at a time: the temporaries stay in the cache
+
+
+def refracted(eta: Pair2, delta: Pair2 | Floats, turn: Floats, d: ArrayLike) -> Floats:
+    """Directions behind a sheet; `Law.refract` says when there is none.
+
+    Parameters
+    ----------
+    eta : (2,) numbers
+        η along the lens axes.
+    delta : (2,) numbers, or (n, 2) array
+        δ along the lens axes: of the sheet, or of each direction.
+    turn : (3, 3)
+        Lens → sheet.
+    d : (n, 3) array, or (..., 3) where δ is one
+        Directions in the sheet frame, any length > 0.
+
+    Returns
+    -------
+    array of the shape of d
+        Unit directions, NaN rows where the law has no answer.
+
+    Raises
+    ------
+    ValueError
+        If the last dimension of d is not 3.
+    """
+    directions = np.asarray(d, np.float64)
+    if directions.ndim == 0 or directions.shape[-1] != 3:
+        raise ValueError(f"directions have shape {directions.shape}; the last dimension must be 3")
+    rows = directions.reshape(-1, 3)
+    out = np.empty(rows.shape)
+    each = np.asarray(delta, np.float64)
+    for start in range(0, len(rows), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        out[block] = _refract_rows(eta, (each if each.ndim == 1 else each[block]).T, turn, rows[block])
+    return out.reshape(directions.shape)
+
+
+def _refract_rows(eta: Pair2, delta: Floats, r: Floats, directions: Floats) -> Floats:
+    """`refracted` for (n, 3) directions; δ is (2,) or (2, n)."""
+    # Scale rows by powers of two; rows without an answer travel along as the sheet's normal.
+    largest = np.maximum(
+        np.maximum(np.abs(directions[:, 0]), np.abs(directions[:, 1])), np.abs(directions[:, 2])
+    )
+    answered = (directions[:, 2] > 0.0) & (largest < np.inf)
+    rows = np.where(answered[:, np.newaxis], directions, (0.0, 0.0, 1.0))
+    shift = _HEADROOM - np.frexp(np.where(answered, largest, 1.0))[1]
+    x, y, z = np.ldexp(rows.T, shift)
+
+    # Turn into the lens frame; untilted sheets skip it, which keeps tiny components relative.
+    turned = not np.array_equal(r, np.eye(3))
+    if turned:
+        x, y, z = _times(r.T, x, y, z)
+        answered &= z > 0.0
+
+    # Apply M; each component is significand · 2**exponent.
+    x, e_x = _offset_and_divide(x, z, delta[0], eta[0])
+    y, e_y = _offset_and_divide(y, z, delta[1], eta[1])
+    x, y, z = _common_scale(x, e_x, y, e_y, z)
+
+    # Turn back and judge the exit.
+    if turned:
+        x, y, z = _times(r, x, y, z)
+    answered &= z > 0.0
+    length = np.sqrt(x * x + y * y + z * z)
+    out = np.stack([x, y, z], axis=1) / np.where(answered, length, 1.0)[:, np.newaxis]
+    return np.where(answered[:, np.newaxis], out, np.nan)
+
+
+def _times(matrix: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
+    """Matrix times columns, summed in a fixed order: a ray alone and in a batch agree to the last bit."""
+    a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in matrix)
+    return a, b, c
+
+
+def _offset_and_divide(m: Floats, m_z: Floats, delta: Floats, eta: float) -> tuple[Floats, Cells]:
+    """(m − δ m_z)/η as q · 2**k, δ a number or (n,): returns q (n,) and k. The difference is compensated."""
+    eta_significand, eta_exponent = frexp(eta)
+    up: Cells = np.where(delta != 0.0, np.maximum(np.frexp(delta)[1], 0), 0)
+    if np.any(delta):
+        product, product_error = two_product(np.ldexp(delta, -up), m_z)
+        total, total_error = two_sum(np.ldexp(m, -up), -product)
+        m = total + (total_error - product_error)
+    return m / eta_significand, up - eta_exponent
+
+
+def _common_scale(x: Floats, e_x: Cells, y: Floats, e_y: Cells, z: Floats) -> tuple[Floats, Floats, Floats]:
+    """Bring x · 2**e_x, y · 2**e_y and z over one power of two per row: the largest is about 1."""
+    top: Cells = np.frexp(z)[1]
+    for q, e in ((x, e_x), (y, e_y)):
+        top = np.maximum(top, np.where(q != 0.0, np.frexp(q)[1] + e, top))
+    return np.ldexp(x, e_x - top), np.ldexp(y, e_y - top), np.ldexp(z, -top)
