@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from clacad.config.named_paths import folder_of
 from clacad.config.overrides import changed_keys
 from clacad.scene.animation import still
-from clacad.scene.named_files import design_of, file_of, folder_of
+from clacad.scene.named_files import design_of, file_of
 from clacad.scene.read import read_changed, read_dict, read_file
 from clacad.scene.sections import (
     Animation,

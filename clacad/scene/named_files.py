@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from clacad.config.design_error import DesignError
 from clacad.config.key_positions import located
 from clacad.config.mistakes import Mistake
+from clacad.config.named_paths import outside
 from clacad.scene.scene_error import SceneError
 
 if TYPE_CHECKING:
@@ -16,29 +17,10 @@ if TYPE_CHECKING:
     from clacad.scene.model import Scene
 
 
-def folder_of(path: str) -> str:
-    """Folder that the files of a scene at this path are relative to."""
-    return os.path.dirname(path) or "."
-
-
-def outside(folder: str, name: str, levels: int = 1) -> str:
-    """Return why a name may not be used ("" if it may): relative, inside the folder or `levels` above it.
-
-    Links are followed first, so that none leads out.
-    """
-    if os.path.isabs(name) or "\0" in name or (len(name) > 1 and name[1] == ":"):
-        return "is not a relative path"
-    home = os.path.realpath(os.path.join(folder, *[os.pardir] * levels))
-    real = os.path.realpath(os.path.join(folder, name))
-    if os.path.commonpath([home, real]) != home:
-        return "lies outside the scene's folder and its parent" + (" folders" if levels > 1 else "")
-    return ""
-
-
 def file_of(scene: Scene, name: str) -> str:
     """Path of a file the scene names; see `Scene.file`."""
     levels = 2 if name == scene.sheet.mesh else 1
-    why = outside(scene.folder, name, levels)
+    why = outside(scene.folder, name, levels, "scene")
     path = os.path.join(scene.folder, name)
     if not why and not os.path.isfile(path):
         why = "does not exist"

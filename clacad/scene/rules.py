@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from clacad.config.mistakes import Mistake
-from clacad.scene.named_files import folder_of, outside
+from clacad.config.named_paths import folder_of, outside
 from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
 
 
@@ -80,7 +80,7 @@ def _files(sheet: SheetSpec, objects: tuple[SceneObject, ...], folder: str) -> I
     if sheet.mesh is not None and sheet.rung != "mesh":
         yield Mistake("CL113", 'sheet.mesh needs rung = "mesh"', "sheet.mesh")
     for key, name, levels in named:
-        why = outside(folder, name, levels) if name else ""
+        why = outside(folder, name, levels, "scene") if name else ""
         if why:
             yield Mistake("CL106", f'{key} = "{name}" {why}', key, allowed="a path relative to the scene")
 

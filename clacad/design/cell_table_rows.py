@@ -1,0 +1,248 @@
+"""What stands in a table of cells: its rows or its array, each judged before it is used."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO, Any, Final, NoReturn
+
+import numpy as np
+
+from clacad.base.reading_budgets import BUDGETS
+from clacad.base.text import printable
+from clacad.base.types import Bools, Floats, Ints
+from clacad.config.design_error import DesignError, DesignTooLarge
+from clacad.config.mistakes import Mistake
+from clacad.design.cell_table import KEY
+from clacad.sheet.lattice import Lattice
+
+COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
+LARGEST: Final = 1e6
+"""Largest |δ|, as of the key law.delta."""
+LONGEST_ROW: Final = 1000
+BLOCK: Final = 1 << 16
+"""Rows read at a time."""
+ARRAY: Final = "delta"
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """A table of cells on disk, and the cells that it shall have.
+
+    Parameters
+    ----------
+    path : str
+    lattice : Lattice
+    """
+
+    path: str
+    lattice: Lattice
+
+    def deltas(self) -> Floats:
+        """Read δ of every cell, (n1, n2, 2); see `clacad.design.cell_table.read_table`."""
+        if self.path.lower().endswith(".npz"):
+            return self._of_array()
+        return self._of_rows()
+
+    def refuse(self, message: str, row: int | None = None, line: str = "", column: int | None = None, *,
+               allowed: str = "", hint: str = "") -> NoReturn:  # fmt: skip
+        """Refuse the table, at a column (from 0) of a row (from 1)."""
+        place = None
+        if column is not None:
+            place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
+        raise DesignError([Mistake("CL121", message, KEY, self.path, row, place, allowed=allowed, hint=hint,
+                                   source_line=line)])  # fmt: skip
+
+    # --- CSV ------------------------------------------------------------------------------------------
+
+    def _of_rows(self) -> Floats:
+        made = np.full((*self.lattice.count, 2), np.nan)
+        with open(self.path, "rb") as stream:
+            self._header(self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff"))
+            first = 2
+            for lines in self._blocks(stream):
+                numbers = self._numbers(lines, first)
+                self._enter(made, numbers, lines, first)
+                first += len(lines)
+        return self._whole(made)
+
+    def _header(self, line: str) -> None:
+        names = [part.strip() for part in line.split(",")]
+        if names != [*COLUMNS]:
+            wrong = next((k for k, pair in enumerate(zip(names, COLUMNS)) if pair[0] != pair[1]),
+                         min(len(names), len(COLUMNS)))  # fmt: skip
+            self.refuse(
+                "the header is not that of a table of cells", 1, line, wrong, allowed=",".join(COLUMNS)
+            )
+
+    def _blocks(self, stream: IO[bytes]) -> Iterator[list[str]]:
+        """Rows after the header, many at a time; empty lines at the end are none."""
+        row, read, empty = 1, 0, 0
+        lines: list[str] = []
+        most = BUDGETS["cell-table"].items or 0
+        while raw := stream.readline(LONGEST_ROW):
+            row += 1
+            line = self._text(raw, row)
+            if not line.strip():
+                empty = empty or row
+                continue
+            if empty:
+                self.refuse("an empty row inside the table", empty, allowed=",".join(COLUMNS))
+            lines.append(line)
+            read += 1
+            if read > most:
+                raise DesignTooLarge([Mistake("CL121", f"more than {most:,} rows", KEY, self.path, row)])
+            if len(lines) == BLOCK:
+                yield lines
+                lines = []
+        if lines:
+            yield lines
+
+    def _text(self, raw: bytes, row: int) -> str:
+        """A row without its end."""
+        if len(raw) == LONGEST_ROW:
+            self.refuse(f"a row of {LONGEST_ROW} characters or more", row, allowed=",".join(COLUMNS))
+        try:
+            return raw.decode("utf-8").rstrip("\r\n")
+        except UnicodeDecodeError:
+            self.refuse("the row is not UTF-8 text", row, allowed=",".join(COLUMNS))
+
+    def _numbers(self, lines: list[str], first: int) -> Floats:
+        """Numbers (n, 4) of rows, the first of which is row `first` of the file."""
+        try:
+            numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
+        except ValueError:
+            numbers = np.empty((0, 0))
+        if numbers.shape != (len(lines), len(COLUMNS)):
+            self._refuse_first(lines, first)
+        return numbers
+
+    def _refuse_first(self, lines: list[str], first: int) -> NoReturn:
+        """Name the first row and column that are no number."""
+        for row, line in enumerate(lines, first):
+            parts = line.split(",")
+            for column, part in enumerate(parts[: len(COLUMNS)]):
+                try:
+                    np.loadtxt([part], comments=None, dtype=np.float64)
+                except ValueError:
+                    self.refuse(f"{COLUMNS[column]} is no number", row, line, column, allowed="a number")
+            if len(parts) != len(COLUMNS):
+                self.refuse(f"{len(parts)} values in a row", row, line, min(len(parts), len(COLUMNS)),
+                            allowed=",".join(COLUMNS))  # fmt: skip
+        self.refuse("the rows are not numbers separated by commas", first, allowed=",".join(COLUMNS))
+
+    def _enter(self, made: Floats, numbers: Floats, lines: list[str], first: int) -> None:
+        """Write the δ of rows to their cells."""
+        n1, n2 = self.lattice.count
+        whole = (numbers[:, :2] == np.rint(numbers[:, :2])) & (np.abs(numbers[:, :2]) < 2.0**53)
+        index: Ints = np.where(whole, numbers[:, :2], -(2.0**53)).astype(np.int64)
+        i, j = index[:, 0], index[:, 1]
+        place = i + j // 2 if self.lattice.hexagonal else i
+        outside = np.column_stack([(place < 0) | (place >= n1), (j < 0) | (j >= n2)])
+        good = np.abs(numbers[:, 2:]) <= LARGEST  # NaN is not
+        flaws: tuple[tuple[Bools, int, str, str], ...] = (
+            (~whole[:, 0], 0, "i is no whole number", "a whole number"),
+            (~whole[:, 1], 1, "j is no whole number", "a whole number"),
+            (outside[:, 1], 1, "j lies outside the sheet", f"0 to {n2 - 1}"),
+            (outside[:, 0], 0, "i lies outside the sheet", f"0 to {n1 - 1}" + self._less_rows()),
+            (~good[:, 0], 2, "delta_x is out of range", f"a number from -{LARGEST:g} to {LARGEST:g}"),
+            (~good[:, 1], 3, "delta_y is out of range", f"a number from -{LARGEST:g} to {LARGEST:g}"),
+        )
+        bad = np.flatnonzero(np.any([flaw[0] for flaw in flaws], axis=0))
+        if len(bad):
+            row = int(bad[0])
+            _, column, message, allowed = next(flaw for flaw in flaws if flaw[0][row])
+            self.refuse(message, first + row, lines[row], column, allowed=allowed)
+        flat = place * n2 + j
+        _, earliest = np.unique(flat, return_index=True)
+        twice = ~np.isnan(made[place, j, 0])
+        twice[np.setdiff1d(np.arange(len(flat)), earliest)] = True
+        if twice.any():
+            row = int(np.argmax(twice))
+            self.refuse(f"cell ({i[row]}, {j[row]}) stands in the table twice", first + row, lines[row], 0,
+                        allowed="each cell once")  # fmt: skip
+        made[place, j] = numbers[:, 2:]
+
+    def _less_rows(self) -> str:
+        return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
+
+    def _whole(self, made: Floats) -> Floats:
+        """δ of every cell, 0 where none is kept; a kept one that has none is refused."""
+        missing = np.isnan(made[..., 0])
+        for j in np.flatnonzero(missing.any(axis=0)).tolist():
+            kept = self.lattice.row(j)
+            places = kept[:, 0] + j // 2 if self.lattice.hexagonal else kept[:, 0]
+            lacking = kept[missing[places, j]]
+            if len(lacking):
+                self.refuse(
+                    f"cell ({lacking[0, 0]}, {j}) is missing",
+                    allowed=f"a row for each of {self.lattice.cell_count:,} cells",
+                )
+        return np.where(missing[..., None], 0.0, made)
+
+    # --- NPZ ------------------------------------------------------------------------------------------
+
+    def _of_array(self) -> Floats:
+        """Read the array after its header was judged; what its entry says it inflates to is never exceeded."""
+        most = 32 * self.lattice.count[0] * self.lattice.count[1] + (1 << 20)
+        if (
+            size := os.stat(self.path).st_size
+        ) > most:  # the library makes an object of each entry before any is judged
+            self.refuse(f"{size:,} bytes are more than such an array has", allowed=self._shape())
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                names = [name for name in archive.namelist() if name.removesuffix(".npy") == ARRAY]
+                if len(names) != 1:
+                    self.refuse(f"no array {ARRAY!r} in the archive", allowed=self._shape())
+                with archive.open(names[0]) as stream:
+                    made = self._array(stream)
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            RuntimeError,
+            NotImplementedError,
+            EOFError,
+            OSError,
+        ) as error:
+            self.refuse(
+                f"not an .npz archive that can be read: {printable(str(error))[:100]}", allowed=self._shape()
+            )
+        bad = ~(np.abs(made) <= LARGEST)
+        if bad.any():
+            i, j, axis = (int(v[0]) for v in np.nonzero(bad))
+            self.refuse(f"delta[{i}, {j}, {axis}] = {made[i, j, axis]} is out of range",
+                        allowed=f"numbers from -{LARGEST:g} to {LARGEST:g}")  # fmt: skip
+        return made
+
+    def _array(self, stream: IO[bytes]) -> Floats:
+        from tokenize import TokenError
+
+        try:
+            version = np.lib.format.read_magic(stream)
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
+            shape, fortran, kind = read(stream)
+        except (ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
+            self.refuse(
+                f"array {ARRAY!r}: {printable(str(error).partition(chr(10))[0])[:100]}", allowed=self._shape()
+            )
+        if shape != (*self.lattice.count, 2) or kind.kind not in "fiu" or fortran:
+            pickled = ": pickled objects are not read" if kind.hasobject else ""
+            self.refuse(f"array {ARRAY!r} is {shape} of {kind}{', Fortran order' if fortran else ''}{pickled}",
+                        allowed=self._shape())  # fmt: skip
+        size = int(np.prod(shape)) * kind.itemsize
+        data = stream.read(size + 1)
+        if len(data) != size:
+            self.refuse(f"array {ARRAY!r} is not as long as its header says", allowed=self._shape())
+        typed: Any = np.frombuffer(data, dtype=kind).reshape(shape)
+        return np.asarray(typed, dtype=np.float64)
+
+    def _shape(self) -> str:
+        n1, n2 = self.lattice.count
+        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order"

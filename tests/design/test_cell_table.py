@@ -1,0 +1,171 @@
+"""Tables of cells as others write them: what is taken, and where what is not taken is refused."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+from clacad.config.design_error import DesignError, DesignTooLarge
+from clacad.design import cell_table_rows
+from clacad.design.cell_table import TableSpec, digest, read_table, table_path
+from clacad.sheet.lattice import Circle, Lattice
+
+HEADER = "i,j,delta_x,delta_y\n"
+SMALL = Lattice("square", (1.0, 1.0), (2, 3))
+
+
+def rows(lattice, delta=lambda i, j: (0.01 * i, -0.02 * j)):
+    return HEADER + "".join(
+        "{},{},{!r},{!r}\n".format(i, j, *delta(i, j)) for i, j in lattice.cells().tolist()
+    )
+
+
+def read(tmp_path, data, lattice=SMALL, name="cells.csv", stated=None):
+    raw = data if isinstance(data, bytes) else data.encode()
+    (tmp_path / name).write_bytes(raw)
+    return read_table(str(tmp_path / "d.toml"), TableSpec(name, stated or sha256(raw).hexdigest()), lattice)
+
+
+def refused(tmp_path, data, lattice=SMALL, name="cells.csv"):
+    with pytest.raises(DesignError) as caught:
+        read(tmp_path, data, lattice, name)
+    (mistake,) = caught.value.mistakes
+    assert mistake.code == "CL121"
+    assert str(mistake)
+    return mistake
+
+
+def npz(**arrays):
+    made = io.BytesIO()
+    np.savez(made, **arrays)
+    return made.getvalue()
+
+
+@pytest.mark.parametrize("change", [str, lambda t: t.replace("\n", "\r\n"), lambda t: "\ufeff" + t, str.strip, lambda t: t + "\n\n", lambda t: t.replace(",", " , ")])  # fmt: skip
+def test_rows_are_taken_in_any_order_with_any_line_end_and_byte_order_mark(tmp_path, change):
+    head, *body = rows(SMALL).splitlines(keepends=True)
+    made = read(tmp_path, change(head + "".join(reversed(body))))
+    exact = [[[0.01 * i, -0.02 * j] for j in range(3)] for i in range(2)]
+    assert np.array_equal(made, exact)
+
+
+def test_cells_of_a_hexagonal_sheet_are_named_as_its_lattice_names_them(tmp_path):
+    lattice = Lattice("hexagonal", (1.0, 1.0), (3, 4))
+    made = read(tmp_path, rows(lattice), lattice)
+    for i, j in lattice.cells().tolist():
+        assert made[i + j // 2, j].tolist() == [0.01 * i, -0.02 * j]
+
+
+def test_cells_that_an_outline_leaves_out_may_be_missing_or_there(tmp_path):
+    whole = Lattice("square", (1.0, 1.0), (6, 6))
+    round_one = Lattice("square", (1.0, 1.0), (6, 6), Circle(6.0))
+    kept = read(tmp_path, rows(round_one), round_one)
+    assert np.count_nonzero(kept.any(axis=-1)) <= round_one.cell_count < 36
+    assert np.array_equal(read(tmp_path, rows(whole), round_one)[1, 2], kept[1, 2])
+
+
+@pytest.mark.parametrize(
+    ("change", "row", "column", "word"),
+    [
+        (lambda t: t.replace("i,j,", "j,i,", 1), 1, 1, "header"),
+        (lambda t: t.replace(",delta_y", "", 1), 1, 12, "header"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1,2,nan,-0.04"), 7, 5, "delta_x is out of range"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1,2,0.01,inf"), 7, 10, "delta_y is out of range"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1,2,0.01,x"), 7, 10, "delta_y is no number"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1,2,0.01"), 7, 9, "3 values in a row"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1,2,0.01,0,0"), 7, 12, "5 values in a row"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1,7,0.01,0"), 7, 3, "j lies outside"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "-1,2,0.01,0"), 7, 1, "i lies outside"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "0.5,2,0.01,0"), 7, 1, "i is no whole number"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "1e300,2,0.01,0"), 7, 1, "i is no whole number"),
+        (lambda t: t.replace("1,2,0.01,-0.04", "0,2,0.01,0"), 7, 1, "cell (0, 2) stands in the table twice"),
+        (lambda t: t + "1,2,0.01,-0.04\n", 8, 1, "cell (1, 2) stands in the table twice"),
+        (lambda t: t.replace("1,2,0.01,-0.04\n", ""), None, None, "cell (1, 2) is missing"),
+        (lambda t: t.replace("1,2,0.01,-0.04\n", "\n1,2,0.01,-0.04\n"), 7, None, "empty row"),
+        (lambda t: t + "0" * 2000, 8, None, "1000 characters"),
+        (lambda t: t.encode() + b"\xff\xfe,1\n", 8, None, "not UTF-8"),
+        (lambda t: "", 1, 1, "header"),
+        (lambda t: HEADER, None, None, "cell (0, 0) is missing"),
+        (lambda t: t + "#\n", 8, 1, "i is no number"),
+    ],
+)
+def test_a_flaw_is_refused_at_its_row_and_column(tmp_path, change, row, column, word):
+    mistake = refused(tmp_path, change(rows(SMALL)))
+    assert (mistake.line, mistake.column) == (row, column)
+    assert word in mistake.message
+    assert mistake.path.endswith("cells.csv")
+
+
+def test_a_flaw_in_a_later_block_is_named_by_its_own_row(tmp_path, monkeypatch):
+    monkeypatch.setattr(cell_table_rows, "BLOCK", 2)
+    assert np.array_equal(read(tmp_path, rows(SMALL))[1, 2], [0.01, -0.04])
+    text = rows(SMALL).replace("1,2,0.01,-0.04", "0,0,0.01,0")
+    assert refused(tmp_path, text).line == 7
+
+
+def test_an_array_is_taken_as_it_is_and_refused_where_it_is_another(tmp_path):
+    delta = np.arange(12.0).reshape(2, 3, 2)
+    for kind in (np.float64, np.float32, np.int16):
+        assert np.array_equal(read(tmp_path, npz(delta=delta.astype(kind)), name="t.npz"), delta)
+    whole = npz(delta=delta)
+    for data, word in (
+        (npz(other=delta), "no array"),
+        (npz(delta=delta[:, :2]), "(2, 2, 2)"),
+        (npz(delta=np.full((2, 3, 2), None)), "pickled objects are not read"),
+        (npz(delta=np.where(delta == 7, np.nan, delta)), "delta[1, 0, 1]"),
+        (npz(delta=np.full((2, 3, 2), "x")), "<U1"),
+        (npz(delta=np.asfortranarray(delta)), "Fortran"),
+        (b"not a zip", "not an .npz archive"),
+        (whole[:-30], "not an .npz archive"),
+        (whole[:60] + b"\xff" * 40 + whole[100:], "delta"),
+        (whole + b"\0" * (2 << 20), "more than such an array has"),
+    ):
+        assert word in refused(tmp_path, data, name="t.npz").message
+
+
+def test_a_bomb_is_not_blown_up(tmp_path):
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        head = io.BytesIO()
+        np.lib.format.write_array_header_1_0(
+            head, {"descr": "<f8", "fortran_order": False, "shape": (2, 3, 2)}
+        )
+        archive.writestr("delta.npy", head.getvalue() + bytes(50 << 20))
+    assert "not as long as its header says" in refused(tmp_path, made.getvalue(), name="t.npz").message
+
+
+def test_a_table_lies_in_the_folder_of_its_design(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out.csv").write_text(rows(SMALL))
+    os.symlink(tmp_path / "out.csv", tmp_path / "in" / "link.csv")
+    design = str(tmp_path / "in" / "d.toml")
+    for name in ("../out.csv", str(tmp_path / "out.csv"), "link.csv", "none.csv", ".", "C:x.csv"):
+        with pytest.raises(DesignError, match="CL121"):
+            table_path(design, name)
+    os.mkfifo(tmp_path / "in" / "pipe.csv")
+    with pytest.raises(DesignError, match="it is a pipe"):
+        table_path(design, "pipe.csv")
+
+
+def test_a_table_that_has_changed_is_refused(tmp_path):
+    with pytest.raises(DesignError, match="is not the table whose sha256"):
+        read(tmp_path, rows(SMALL), stated="0" * 64)
+
+
+def test_too_many_cells_rows_or_bytes_are_refused_by_the_limit(tmp_path, monkeypatch):
+    with pytest.raises(DesignTooLarge, match="10,000,000"):
+        read(tmp_path, rows(SMALL), Lattice("square", (1.0, 1.0), (3163, 3163)))
+    path = tmp_path / "large.csv"
+    with path.open("wb") as stream:
+        stream.truncate(1_000_000_001)
+    with pytest.raises(DesignTooLarge, match="1,000,000,001 bytes"):
+        digest(str(path))
+    few = cell_table_rows.BUDGETS["cell-table"].__class__("", 10**9, 5, "cells", None)
+    monkeypatch.setattr(cell_table_rows, "BUDGETS", {"cell-table": few})
+    with pytest.raises(DesignTooLarge, match="more than 5 rows"):
+        read(tmp_path, rows(SMALL))
