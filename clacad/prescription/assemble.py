@@ -35,6 +35,7 @@ from clacad.prescription.radii import (
 )
 from clacad.prescription.residual import residual
 from clacad.prescription.thickness import auto_thickness
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
 
@@ -427,7 +428,7 @@ def _assemble_window(
         form=design.pair.form,
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
-        shifts=((0.0, 0.0), moved),
+        placements=(CellPlacement(), CellPlacement(moved)),
         unit=design.unit_m,
         z_range=(0.0, 0.0),
         law=intent.law,
