@@ -12,6 +12,7 @@ from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.varying import VaryingSpec, varying_table
 from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline, PairSpec
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ def _written(value: Any, key: Key, design: Design) -> Any:
         return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
     if isinstance(value, Frame):
         return {"width": value.width} | ({} if value.height is None else {"height": value.height})
+    if isinstance(value, VaryingSpec):
+        return varying_table(value)
     if isinstance(value, tuple) and value and isinstance(value[0], FaceSpec):
         return [face_table(face) for face in value]
     if isinstance(value, tuple) and value and isinstance(value[0], Allowed):

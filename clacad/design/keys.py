@@ -26,6 +26,7 @@ from clacad.config.value_kinds import (
     not_this,
 )
 from clacad.design.given_faces import FACES
+from clacad.design.varying import VARYING
 
 FORMAT: Final = 1
 REQUIRED: Final = object()
@@ -141,6 +142,7 @@ LAW: Final[dict[str, Key]] = {
     "delta": Key(Several(_DELTA, _XY), "delta_i = d_i/f1_i, offset of lens 2", (0.0, 0.0)),
     "euler": Key(Several(_EULER, ("phi", "theta", "psi")), "turns about z, x, z", (0.0, 0.0, 0.0)),
     "euler_axes": Key(Word(("fixed", "moving")), "whether the turns are about fixed or moving axes", "fixed"),
+    "varying": Key(VARYING, "how delta varies over the sheet: f_image, conjugates, gradient or table"),
 }
 PAIR: Final[dict[str, Key]] = {
     "form": Key(Word(("biconvex", "plano", "slab")), "how a lenslet pair is built", REQUIRED),

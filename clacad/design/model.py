@@ -94,12 +94,31 @@ class Design:
 
     @property
     def law(self) -> Law:
-        """The asked law of refraction."""
+        """The asked law of refraction; where it varies, that of the sheet's middle (of a table: with no offset)."""
         from clacad.optics.law import Law
 
         phi, theta, psi = self.law_spec.euler
         (eta_x, eta_y), (delta_x, delta_y) = self.law_spec.eta, self.law_spec.delta
         return Law(eta_x, eta_y, delta_x, delta_y, phi, theta, psi, axes=self.law_spec.euler_axes)
+
+    def law_at(self, index: tuple[int, int]) -> Law:
+        """The law that a cell is asked to obey; that of the sheet where all obey one.
+
+        Parameters
+        ----------
+        index : (i, j)
+            As `clacad.Lattice` counts the cells; of hexagons axial.
+
+        Raises
+        ------
+        DesignError
+            The table of cells cannot be read.
+        IndexError
+            No such cell is kept.
+        """
+        from clacad.design.asked_cells import cell_laws, lattice_of
+
+        return cell_laws(self).law_at(lattice_of(self), index)
 
     @property
     def viewing_places(self) -> tuple[float | None, float | None]:

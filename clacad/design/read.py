@@ -19,6 +19,7 @@ from clacad.design.filled_outline import filling_count
 from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
+from clacad.design.cell_table import TableSpec, digest, table_path
 from clacad.design.sections import (
     Allowed,
     BodySpec,
@@ -30,6 +31,8 @@ from clacad.design.sections import (
     PairSpec,
     TolerancesSpec,
 )
+
+from clacad.design.varying import VaryingSpec, varying_read
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -190,6 +193,20 @@ def _refused(key: str, refusal: Refusal) -> Mistake:
 # --- building ---------------------------------------------------------------------------------------------
 
 
+def _varying(read: Any, path: str, source: str | None) -> VaryingSpec | None:
+    """How the law varies; a table whose hash is not stated is looked at here."""
+    if read is None:
+        return None
+    spec = varying_read(read)
+    if spec.table is None or spec.table.sha256:
+        return spec
+    try:
+        found = digest(table_path(path, spec.table.file))
+    except DesignError as error:
+        raise type(error)(located(error.mistakes, source, path, ())) from None
+    return VaryingSpec(table=TableSpec(spec.table.file, found))
+
+
 def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, path: str) -> dict[str, Any]:
     """Fields of a `Design` from converted values by dotted key; what follows from other keys is filled in."""
     part = {
@@ -202,6 +219,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         pair["web"] = 0.0
     pair["face"] = faces_read(pair["face"])
     law["euler_degrees"] = law.pop("euler")
+    law["varying"] = _varying(law["varying"], path, source)
     if lattice["outline"] is not None:
         ((shape, size),) = lattice["outline"]
         lattice["outline"] = Outline(shape, (size, size) if shape == "circle" else size)

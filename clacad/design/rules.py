@@ -10,7 +10,9 @@ from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
+from clacad.design.combinations import FEATURES, built_sheets, why_not
 from clacad.design.given_faces import faces_read
+from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta, varying_read
 
 SMALLEST_PITCH_M: Final = 1e-7
 """Pitch below 0.1 µm is refused: a fifth of the shortest visible wavelength, no lens any more."""
@@ -303,6 +305,44 @@ def baffle_has_walls(a: Asked) -> Iterator[Mistake]:
                       allowed=f"below the pitch, {min(pitch):g}")  # fmt: skip
 
 
+def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
+    """δ varies only along axes with power; a table replaces delta; a magnification fixes eta."""
+    read, eta, separation = a("law.varying"), a("law.eta"), a("pair.separation")
+    if read is None or eta is None:
+        return
+    spec = varying_read(read)
+    if spec.table is not None and any(a("law.delta") or ()):
+        yield Mistake("CL112", "law.delta and a table of cells exclude each other: the table has the delta of every cell",
+                      "law.delta", found=a.says("law.delta"), allowed="leave it out")  # fmt: skip
+    if 1.0 in eta:
+        yield Mistake("CL111", "eta = 1 with a delta that varies: a lens without power has no axis to offset", "law.varying",
+                      allowed="eta other than 1 in both x and y")  # fmt: skip
+    if separation is None:
+        if spec.conjugates is not None and a("pair.form") == "slab" and a.given("pair.thickness"):
+            yield Mistake("CL113", "law.varying.conjugates needs pair.separation", "pair.separation",
+                          allowed="separation = T/n instead of thickness = T")  # fmt: skip
+        return
+    wanted = None if spec.conjugates is None else needed_eta(spec.conjugates, separation)
+    if wanted is not None and any(abs(e - w) > MAGNIFIED * abs(w) for e, w in zip(eta, wanted, strict=True)):
+        needed = ", ".join(repr(w) for w in wanted)
+        yield Mistake("CL112", "law.eta and the magnification exclude each other", "law.eta", found=a.says("law.eta"),
+                      allowed=f"eta = [{needed}]", hint="or leave magnification out: then it is as eta makes it")  # fmt: skip
+    rows = gradient_of(spec, eta, separation)
+    if rows is not None and not all(abs(v) < 1e9 for row in rows for v in row):
+        yield Mistake("CL106", "the gradient of delta is out of range", "law.varying",
+                      allowed="planes farther from the sheet")  # fmt: skip
+
+
+def sheet_is_built(a: Asked) -> Iterator[Mistake]:
+    """What a sheet whose cells differ can have beside it."""
+    for sheet in built_sheets(a):
+        for feature in FEATURES:
+            reason = why_not(sheet, feature.name)
+            if reason and feature.present(a):
+                yield Mistake("CL122", f"{feature.key} with {sheet}: {reason}", feature.key, allowed=f"one of the two",
+                              hint=feature.instead)  # fmt: skip
+
+
 RULES: Final[tuple[Rule, ...]] = (
     law_is_a_pair,
     lens_faces_forward,
@@ -318,6 +358,8 @@ RULES: Final[tuple[Rule, ...]] = (
     outline_holds_a_cell,
     count_or_outline,
     baffle_has_walls,
+    varying_law_has_lenses,
+    sheet_is_built,
 )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from clacad.design.given_faces import FaceSpec
+from clacad.design.varying import VaryingSpec
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
@@ -28,12 +29,15 @@ class LawSpec:
         φ, θ, ψ as written.
     euler_axes : {"fixed", "moving"}
         R = Rz(ψ) Rx(θ) Rz(φ) for fixed axes, Rz(φ) Rx(θ) Rz(ψ) for moving ones.
+    varying : VaryingSpec or None
+        How δ varies over the sheet; None: all cells obey one law.
     """
 
     eta: Pair2
     delta: Pair2
     euler_degrees: tuple[float, float, float]
     euler_axes: Literal["fixed", "moving"]
+    varying: VaryingSpec | None = None
 
     @property
     def euler(self) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.base.digits import rounded_up
 from clacad.base.types import Floats, Pair2
+from clacad.design.asked_cells import lattice_of
 from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
 from clacad.prescription import poses
@@ -35,6 +36,7 @@ from clacad.prescription.radii import (
 )
 from clacad.prescription.residual import residual
 from clacad.prescription.thickness import auto_thickness
+from clacad.prescription.varying_cells import with_varying_law
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
@@ -87,7 +89,8 @@ def build_window(design: Design) -> Window:
     window = replace(window, z_range=window_range(window))
     asked = intent.law.refract(intent.turn[:, 2][None])[0]
     left = residual(window, intent.turn, _entry(window, intent), asked)
-    return replace(window, residual=left)
+    window = replace(window, residual=left)
+    return window if design.law_spec.varying is None else with_varying_law(window, design)
 
 
 def placed(design: Design) -> Window:
@@ -106,7 +109,7 @@ def _intent(design: Design) -> Intent:
         neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
     return Intent(
         design, law, law.rotation, design.law_spec.eta, design.law_spec.delta, index, material,
-        _lattice(design), GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth), neck,
+        lattice_of(design), GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth), neck,
     )  # fmt: skip
 
 
@@ -126,15 +129,6 @@ def _conic(design: Design, index: float) -> Pair2 | None:
     inside = pair.form == "plano" and pair.curved == "inside"
     k = -(index**2) if inside else -1.0 / index**2
     return k, k
-
-
-def _lattice(design: Design) -> Lattice:
-    spec = design.lattice
-    outline: Circle | Rectangle | None = None
-    if spec.outline is not None:
-        size = spec.outline.size
-        outline = Circle(size[0]) if spec.outline.shape == "circle" else Rectangle(*size)
-    return Lattice(spec.kind, spec.pitch, spec.count, outline)
 
 
 def _separation(intent: Intent) -> float:

@@ -80,6 +80,24 @@ class VertexChange:
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
         return change if self.table is None else np.asarray(change + self._tabled(lattice, index))
 
+    def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
+        """The same change on `count` cells in the middle of the lattice it is for; a table is cut to them.
+
+        Raises
+        ------
+        ValueError
+            The table has fewer cells.
+        """
+        if self.table is None:
+            return self
+        over = [have - want for have, want in zip(self.table.shape[:2], count, strict=True)]
+        if min(over) < 0:
+            have, want = self.table.shape[:2], tuple(count)
+            raise ValueError(f"a table of {have[0]} x {have[1]} cells has no {want[0]} x {want[1]}")
+        i, j = over[0] // 2, over[1] // 2
+        j -= j % 2 if lattice.hexagonal else 0  # odd rows stand half a pitch over
+        return replace(self, table=self.table[i : i + count[0], j : j + count[1]])
+
     def _tabled(self, lattice: Lattice, index: Ints) -> Floats:
         assert self.table is not None
         kept = lattice.contains(index)

@@ -21,10 +21,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, upright_sag
+from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 
@@ -196,6 +197,8 @@ class Window:
         Lowest and highest point of any body.
     law : Law
         What was asked. The tracer calls its `refract` on rung "law" and reads nothing else of it.
+    cell_laws : CellLaws or None
+        The law of each cell where they differ; `law` is then that of the sheet's middle. None: all obey `law`.
     thin : ThinPair
     land : Land
     baffle : Baffle or None
@@ -225,6 +228,7 @@ class Window:
     recipe: Mapping[str, Any] = field(default_factory=dict)
     residual: Mapping[str, float] = field(default_factory=dict)
     name: str = "sheet"
+    cell_laws: CellLaws | None = None
 
     def __repr__(self) -> str:
         lattice, count = self.lattice, len(self.bodies)
@@ -274,17 +278,40 @@ class Window:
             places[..., :2] += face.change.at(self.lattice, index)
         return places
 
+    def law_at(self, index: ArrayLike) -> Law:
+        """The law that the cell `index` (i, j) is built for and judged by; that of the sheet where all obey one.
+
+        Raises
+        ------
+        IndexError
+            No such cell is kept.
+        """
+        laws = CellLaws(self.law) if self.cell_laws is None else self.cell_laws
+        return laws.law_at(self.lattice, index)
+
     def with_cells(self, count: tuple[int, int]) -> Window:
         """Give the same design with another cell count, centred on the origin, without a cut outline.
+
+        Of lenses that stand as a table says, the middle ones.
 
         Raises
         ------
         ValueError
-            The lenses of this window stand as a table says, which has other cells.
+            The table has fewer.
         """
-        if any(face.change is not None and face.change.table is not None for face in self.faces):
-            raise ValueError("a window whose lenses stand as a table says has no other cell count")
-        small = replace(self, lattice=self.lattice.with_count(count))
+
+        def fewer(face: Face) -> Face:
+            return face if face.change is None else replace(face, change=face.change.of_middle(self.lattice, count))
+
+        small = replace(
+            self,
+            lattice=self.lattice.with_count(count),
+            bodies=tuple(replace(body, front=fewer(body.front), back=fewer(body.back)) for body in self.bodies),
+        )
+        if self.thin.change is not None:
+            small = replace(small, thin=replace(self.thin, change=self.thin.change.of_middle(self.lattice, count)))
+        if self.cell_laws is not None:
+            small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))
         return replace(small, outline=side_outline(small))
 
 

@@ -27,7 +27,7 @@ __all__ = ["Interface", "trace", "trace_sequence"]
 def trace(
     window: Window, rays: Rays | OneRay, rung: Rung = "surfaces", effects: Sequence[str | Effect] = (), record: bool = False,
     mesh: AnyMesh | int | None = None, normals: Normals = "facet", threads: int | None = None, path: Path | None = None,
-    precision: Literal["float64", "float32"] = "float64",
+    precision: Literal["float64", "float32"] = "float64", continuous: bool = False,
 ) -> TraceResult:  # fmt: skip
     """Trace rays through a window.
 
@@ -58,6 +58,9 @@ def trace(
     precision : "float64" or "float32"
         Rung "surfaces" without effects only: "float32" computes the straight path of the light in single
         precision, for pictures; directions are then good to about a microradian. Always compiled.
+    continuous : bool
+        Rung "law" only, of a sheet whose law varies: by the law at the very point met instead of that of the cell hit.
+        Their difference is what cells of a finite size cost.
 
     Returns
     -------
@@ -73,4 +76,4 @@ def trace(
         An unknown word, a precision or a mesh the rung does not have, a mesh of other bodies, a sheet that cannot be
         meshed, or a wavelength outside a material's data.
     """
-    return Tracer(window, rung, effects, mesh, normals, threads, path, precision)(rays, record)
+    return Tracer(window, rung, effects, mesh, normals, threads, path, precision, continuous)(rays, record)

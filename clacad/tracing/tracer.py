@@ -41,7 +41,7 @@ class Tracer:
 
     Parameters
     ----------
-    window, rung, effects, mesh, normals, threads, path, precision
+    window, rung, effects, mesh, normals, threads, path, precision, continuous
         As of `clacad.trace`. A file of triangles is read here; what it becomes later is not seen.
 
     Raises
@@ -65,6 +65,7 @@ class Tracer:
     threads: int | None = None
     path: Path | None = None
     precision: Literal["float64", "float32"] = "float64"
+    continuous: bool = False
     facets: Facets | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
@@ -112,7 +113,7 @@ class Tracer:
                 return _compiled(layout, rays, recorded, self.threads, single=single)
             if not record:
                 return _ideal(layout, rays, self.rung, self.threads)
-        return _by_numpy(layout, rays, self.rung, recorded)
+        return _by_numpy(layout, rays, self.rung, recorded, self.continuous)
 
     def sums(self, rays: Rays, law: Law | None = None) -> LightSums:
         """Trace rays and add up what they do, keeping no rows: a fifth of the time where only sums are asked for.
@@ -132,6 +133,8 @@ class Tracer:
 
         if self.effects:
             raise ValueError("sums count whole rays: a tracer with effects has none")
+        if self.window.cell_laws is not None and law is None:
+            need_equal_cells(self.window, "a sum of angles to one law", "give the law")
         law = self.window.law if law is None else law
         path = self._chosen(len(rays))
         piecewise = copy(self)
@@ -161,6 +164,10 @@ class Tracer:
             if value not in words:
                 *most, last = (f'"{word}"' if word else "None" for word in words)
                 raise ValueError(f"{name} is {value!r}, not {', '.join(most)} or {last}")
+        if self.continuous and self.rung != "law":
+            raise ValueError(f'continuous=True is for rung "law", not {self.rung!r}')
+        if self.continuous and self.window.cell_laws is not None and self.window.cell_laws.smooth is None:
+            raise ValueError("continuous=True: the law of this sheet is a table's, which has no values between its cells")
         if self.mesh is not None and self.rung != "mesh":
             raise ValueError(f'mesh= is for rung "mesh", not {self.rung!r}')
         facets = any(effect == "facets" or getattr(effect, "rung", None) == "mesh" for effect in self.effects)
@@ -172,12 +179,14 @@ class Tracer:
             )
 
 
-def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int) -> TraceResult:
+def _by_numpy(
+    layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous: bool = False
+) -> TraceResult:
     """Rungs law, thin and surfaces in numpy, hits kept at so many faces."""
     ledger = Ledger.opened(rays, recorded)
     rows = ledger.launchable()
     if rung == "law":
-        trace_law(layout, ledger, rows)
+        trace_law(layout, ledger, rows, continuous)
     elif rung == "thin":
         trace_thin(layout, ledger, rows)
     else:

@@ -1,4 +1,4 @@
-"""Rung "law": the sheet as a homogeneous plane z = 0 that obeys its law exactly."""
+"""Rung "law": the sheet as a plane z = 0 that obeys its law exactly, each cell its own where they differ."""
 
 from __future__ import annotations
 
@@ -31,21 +31,28 @@ class SheetPlane:
     high: float = 0.0
 
 
-def trace_law(layout: Layout, ledger: Ledger, rows: Rows) -> None:
+def trace_law(layout: Layout, ledger: Ledger, rows: Rows, continuous: bool = False) -> None:
     """Write the rows (k,) of rays that cross a kept cell's footprint in z = 0.
 
-    ALIVE where the law has an answer, BACKWARD where it has none; the rest stay MISSED.
+    ALIVE where the law has an answer, BACKWARD where it has none; the rest stay MISSED. `continuous`: by the law at the
+    very point met instead of that at the centre of the cell hit.
     """
     window = layout.window
     plane = SheetPlane(window.lattice.extent())
     beam, carried = launch(layout, plane, ledger.position, ledger.direction, rows)
     met = layout.lattice.contains(beam.cell) & (carried >= 0.0)
     beam, carried = beam.take(met), carried[met]
-    out = window.law.refract(ledger.direction[beam.rows])
+    position = sheet_position(layout, 0, beam.cell, beam.local, np.zeros(len(beam)))
+    smooth = None if window.cell_laws is None else window.cell_laws.smooth
+    if window.cell_laws is None:
+        out = window.law.refract(ledger.direction[beam.rows])
+    elif continuous and smooth is not None:
+        out = smooth.refract(ledger.direction[beam.rows], position[:, :2])
+    else:
+        out = window.cell_laws.refract(layout.lattice, beam.cell, ledger.direction[beam.rows])
     refused = np.isnan(out[:, 0])
     fate = np.where(refused, Fate.BACKWARD, Fate.ALIVE).astype(np.uint8)
     direction = np.where(refused[:, None], beam.direction, out)
-    position = sheet_position(layout, 0, beam.cell, beam.local, np.zeros(len(beam)))
     ledger.record(0, beam.rows, position, direction)
     ledger.end(beam.rows, fate, position, direction, carried, 0)
     ledger.cell[beam.rows] = beam.cell

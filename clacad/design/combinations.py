@@ -1,0 +1,74 @@
+"""What a sheet whose cells differ can have beside it: the one table that refuses, and that the matrix is printed from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+Ask = Callable[[str], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """Something a design may have beside cells that differ.
+
+    Parameters
+    ----------
+    name : str
+        As the matrix calls it.
+    key : str
+        Key of a design that asks for it.
+    present : callable
+        Whether the values of a design have it.
+    instead : str
+        The nearest way out.
+    """
+
+    name: str
+    key: str
+    present: Callable[[Ask], bool]
+    instead: str = ""
+
+
+FEATURES: Final = (
+    Feature("hexagonal cells", "lattice.kind", lambda a: a("lattice.kind") == "hexagonal"),
+    Feature("seam", "lattice.seam", lambda a: bool(a("lattice.seam"))),
+    Feature("outline", "lattice.outline", lambda a: a("lattice.outline") is not None),
+    Feature("tilt", "law.euler", lambda a: bool((a("law.euler") or (0.0, 0.0, 0.0))[1]), "theta = 0"),
+    Feature("offset", "law.delta", lambda a: any(a("law.delta") or ())),
+    Feature("biconvex", "pair.form", lambda a: a("pair.form") == "biconvex", 'form = "slab"'),
+    Feature("plano", "pair.form", lambda a: a("pair.form") == "plano", 'form = "slab"'),
+    Feature("slab", "pair.form", lambda a: a("pair.form") == "slab"),
+    Feature("given faces", "pair.prescription", lambda a: a("pair.prescription") == "given", 'prescription = "derived"'),
+    Feature("tolerances", "tolerances", lambda a: any(a(f"tolerances.{k}") not in (None, 0.0, (0.0, 0.0)) for k in _TOLERATED), "leave [tolerances] out"),
+    Feature("baffle", "body.baffle", lambda a: bool(a("body.baffle")), "baffle = false"),
+)  # fmt: skip
+_TOLERATED = ("decentre", "rotation", "separation", "radius", "index", "thickness", "tilt", "roughness")
+
+VARYING: Final = "law.varying"
+SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {VARYING: lambda a: a(VARYING) is not None}
+"""Kinds of sheet whose cells differ, by the key that asks for them."""
+
+REASONS: Final[Mapping[tuple[str, str], str]] = {
+    (VARYING, "tilt"): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
+    (VARYING, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
+    (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
+}
+"""Sheet and feature → why they are not built together; what is not here is built."""
+
+
+def built_sheets(a: Ask) -> list[str]:
+    """Kinds of sheet with differing cells that a design asks for."""
+    return [name for name, asked in SHEETS.items() if asked(a)]
+
+
+def why_not(sheet: str, feature: str) -> str:
+    """Return why a sheet is not built with a feature, "" if it is."""
+    return REASONS.get((sheet, feature), "")
+
+
+def matrix() -> list[list[str]]:
+    """Rows of the table of what is built with what: a head, then one row for each feature."""
+    head = ["", *SHEETS]
+    return [head, *([f.name, *(why_not(sheet, f.name) or "built" for sheet in SHEETS)] for f in FEATURES)]

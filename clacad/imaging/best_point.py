@@ -1,0 +1,73 @@
+"""The point that lies nearest to all of many rays, and how far they pass from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+
+PARALLEL = 1e-24
+"""Mean square of slopes about their mean below which rays have no point in common: 1e-12 rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestPoint:
+    """Where rays come nearest to one another.
+
+    Parameters
+    ----------
+    point : (3,) lengths
+        X* = argmin Σ |(1 − d dᵀ)(X − P)|²; NaN where the rays are parallel.
+    spot : (2,) lengths
+        Rms distance of the rays from it along x and y, in its plane.
+    rays : int
+    """
+
+    point: Floats
+    spot: Pair2
+    rays: int
+
+
+def best_point(position: Floats, direction: Floats) -> BestPoint:
+    """Find the point nearest to rays that pass `position` (n, 3), lengths, along unit `direction` (n, 3).
+
+    One 3 × 3 solve, taken about the rays' own middle: what they have in common would cancel else.
+    """
+    lost = BestPoint(np.full(3, np.nan), (np.nan, np.nan), len(position))
+    if len(position) < 2:
+        return lost
+    middle = position.mean(axis=0)
+    axis = direction.mean(axis=0)
+    if np.mean(np.sum((direction - axis) ** 2, axis=1)) < PARALLEL:
+        return lost
+    place = position - middle
+    along = np.einsum("ni,ni->n", place, direction)
+    across = place - along[:, None] * direction
+    # Σ(1 − d dᵀ) as a sum of squares about the mean direction loses nothing where rays are nearly parallel
+    basis = _frame(axis / np.linalg.norm(axis))
+    d = direction @ basis
+    matrix = np.empty((3, 3))
+    matrix[:2, :2] = len(d) * np.eye(2) - d[:, :2].T @ d[:, :2]
+    matrix[:2, 2] = matrix[2, :2] = -(d[:, :2] * d[:, 2:]).sum(axis=0)
+    matrix[2, 2] = np.sum(d[:, :2] ** 2)
+    point = middle + basis @ np.linalg.solve(matrix, (across @ basis).sum(axis=0))
+    x, y = spot_at(position, direction, point)
+    return BestPoint(point, (x, y), len(position))
+
+
+def spot_at(position: Floats, direction: Floats, point: Floats) -> Pair2:
+    """Rms distances along x and y (lengths) at which rays pass a point (3,) in its plane of height z."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (point[2] - position[:, 2]) / direction[:, 2]
+        off = position[:, :2] + reach[:, None] * direction[:, :2] - point[:2]
+    x, y = np.sqrt(np.mean(off**2, axis=0)).tolist()
+    return x, y
+
+
+def _frame(axis: Floats) -> Floats:
+    """Orthonormal columns (3, 3) whose last is `axis`."""
+    side = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(axis, side), axis], axis=1)

@@ -1,0 +1,197 @@
+"""`clacad.image`: where a sheet images a point, as its law says and as rays go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints, Pair2, Rung
+from clacad.imaging.best_point import BestPoint, best_point
+from clacad.optics.law.varying import refract_each
+from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.need_window import need_window
+from clacad.tracing.tracer import Tracer
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
+
+RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
+RAYS = 100_000
+DECIDE = 1 << 20
+"""Most cells whose chief rays the prediction goes through one by one."""
+
+
+@dataclass(frozen=True, eq=False)
+class RungImage:
+    """What one rung makes of a point.
+
+    Parameters
+    ----------
+    rung : "law", "thin" or "surfaces"
+    predicted : BestPoint
+        Of the chief rays, which the law alone sends on; for rung "law" through a sheet of no thickness.
+    found : BestPoint
+        Of the rays that obey it. Lengths, sheet frame.
+    share : float
+        Part of the light on the sheet that goes through lenses of one telescopelet.
+    """
+
+    rung: Rung
+    predicted: BestPoint
+    found: BestPoint
+    share: float
+
+    @property
+    def off(self) -> float:
+        """Distance from the predicted point to the one found, length."""
+        return float(np.linalg.norm(self.found.point - self.predicted.point))
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Where a sheet images a point, rung by rung.
+
+    Parameters
+    ----------
+    source : (3,) lengths
+        As asked; with z = −inf, parallel light of the slopes x and y.
+    rungs : tuple of RungImage
+    width : (2,) lengths
+        Full width of the image that cells of this size have at least, along x and y: |η| p and more.
+    """
+
+    source: Floats
+    rungs: tuple[RungImage, ...]
+    width: Pair2
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        return {
+            "object": self.source.tolist(),
+            "width": list(self.width),
+            "rungs": [
+                {
+                    "rung": one.rung, "predicted": one.predicted.point.tolist(), "found": one.found.point.tolist(),
+                    "off": one.off, "spot": list(one.found.spot), "share": one.share, "rays": one.found.rays,
+                }
+                for one in self.rungs
+            ],
+        }  # fmt: skip
+
+
+def image(
+    window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS, rays: int = RAYS
+) -> Image:
+    """Find where light of a point meets behind a sheet.
+
+    Parameters
+    ----------
+    window : Window
+    source : (3,) lengths
+        A point before the sheet, z < 0; with z = −inf, parallel light of the slopes x and y.
+    rungs : sequence of "law", "thin", "surfaces"
+    rays : int
+        Sent on each rung, spread evenly over the sheet, the same every time.
+
+    Returns
+    -------
+    Image
+
+    Raises
+    ------
+    TypeError
+        No window.
+    ValueError
+        A source that is not before the sheet, an unknown rung, or fewer than 64 rays.
+    """
+    need_window(window, "image", ", (0, 0, -300)")
+    place = np.asarray(source, dtype=np.float64)
+    if place.shape != (3,) or np.isnan(place).any() or not np.isfinite(place[:2]).all():
+        raise ValueError(f"the object is {source!r}, not three numbers x, y, z")
+    if not place[2] < min(window.z_range[0], 0.0):
+        raise ValueError(
+            f"the object lies at z = {place[2]:g}, not before the sheet, which begins at {min(window.z_range[0], 0.0):g}"
+        )
+    if rays < 64:
+        raise ValueError(f"{rays} rays tell of no image: at least 64")
+    wrong = [rung for rung in rungs if rung not in RUNGS]
+    if wrong:
+        raise ValueError(f'rung is {wrong[0]!r}, not "law", "thin" or "surfaces"')
+    sent, cells = _sent(window, place, rays)
+    found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
+    return Image(place, found, _width(window, place))
+
+
+def _sent(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
+    """Rays from the source to points spread evenly over the sheet, started below it, and the cells they aim at."""
+    kept = window.lattice.cells()
+    cells = kept[np.linspace(0, len(kept), rays, endpoint=False).astype(np.int64)]
+    at = window.lattice.centres(cells) + window.lattice.over_cell(sobol(rays, 2))
+    direction = _towards(source, at)
+    below = window.z_range[0] - max(window.lattice.pitch)
+    below = max(below, 0.5 * (source[2] + window.z_range[0])) if np.isfinite(source[2]) else below
+    start = np.column_stack([at, np.zeros(rays)]) + direction * (below / direction[:, 2:])
+    return Rays(start, direction), cells
+
+
+def _towards(source: Floats, at: Floats) -> Floats:
+    """Unit directions (n, 3) from the source to points (n, 2) of the plane z = 0."""
+    if np.isinf(source[2]):
+        slopes = np.broadcast_to(source[:2], at.shape)
+    else:
+        slopes = (at - source[:2]) / -source[2]
+    way = np.column_stack([slopes, np.ones(len(at))])
+    return np.asarray(way / np.linalg.norm(way, axis=1)[:, None])
+
+
+def _on(window: Window, rung: Rung, source: Floats, sent: Rays, cells: Ints) -> RungImage:
+    """What one rung makes of the rays."""
+    # one block after another: a sheet of differing cells is traced in numpy, in bounded memory
+    seen: TraceResult = Tracer(window, rung, path="size")(sent)
+    good = seen.fate == Fate.ALIVE
+    gap = 0.0 if rung == "law" else lens_plane(window, rung)
+    used = np.unique(cells, axis=0)
+    return RungImage(
+        rung,
+        _predicted(window, source, used, gap),
+        best_point(seen.position[good], seen.direction[good]),
+        float(np.mean(good)),
+    )
+
+
+def lens_plane(window: Window, rung: Rung) -> float:
+    """Height of array 2's lens centres over array 1's (length), where light leaves for its image."""
+    if rung == "thin":
+        return float(window.thin.offset[2])
+    return float(next(face.vertex[2] for face in window.faces if face.array == 1))
+
+
+def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> BestPoint:
+    """Where the chief rays of cells (n, 2) meet; array 2 stands at height `level`, optically s behind array 1."""
+    centre = window.centres(0, cells)
+    way = _towards(source, centre)
+    laws = window.cell_laws
+    out = window.law.refract(way) if laws is None else refract_each(laws.law, laws.deltas(window.lattice, cells), way)
+    reach = 0.0 if level == 0.0 else window.thin.separation
+    at = np.column_stack([centre + reach * way[:, :2] / way[:, 2:], np.full(len(cells), level)])
+    good = np.isfinite(out[:, 0])
+    return best_point(at[good], out[good])
+
+
+def _width(window: Window, source: Floats) -> Pair2:
+    """Full width of the image of a point that cells of a finite size leave, along the lens axes."""
+    from clacad.optics.law.focusing import Glens
+
+    laws, law = window.cell_laws, window.law
+    rows = ((0.0, 0.0), (0.0, 0.0)) if laws is None else laws.gradient
+    turn = law.rotation[:2, :2]
+    own = np.asarray(rows) @ turn
+    found = [
+        Glens(eta, float(own[k, k]), window.thin.separation).width(float(source[2]), window.lattice.pitch[k])
+        for k, eta in enumerate((law.eta_x, law.eta_y))
+    ]
+    return found[0], found[1]

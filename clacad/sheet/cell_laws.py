@@ -1,0 +1,69 @@
+"""The law of each cell, where cells differ in their offset δ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clacad.base.types import Floats, Ints
+from clacad.optics.law import Law
+from clacad.optics.law.varying import Gradient, VaryingLaw, refract_each
+from clacad.sheet.cell_places import VertexChange
+from clacad.sheet.lattice import Lattice
+
+
+@dataclass(frozen=True, eq=False)
+class CellLaws:
+    """Laws that share η and the lens axes and differ in δ: δ₀ + K C at the cell's centre C, or as a table says.
+
+    Parameters
+    ----------
+    law : Law
+        Its δ is δ₀; with a table it is not used.
+    gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length
+        Rows: lens axes; columns: sheet axes.
+    table : (n1, n2, 2) array or None
+        δ cell by cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
+    """
+
+    law: Law
+    gradient: Gradient = ((0.0, 0.0), (0.0, 0.0))
+    table: Floats | None = None
+
+    @property
+    def smooth(self) -> VaryingLaw | None:
+        """The law without cells; a table has none."""
+        return None if self.table is not None else VaryingLaw(self.law, self.gradient)
+
+    def deltas(self, lattice: Lattice, index: Ints) -> Floats:
+        """δ (..., 2) of the cells `index` (..., 2)."""
+        smooth = self.smooth
+        if smooth is None:
+            return VertexChange(table=self.table).at(lattice, index)
+        return smooth.deltas(lattice.centres(index))
+
+    def law_at(self, lattice: Lattice, index: ArrayLike) -> Law:
+        """Law of the cell `index` (2,).
+
+        Raises
+        ------
+        IndexError
+            No such cell is kept.
+        """
+        cell = np.asarray(index, dtype=np.int64)
+        if cell.shape != (2,) or not lattice.contains(cell):
+            raise IndexError(f"the sheet has no cell {np.asarray(index).tolist()}")
+        delta_x, delta_y = self.deltas(lattice, cell).tolist()
+        return replace(self.law, delta_x=delta_x, delta_y=delta_y)
+
+    def refract(self, lattice: Lattice, index: Ints, d: Floats) -> Floats:
+        """Directions (n, 3) behind the cells `index` (n, 2) that light (n, 3) meets."""
+        return refract_each(self.law, self.deltas(lattice, index), d)
+
+    def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> CellLaws:
+        """The same laws on `count` cells in the middle of the lattice they are for."""
+        if self.table is None:
+            return self
+        return replace(self, table=VertexChange(table=self.table).of_middle(lattice, count).table)
