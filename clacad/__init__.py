@@ -64,6 +64,7 @@ _HOME = {
     "plan_effects": "clacad.effects",
     "optimise": "clacad.optimising",
     "explore": "clacad.explorer",
+    "image": "clacad.imaging",
 }
 
 __all__ = sorted(_HOME)

@@ -28,6 +28,7 @@ ROOMS = [
     "formats",  # one format a module
     "tracing",
     "effects",
+    "imaging",  # where light of a point meets behind a sheet, and tables that send light into a pattern
     "exporting",
     "verification",
     "advice",  # what verify will say, and which keys would change it

@@ -33,7 +33,8 @@ CODES: dict[str, str] = {
     "CL118": "override that cannot be applied",
     "CL119": "unknown material, or its index table does not reach the wavelength",
     "CL120": "a pair that cannot be built",
-    "CL121": "a table of cells that cannot be read",
+    "CL124": "a table of cells that cannot be read",
+    "CL125": "a sheet whose cells differ beside what is not built with it",
 }
 """Meaning of each stable code of a design mistake."""
 

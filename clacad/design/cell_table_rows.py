@@ -16,7 +16,6 @@ from clacad.base.text import printable
 from clacad.base.types import Bools, Floats, Ints
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.config.mistakes import Mistake
-from clacad.design.cell_table import KEY
 from clacad.sheet.lattice import Lattice
 
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
@@ -36,10 +35,13 @@ class TableFile:
     ----------
     path : str
     lattice : Lattice
+    key : str
+        Key of the design that names it.
     """
 
     path: str
     lattice: Lattice
+    key: str
 
     def deltas(self) -> Floats:
         """Read δ of every cell, (n1, n2, 2); see `clacad.design.cell_table.read_table`."""
@@ -53,7 +55,7 @@ class TableFile:
         place = None
         if column is not None:
             place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
-        raise DesignError([Mistake("CL121", message, KEY, self.path, row, place, allowed=allowed, hint=hint,
+        raise DesignError([Mistake("CL124", message, self.key, self.path, row, place, allowed=allowed, hint=hint,
                                    source_line=line)])  # fmt: skip
 
     # --- CSV ------------------------------------------------------------------------------------------
@@ -94,7 +96,7 @@ class TableFile:
             lines.append(line)
             read += 1
             if read > most:
-                raise DesignTooLarge([Mistake("CL121", f"more than {most:,} rows", KEY, self.path, row)])
+                raise DesignTooLarge([Mistake("CL124", f"more than {most:,} rows", self.key, self.path, row)])
             if len(lines) == BLOCK:
                 yield lines
                 lines = []

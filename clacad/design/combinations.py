@@ -58,6 +58,10 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
 """Sheet and feature → why they are not built together; what is not here is built."""
 
 
+BUILT: Final = "built"
+"""What the matrix says of what is not refused."""
+
+
 def built_sheets(a: Ask) -> list[str]:
     """Kinds of sheet with differing cells that a design asks for."""
     return [name for name, asked in SHEETS.items() if asked(a)]
@@ -71,4 +75,4 @@ def why_not(sheet: str, feature: str) -> str:
 def matrix() -> list[list[str]]:
     """Rows of the table of what is built with what: a head, then one row for each feature."""
     head = ["", *SHEETS]
-    return [head, *([f.name, *(why_not(sheet, f.name) or "built" for sheet in SHEETS)] for f in FEATURES)]
+    return [head, *([f.name, *(why_not(sheet, f.name) or BUILT for sheet in SHEETS)] for f in FEATURES)]

@@ -99,6 +99,17 @@ MISTAKES: dict[str, Text] = {
         "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell",
         "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",
     ),
+    "CL124": (
+        "The table of law.varying is not there, not in the design's folder, has changed, or holds something else than one delta for each cell.",
+        "A cell without a delta has no lens; a table from anywhere is taken as text and numbers only, never as a program.",
+        "i,j,delta_x,delta_y and one row for each cell; or an NPZ array delta (n1, n2, 2)",
+        "Correct the row and column that the message names.",
+    ),
+    "CL125": (
+        "The sheet's cells differ, and something stands beside it that is built of equal cells only.",
+        "The message has the reason; `clacad explain combinations` prints what goes with what.", "",
+        "Leave out one of the two.",
+    ),
     "CL130": (
         "A lens surface has no point over part of its cell.", "The lens would end in the air with nothing at its place.",
         "half the cell's diagonal < radius", "A smaller pitch, a larger separation, or a web or land for the lens to end in.",

@@ -9,6 +9,7 @@ from math import inf, pi
 from pathlib import Path
 
 import clacad.effects
+from clacad.design.combinations import BUILT, matrix
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.effects.engine.passes import NAMES
 from clacad.explain.entry import Entry
@@ -21,9 +22,21 @@ GREEN = 550e-9
 
 def named_things() -> Iterator[Entry]:
     """Entries of all processes, effects and materials."""
+    yield _combinations()
     yield from map(_process, profiles())
     yield from map(_effect, NAMES)
     yield from (_material(find(name)) for name in names())
+
+
+def _combinations() -> Entry:
+    """What sheets whose cells differ are built with, from the table that refuses the rest."""
+    head, *rows = matrix()
+    told = []
+    for column, sheet in enumerate(head[1:], 1):
+        built = [row[0] for row in rows if row[column] == BUILT]
+        told.append(f"{sheet} is built with: {', '.join(built)}.")
+        told += [f"{sheet} with {row[0]}: refused, {row[column]}." for row in rows if row[column] != BUILT]
+    return Entry("", "combinations", "sheets whose cells differ, and what stands beside them", " ".join(told), "", "", "see CL125")
 
 
 def materials_text() -> str:

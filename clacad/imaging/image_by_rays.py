@@ -11,8 +11,9 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rung
 from clacad.imaging.best_point import BestPoint, best_point
-from clacad.optics.law.varying import refract_each
+from clacad.optics.law.focusing import along_axes
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.need_window import need_window
 from clacad.tracing.tracer import Tracer
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 RAYS = 100_000
-DECIDE = 1 << 20
-"""Most cells whose chief rays the prediction goes through one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +174,7 @@ def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> Bes
     centre = window.centres(0, cells)
     way = _towards(source, centre)
     laws = window.cell_laws
-    out = window.law.refract(way) if laws is None else refract_each(laws.law, laws.deltas(window.lattice, cells), way)
+    out = window.law.refract(way) if laws is None else laws.refract(window.lattice, cells, way)
     reach = 0.0 if level == 0.0 else window.thin.separation
     at = np.column_stack([centre + reach * way[:, :2] / way[:, 2:], np.full(len(cells), level)])
     good = np.isfinite(out[:, 0])
@@ -183,15 +182,10 @@ def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> Bes
 
 
 def _width(window: Window, source: Floats) -> Pair2:
-    """Full width of the image of a point that cells of a finite size leave, along the lens axes."""
-    from clacad.optics.law.focusing import Glens
-
-    laws, law = window.cell_laws, window.law
-    rows = ((0.0, 0.0), (0.0, 0.0)) if laws is None else laws.gradient
-    turn = law.rotation[:2, :2]
-    own = np.asarray(rows) @ turn
-    found = [
-        Glens(eta, float(own[k, k]), window.thin.separation).width(float(source[2]), window.lattice.pitch[k])
-        for k, eta in enumerate((law.eta_x, law.eta_y))
-    ]
-    return found[0], found[1]
+    """Full width of the image of a point that cells of a finite size leave, along the lens axes; a table has none."""
+    laws = CellLaws(window.law) if window.cell_laws is None else window.cell_laws
+    if laws.smooth is None:
+        return np.nan, np.nan
+    axes = along_axes(laws.smooth, window.thin.separation)
+    x, y = (one.width(float(source[2]), p) for one, p in zip(axes, window.lattice.pitch, strict=True))
+    return x, y

@@ -2,7 +2,7 @@
 
 Cells stay where they are, so that they tile; only vertices differ. Lens 1 stays centred: shared between both lenses the
 decentre would cost more coma. Off its vertex lens 2 turns its light too far, by 6 mrad at a slope of .125 and R2/p = 5, so
-each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.traced_vertices`).
+each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.varying_vertices`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from clacad.base.types import Floats, Ints
 from clacad.design.asked_cells import cell_laws
 from clacad.prescription.cell_heights import face_range, window_range
 from clacad.prescription.radii import NoSuchLens
-from clacad.prescription.traced_vertices import traced_offsets
+from clacad.prescription.varying_vertices import traced_offsets
 from clacad.sheet.cell_places import VertexChange, extreme_cells
 from clacad.sheet.one_cell import sheet_like
 from clacad.sheet.window import Body, Face, Window

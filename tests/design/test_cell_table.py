@@ -35,7 +35,7 @@ def refused(tmp_path, data, lattice=SMALL, name="cells.csv"):
     with pytest.raises(DesignError) as caught:
         read(tmp_path, data, lattice, name)
     (mistake,) = caught.value.mistakes
-    assert mistake.code == "CL121"
+    assert mistake.code == "CL124"
     assert str(mistake)
     return mistake
 
@@ -145,7 +145,7 @@ def test_a_table_lies_in_the_folder_of_its_design(tmp_path):
     os.symlink(tmp_path / "out.csv", tmp_path / "in" / "link.csv")
     design = str(tmp_path / "in" / "d.toml")
     for name in ("../out.csv", str(tmp_path / "out.csv"), "link.csv", "none.csv", ".", "C:x.csv"):
-        with pytest.raises(DesignError, match="CL121"):
+        with pytest.raises(DesignError, match="CL124"):
             table_path(design, name)
     os.mkfifo(tmp_path / "in" / "pipe.csv")
     with pytest.raises(DesignError, match="it is a pipe"):

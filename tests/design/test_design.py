@@ -267,7 +267,7 @@ def test_an_override_sets_one_key(text, where, value):
     ("text", "expected"),
     [
         ("law.etax=[1, 2]", "--set law.etax=[1, 2]: error CL102: unknown key law.etax; did you mean law.eta?\n"
-                            "   | law.etax=[1, 2]\n   | ^^^^^^^^\n  allowed: in [law]: eta, delta, euler, euler_axes"),
+                            "   | law.etax=[1, 2]\n   | ^^^^^^^^\n  allowed: in [law]: eta, delta, euler, euler_axes, varying"),
         ("pair.index=0.5", "--set pair.index=0.5: error CL106: pair.index = 0.5 is out of range\n"
                            "   | pair.index=0.5\n   |            ^^^\n  allowed: a number > 1, at most 10"),
         ("lattice.seam=0.9", "--set lattice.seam=0.9: error CL117: lattice.seam = 0.9 leaves no lens in a cell of "
@@ -304,7 +304,7 @@ def test_a_dictionary_has_no_file_so_its_mistakes_name_the_key_only():
         design(law={"etta": [1, 2]}, pair={"index": 0.9})
     assert str(caught.value) == (
         "error CL102: unknown key law.etta; did you mean law.eta?\n"
-        "  allowed: in [law]: eta, delta, euler, euler_axes\n"
+        "  allowed: in [law]: eta, delta, euler, euler_axes, varying\n"
         "error CL106: pair.index = 0.9 is out of range\n"
         "  allowed: a number > 1, at most 10\n"
         "2 mistakes"

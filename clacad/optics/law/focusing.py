@@ -15,7 +15,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import hypot, inf, isinf
 
+import numpy as np
+
 from clacad.base.types import Pair2
+from clacad.optics.law.varying import VaryingLaw
 
 Exact = Fraction
 
@@ -92,6 +95,17 @@ class Glens:
     def _distance(self, z: Exact) -> tuple[Exact, Exact]:
         """ζ = η (z − s)/(1 + κz) as numerator and denominator."""
         return Exact(self.eta) * (z - Exact(self.separation)), 1 + Exact(self.kappa) * z
+
+
+def along_axes(law: VaryingLaw, separation: float) -> tuple[Glens, Glens]:
+    """What a law that varies does along each lens axis of an upright sheet; what mixes the axes is left out.
+
+    separation : length, of the arrays
+    """
+    turned = np.asarray(law.gradient) @ law.law.rotation[:2, :2]
+    x, y = float(turned[0, 0]), float(turned[1, 1])
+    one = law.law
+    return Glens(one.eta_x, x, separation, one.delta_x), Glens(one.eta_y, y, separation, one.delta_y)
 
 
 def focusing_at(eta: float, f_image: float) -> float:
