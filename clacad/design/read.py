@@ -20,6 +20,7 @@ from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
 from clacad.design.sections import (
+    AimedAt,
     Allowed,
     BodySpec,
     CheckSpec,
@@ -207,6 +208,8 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         lattice["outline"] = Outline(shape, (size, size) if shape == "circle" else size)
         if lattice["count"] is None:
             lattice["count"] = filling_count(lattice["kind"], lattice["pitch"], lattice["outline"].size)
+    if not isinstance(lattice["aperture"], str) and isinstance(lattice["aperture"][0], tuple):
+        lattice["aperture"] = AimedAt(**dict(lattice["aperture"]))
     if body["frame"] is not None:
         frame = dict(body["frame"])
         body["frame"] = Frame(frame["width"], frame.get("height"))
