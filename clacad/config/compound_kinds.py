@@ -173,6 +173,31 @@ class InlineTable:
 
 
 @dataclass(frozen=True, slots=True)
+class ListOrTable:
+    """A list of one kind, or an inline table of another."""
+
+    listed: Several
+    table: InlineTable
+
+    def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
+        """Return what the list or the table gives."""
+        try:
+            return self.table.read(value, unit) if isinstance(value, dict) else self.listed.read(value, unit)
+        except Refusal as refusal:
+            if not refusal.where:
+                refusal.allowed = self.allowed(unit)
+            raise
+
+    def allowed(self, unit: Unit) -> str:
+        """Return what the list, then what the table allows."""
+        return f"{self.listed.allowed(unit)} | {self.table.allowed(unit)}"
+
+    def schema(self) -> JsonSchema:
+        """Give the JSON Schema of either."""
+        return {"anyOf": [self.listed.schema(), self.table.schema()]}
+
+
+@dataclass(frozen=True, slots=True)
 class ListOf:
     """A list of any number of values of one kind, up to 1000."""
 

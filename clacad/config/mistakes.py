@@ -33,6 +33,9 @@ CODES: dict[str, str] = {
     "CL118": "override that cannot be applied",
     "CL119": "unknown material, or its index table does not reach the wavelength",
     "CL120": "a pair that cannot be built",
+    "CL121": "something that an aimed sheet cannot have",
+    "CL122": "a viewer too near to aim at",
+    "CL123": "a lens of an aimed sheet used too far from its vertex",
     "CL124": "a table of cells that cannot be read",
     "CL125": "a sheet whose cells differ beside what is not built with it",
 }

@@ -12,6 +12,7 @@ from clacad.config.design_error import DesignError
 from clacad.config.mistakes import CODES, Mistake
 from clacad.design.model import Design, load
 from clacad.design.sections import (
+    AimedAt,
     Allowed,
     BodySpec,
     CheckSpec,
@@ -26,6 +27,7 @@ from clacad.design.starter_designs import template, templates
 
 __all__ = [
     "CODES",
+    "AimedAt",
     "Allowed",
     "BodySpec",
     "CheckSpec",

@@ -12,8 +12,8 @@ from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.sections import NO_TOLERANCES, AimedAt, Allowed, Frame, Outline, PairSpec
 from clacad.design.varying import VaryingSpec, varying_table
-from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline, PairSpec
 
 if TYPE_CHECKING:
     from clacad.design.model import Design
@@ -57,6 +57,8 @@ def _written(value: Any, key: Key, design: Design) -> Any:
     kind = key.kind
     if isinstance(value, Outline):
         return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
+    if isinstance(value, AimedAt):
+        return {"point": list(value.point)}
     if isinstance(value, Frame):
         return {"width": value.width} | ({} if value.height is None else {"height": value.height})
     if isinstance(value, VaryingSpec):

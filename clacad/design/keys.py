@@ -12,7 +12,7 @@ from typing import Any, Final
 from clacad.base import units
 from clacad.base.text import did_you_mean, near
 from clacad.base.units import Unit
-from clacad.config.compound_kinds import InlineTable, ListOf, Several, WordOr
+from clacad.config.compound_kinds import InlineTable, ListOf, ListOrTable, Several, WordOr
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import (
     LARGEST_COUNT,
@@ -164,6 +164,10 @@ PAIR: Final[dict[str, Key]] = {
     ),
     "face": Key(FACES, "given: the faces in the order light meets them, in their own lens frames", ()),
     "vertex": Key(Several(_LATERAL, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1"),
+    "offset": Key(
+        Word(("paraxial", "traced")),
+        "where lens 2 stands: by paraxial rays, or where the mean traced light of its cell obeys the law (default where cells differ)",
+    ),
 }
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),
@@ -181,8 +185,14 @@ LATTICE: Final[dict[str, Key]] = {
         "outer shape; cells wholly inside are kept",
     ),
     "aperture": Key(
-        WordOr(("centred", "aligned"), Several(_SLOPE, _XY)),
-        "where cell 2 of a telescopelet stands",
+        WordOr(
+            ("centred", "aligned"),
+            ListOrTable(
+                Several(_SLOPE, _XY),
+                InlineTable((("point", Several(_LATERAL, ("x", "y", "z"))),), required=("point",)),
+            ),
+        ),
+        "where cell 2 of a telescopelet stands; point: where the light of a viewer there arrives",
         "centred",
     ),
     "land": Key(Word(("clear", "opaque")), "whether land lets light through", "clear"),

@@ -21,6 +21,7 @@ from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_i
 from clacad.design.rules import Asked, broken
 from clacad.design.cell_table import TableSpec, digest, table_path
 from clacad.design.sections import (
+    AimedAt,
     Allowed,
     BodySpec,
     CheckSpec,
@@ -225,6 +226,8 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         lattice["outline"] = Outline(shape, (size, size) if shape == "circle" else size)
         if lattice["count"] is None:
             lattice["count"] = filling_count(lattice["kind"], lattice["pitch"], lattice["outline"].size)
+    if not isinstance(lattice["aperture"], str) and isinstance(lattice["aperture"][0], tuple):
+        lattice["aperture"] = AimedAt(**dict(lattice["aperture"]))
     if body["frame"] is not None:
         frame = dict(body["frame"])
         body["frame"] = Frame(frame["width"], frame.get("height"))

@@ -82,6 +82,8 @@ class PairSpec:
         The given faces in the order light meets them: 2 of a slab, else 4.
     vertex : (2,) tuple of float or None, length
         Given offset of lens 2 in the lens frame; None: δ f1.
+    offset : {"paraxial", "traced"} or None
+        Where lens 2 stands: by paraxial rays, or where traced light leaves as asked; None: traced where cells differ.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -99,6 +101,7 @@ class PairSpec:
     prescription: Literal["derived", "given"] = "derived"
     face: tuple[FaceSpec, ...] = ()
     vertex: Pair2 | None = None
+    offset: Literal["paraxial", "traced"] | None = None
 
     @property
     def given(self) -> bool:
@@ -122,6 +125,13 @@ class Outline:
 
 
 @dataclass(frozen=True, slots=True)
+class AimedAt:
+    """Where the viewer is that a sheet is made for: a point of the sheet frame, lengths; z < 0 before array 1."""
+
+    point: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class LatticeSpec:
     """How many pairs there are and where.
 
@@ -139,8 +149,8 @@ class LatticeSpec:
         Plano, slab: land below the deepest optical point; None: pitch/50.
     outline : Outline or None
         Cells wholly inside are kept; None: the lattice's own outline.
-    aperture : "centred", "aligned" or (2,) tuple of float
-        Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope.
+    aperture : "centred", "aligned", (2,) tuple of float or AimedAt
+        Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope, or by that of the light of a viewer.
     land : {"clear", "opaque"}
         Whether land lets light through.
     """
@@ -151,7 +161,7 @@ class LatticeSpec:
     seam: float
     seam_depth: float | None
     outline: Outline | None
-    aperture: Literal["centred", "aligned"] | Pair2
+    aperture: Literal["centred", "aligned"] | Pair2 | AimedAt
     land: Literal["clear", "opaque"]
 
 

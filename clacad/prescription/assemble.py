@@ -13,6 +13,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
 from clacad.design.process_profiles import profile
+from clacad.design.sections import AimedAt
 from clacad.optics.law import Law
 from clacad.prescription import poses
 from clacad.prescription.cell_heights import face_range, window_range
@@ -433,33 +434,54 @@ def _assemble_window(
         recipe=_recipe(intent, lenses, offset, separation),
         name=design.name,
     )
+    window = _own_places(window, design)
     window = replace(window, outline=side_outline(window))
-    if design.pair.form == "slab" and window.lattice.outline is not None and moved != (0.0, 0.0):
-        # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`
+    second = window.placements[1]
+    moved = second.shift if design.pair.form == "slab" else (0.0, 0.0)
+    wider = max(second.scale(window.lattice))
+    if window.lattice.outline is not None and (moved != (0.0, 0.0) or wider > 1.0):
+        # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`, and may be larger
         window = replace(
-            window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved))
+            window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved, wider))
         )
-        _refuse_empty(window.lattice, moved)
+        _refuse_empty(window.lattice, moved, wider)
     return window if design.pair.form == "biconvex" else _with_land(window, intent)
 
 
-def _within(outline: Circle | Rectangle, moved: Pair2) -> Circle | Rectangle:
-    """The outline less a displacement on either side: what lies in it lies in the outline, displaced or not."""
+def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle | Rectangle:
+    """The outline less a displacement on either side: what lies in it lies in the outline, displaced and `wider` or not."""
     if isinstance(outline, Circle):
-        return Circle(max(outline.diameter - 2.0 * hypot(*moved), 0.0))
+        return Circle(max((outline.diameter - 2.0 * hypot(*moved)) / max(wider, 1.0), 0.0))
     width, height = outline.width - 2.0 * abs(moved[0]), outline.height - 2.0 * abs(moved[1])
-    return Rectangle(max(width, 0.0), max(height, 0.0))
+    return Rectangle(max(width / max(wider, 1.0), 0.0), max(height / max(wider, 1.0), 0.0))
 
 
-def _refuse_empty(lattice: Lattice, moved: Pair2) -> None:
+def _own_places(window: Window, design: Design) -> Window:
+    """The window whose lenses stand where its viewer's light arrives, or where traced light leaves as asked, if it shall."""
+    aperture = design.lattice.aperture
+    if isinstance(aperture, AimedAt):
+        from clacad.prescription.aimed_cells import aimed
+
+        return aimed(window, design)
+    if design.pair.offset == "traced":
+        from clacad.prescription.aimed_cells import traced
+
+        return traced(window)
+    return window
+
+
+def _refuse_empty(lattice: Lattice, moved: Pair2, wider: float) -> None:
     """A displaced slab whose outline holds no cell that is whole in both arrays is a sheet without lenses."""
     if lattice.holds_a_cell:
         return
     least = lattice.least_outline()
     if isinstance(least, Circle):
-        shape = f"circle = {rounded_up(least.diameter + 2.0 * hypot(*moved))}"
+        shape = f"circle = {rounded_up(max(wider, 1.0) * least.diameter + 2.0 * hypot(*moved))}"
     else:
-        sides = (least.width + 2.0 * abs(moved[0]), least.height + 2.0 * abs(moved[1]))
+        sides = tuple(
+            max(wider, 1.0) * size + 2.0 * abs(m)
+            for size, m in zip((least.width, least.height), moved, strict=True)
+        )
         shape = f"rectangle = [{', '.join(map(rounded_up, sides))}]"
     raise NoSuchLens(
         f"lattice.outline holds no cell that is whole in both arrays: they stand {hypot(*moved):.4g} apart",

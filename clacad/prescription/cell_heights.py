@@ -5,28 +5,31 @@ Only sampling of exact heights: borders at 65 points, the cell on a grid, corner
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from clacad.base.types import Floats
 from clacad.prescription.radii import NoSuchLens
+from clacad.sheet.cell_places import extreme_cells
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
 BORDER_SAMPLES = 65
 GRID = 33
 
 
-def border_points(window: Window, number: int) -> Floats:
-    """Points along border `number` of the optical zone, cell frame, (65, 2), lengths."""
-    tile = optical_tile(window)
+def border_points(window: Window, number: int, array: int = 0) -> Floats:
+    """Points along border `number` of the optical zone of an array's cell, cell frame, (65, 2), lengths."""
+    tile = optical_tile(window, array)
     start, end = tile[number], tile[(number + 1) % len(tile)]
     t = np.linspace(0.0, 1.0, BORDER_SAMPLES)[:, None]
     return np.asarray((1.0 - t) * start + t * end)
 
 
-def zone_points(window: Window) -> Floats:
-    """Points of the optical zone: its border samples, then a grid inside, (n, 2), lengths."""
-    tile = optical_tile(window)
-    borders = [border_points(window, k) for k in range(len(tile))]
+def zone_points(window: Window, array: int = 0) -> Floats:
+    """Points of the optical zone of an array's cell: its border samples, then a grid inside, (n, 2), lengths."""
+    tile = optical_tile(window, array)
+    borders = [border_points(window, k, array) for k in range(len(tile))]
     # a fan of shrunken outlines: a grid that fits any convex cell
     fan = [np.concatenate(borders)[::2] * scale for scale in np.linspace(0.0, 1.0, GRID)[:-1]]
     return np.concatenate([*borders, *fan])
@@ -79,9 +82,14 @@ def face_range(window: Window, face: Face) -> tuple[float, float]:
     NoSuchLens
         The lens has no point over the zone.
     """
-    points = zone_points(window)
-    z = lens_height(face, points[:, 0], points[:, 1])
-    z = np.append(z[np.isfinite(z)], _level_point(window, face))
+    points = zone_points(window, face.array or 0)
+    heights = [
+        z
+        for one in faces_that_differ(window, face)
+        for z in (lens_height(one, points[:, 0], points[:, 1]), _level_point(window, one))
+    ]
+    z = np.concatenate(heights)
+    z = z[np.isfinite(z)]
     if not len(z):
         raise NoSuchLens(
             f"the surface of lens {1 + (face.array or 0)} ends before it reaches its cell: no point of the cell is lens",
@@ -117,21 +125,48 @@ def _level_point(window: Window, face: Face) -> Floats:
     return z[np.isfinite(z)]
 
 
+def faces_that_differ(window: Window, face: Face) -> list[Face]:
+    """The face as it stands in the cells where its lens is farthest out; the face itself where all cells are alike."""
+    if face.change is None:
+        return [face]
+    cells = extreme_cells(face.change, window.lattice)
+    return [window.in_cell(face, cell) for cell in cells]
+
+
+def _bodies_that_differ(window: Window, body: Body) -> list[Body]:
+    """The body as it stands in the cells where one of its lenses is farthest out."""
+    changes = [face.change for face in (body.front, body.back) if face.change is not None]
+    if not changes:
+        return [body]
+    cells = np.concatenate([extreme_cells(change, window.lattice) for change in changes])
+    return [
+        replace(body, front=window.in_cell(body.front, cell), back=window.in_cell(body.back, cell))
+        for cell in np.unique(cells, axis=0)
+    ]
+
+
 def window_range(window: Window) -> tuple[float, float]:
     """Lowest and highest point of any body (lengths), from exact heights at samples."""
-    points = zone_points(window)
-    # where there is a seam, rounding may put a sample of the border outside the zone: a hair inside it stands for it
-    points = np.concatenate([points, points * (1.0 - 1e-12)])
+    every = [
+        _points_range(window, one) for body in window.bodies for one in _bodies_that_differ(window, body)
+    ]
+    return min(low for low, _ in every), max(high for _, high in every)
+
+
+def _points_range(window: Window, body: Body) -> tuple[float, float]:
+    """Lowest and highest point (lengths) of a body whose cells are alike."""
     heights: list[float] = []
-    for body in window.bodies:
+    for array in dict.fromkeys(face.array for face in (body.front, body.back)):
+        points = zone_points(window, array or 0)
+        # where there is a seam, rounding may put a sample of the border outside the zone: a hair inside it stands for it
+        points = np.concatenate([points, points * (1.0 - 1e-12)])
         if body.columnar:
-            front, back = column(window, body, points[:, 0], points[:, 1])
-            parts = [front, back]
+            faces = [body.front, body.back]
+            parts = list(column(window, body, points[:, 0], points[:, 1]))
         else:
-            parts = [
-                face_height(window, face, points[:, 0], points[:, 1]) for face in (body.front, body.back)
-            ]
-        for face, z in zip((body.front, body.back), parts, strict=True):
+            faces = [face for face in (body.front, body.back) if face.array == array]
+            parts = [face_height(window, face, points[:, 0], points[:, 1]) for face in faces]
+        for face, z in zip(faces, parts, strict=True):
             finite = z[np.isfinite(z)]
             heights += [float(finite.min()), float(finite.max())] if len(finite) else []
             heights += [] if face.land is None else [face.land]

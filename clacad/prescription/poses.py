@@ -9,6 +9,7 @@ from math import asin
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.design.sections import AimedAt
 from clacad.optics.law import Law, rotation
 from clacad.optics.parabasal import STEP, parabasal
 from clacad.optics.surface import refract
@@ -16,7 +17,7 @@ from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Body, Window
 
-Aperture = str | tuple[float, float]
+Aperture = str | tuple[float, float] | AimedAt
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,7 @@ def displacement(bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, 
 
     Parameters
     ----------
-    aperture : "centred", "aligned" or (ax, ay)
+    aperture : "centred", "aligned", (ax, ay) or AimedAt, whose cells are placed by `clacad.prescription.aimed_cells`
     lateral : (2,)
         Lens 2's own lateral displacement.
     height : float
@@ -120,7 +121,7 @@ def displacement(bodies: tuple[Body, ...], aperture: Aperture, lateral: Floats, 
     """
     if aperture == "centred":
         return float(lateral[0]), float(lateral[1])
-    if aperture == "aligned":
+    if aperture == "aligned" or isinstance(aperture, AimedAt):
         return 0.0, 0.0
     ax, ay = (float(a) for a in aperture)
     if not chief:

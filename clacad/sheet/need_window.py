@@ -16,7 +16,7 @@ class CellsDiffer(ValueError):
         What works on such a sheet.
     """
 
-    code = "CL140"
+    code = "CL139"
 
     def __init__(self, what: str, instead: str = "") -> None:
         self.what = what

@@ -289,6 +289,13 @@ class Window:
         laws = CellLaws(self.law) if self.cell_laws is None else self.cell_laws
         return laws.law_at(self.lattice, index)
 
+    def in_cell(self, face: Face, index: Ints) -> Face:
+        """The face of a sheet whose cells are all like the one at `index` (2,)."""
+        if face.change is None:
+            return face
+        x, y, z = (float(v) for v in self.vertices(face, index))
+        return replace(face, vertex=(x, y, z), change=None)
+
     def with_cells(self, count: tuple[int, int]) -> Window:
         """Give the same design with another cell count, centred on the origin, without a cut outline.
 
@@ -323,11 +330,15 @@ def side_outline(window: Window) -> Outline | None:
     """
     if window.lattice.outline is not None:
         return window.lattice.outline
-    border, shift = window.land.border, window.shifts[1]
-    displaced = window.form == "slab" and shift != (0.0, 0.0)
+    border, (shift, own) = window.land.border, (window.shifts[1], window.placements[1].pitch)
+    displaced = window.form == "slab" and (shift != (0.0, 0.0) or own is not None)
     if border == 0.0 and not displaced:
         return None
+    extents = np.array([place.extent(window.lattice) for place in window.placements])
     x0, x1, y0, y1 = window.lattice.extent()
+    if own is not None:  # the widest array, about its own middle
+        off = np.array([[x, x, y, y] for x, y in window.shifts])
+        x1, y1 = float(np.abs(extents - off)[:, :2].max()), float(np.abs(extents - off)[:, 2:].max())
     reach_x, reach_y = max(-x0, x1) + border, max(-y0, y1) + border
     if window.form == "slab":
         reach_x, reach_y = reach_x + abs(shift[0]), reach_y + abs(shift[1])
@@ -442,5 +453,6 @@ def face_height(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
 def _in_zone(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
     lens = lens_height(face, x, y)
     if window.land.seam > 0.0:
-        lens = np.where(in_optical_tile(window, np.asarray(x), np.asarray(y)), lens, np.nan)
+        zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
+        lens = np.where(zone, lens, np.nan)
     return lens

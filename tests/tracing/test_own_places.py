@@ -152,7 +152,7 @@ def test_a_window_of_equal_cells_is_uniform_and_the_other_says_what_it_cannot():
     window = stretched()
     assert not window.uniform
     rays = clacad.Rays([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
-    with pytest.raises(CellsDiffer, match="CL140"):
+    with pytest.raises(CellsDiffer, match="CL139"):
         clacad.trace(window, rays, path="numba")
     with pytest.raises(CellsDiffer, match="mesh"):
         clacad.trace(window, rays, rung="mesh", mesh=4)

@@ -1,0 +1,277 @@
+"""Cells of array 2 that stand where the light of a viewer arrives.
+
+Light of a viewer at P = (x_P, y_P, z_P) crosses the middle C of cell 1 with slope a(C) = (C − P_xy)/(−z_P). Through lens 1's
+vertex it lands on array 2 at C + L(a), and there the middle of cell 2 shall be. L is a straight line in air, and so to third
+order in glass: L(a) = L(0) + k a, with k from the outermost cell. Then
+
+    C2 = g C + k P_xy/z_P + L(0)      g = 1 − k/z_P      the lattice scaled and shifted: without gaps
+    vertex 2 in its own cell = (1 − g) C + d − shift (+ what `traced_vertices` moves it by)
+
+with d the offset of lens 2 from lens 1 as in every sheet: borders move, vertices stay. The law is that of every cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Floats, Ints, Pair2
+from clacad.prescription.poses import displacement
+from clacad.prescription.radii import NoSuchLens
+from clacad.prescription.traced_vertices import traced_moves
+from clacad.sheet.cell_places import CellPlacement, VertexChange, row_ends
+from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.window import Body, Face, Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet.lattice import Lattice
+
+Landing = Callable[[Pair2], Pair2]
+"""Where light of a slope in air lands on array 2, from the middle of cell 1, lengths."""
+
+NEAREST = 10.0
+"""Separations that a viewer must be away: nearer, the light of one cell spreads over more than its partner."""
+
+OFF = 0.01
+"""Part of the pitch by which the middle of a cell may miss the light that it is for."""
+
+STEEPEST = 0.65
+"""Largest distance of lens 2's cell border from its vertex over its radius; beyond, no vertex sends the light right."""
+
+TRIED = 200
+"""Cells whose light is followed to see that it lands where it shall."""
+
+MOST_TRACED = 1_000_000
+"""Cells for which a table of vertices is made."""
+
+
+@dataclass(frozen=True)
+class Aim:
+    """The point that a sheet is aimed at, sheet frame, lengths."""
+
+    point: tuple[float, float, float]
+
+    def slopes(self, centres: Floats) -> Floats:
+        """Slopes (..., 2) in air of the point's light through the middles (..., 2) of cells."""
+        x, y, z = self.point
+        return np.asarray((centres - (x, y)) / -z)
+
+
+def aimed(window: Window, design: Design) -> Window:
+    """Give the window whose array 2 is aimed.
+
+    Parameters
+    ----------
+    window : Window
+        Of equal cells that lie one over the other (aperture "aligned").
+    design : Design
+
+    Raises
+    ------
+    NoSuchLens
+        CL121: what an aimed sheet cannot have; CL122: the viewer is too near; CL123: lens 2 would be too steep.
+    """
+    aim = Aim(design.lattice.aperture.point)  # type: ignore[union-attr]
+    _refuse_combinations(design)
+    _refuse_near(aim, window)
+    cells = row_ends(window.lattice)
+    landing = _landing(window)
+    built = _placed(aim, window.lattice, cells, landing)
+    thin = _placed(aim, window.lattice, cells, _straight(window.thin.offset[2]))
+    _refuse_steep(aim, window, design, built, cells)
+    _refuse_stray(aim, window, built, cells)
+    table = _table(aim, window) if design.pair.offset != "paraxial" else None
+    change = _vertex_change(built, window.lattice, table)
+    return replace(
+        window,
+        placements=(CellPlacement(), built),
+        bodies=tuple(_moved(body, built.shift, change) for body in window.bodies),
+        thin=replace(
+            window.thin, shift=thin.shift, pitch=thin.pitch, change=_vertex_change(thin, window.lattice, None)
+        ),
+    )
+
+
+def traced(window: Window) -> Window:
+    """Give the window of equal cells whose lenses 2 are moved until the light of the field centre leaves as asked.
+
+    Raises
+    ------
+    NoSuchLens
+        CL123: no place does it.
+    """
+    move = traced_moves(window, np.array([aperture_slope(window)]))[0]
+
+    def moved(face: Face) -> Face:
+        x, y, z = face.vertex
+        return replace(face, vertex=(x + float(move[0]), y + float(move[1]), z)) if face.array == 1 else face
+
+    bodies = tuple(replace(body, front=moved(body.front), back=moved(body.back)) for body in window.bodies)
+    return replace(window, bodies=bodies)
+
+
+def _landing(window: Window) -> Landing:
+    """Where light lands on array 2 of a pair as built: straight on in a biconvex one, else bent through lens 1's vertex."""
+    faces = [face for face in window.faces if face.array == 1]
+    if window.form == "biconvex":
+        return _straight(0.5 * (faces[0].vertex[2] + faces[1].vertex[2]))
+    height = faces[0].vertex[2]
+    return lambda slope: displacement(window.bodies, slope, np.zeros(2), height, True)
+
+
+def _straight(height: float) -> Landing:
+    return lambda slope: (height * slope[0], height * slope[1])
+
+
+def _placed(aim: Aim, lattice: Lattice, cells: Ints, landing: Landing) -> CellPlacement:
+    """Where array 2's cells stand: L(a) = L(0) + k a with k of the cell whose light is the most aslant."""
+    slopes = aim.slopes(lattice.centres(cells))
+    a = slopes[int(np.argmax((slopes**2).sum(axis=1)))]
+    still = np.array(landing((0.0, 0.0)))
+    if not a.any():  # one cell, seen straight on
+        k = 0.0
+    else:
+        k = float((np.array(landing((float(a[0]), float(a[1])))) - still) @ a / (a @ a))
+    x, y, z = aim.point
+    scale = 1.0 - k / z
+    shift = still + k * np.array([x, y]) / z
+    return CellPlacement(
+        (float(shift[0]), float(shift[1])), (lattice.pitch[0] * scale, lattice.pitch[1] * scale)
+    )
+
+
+def _vertex_change(place: CellPlacement, lattice: Lattice, table: Floats | None) -> VertexChange:
+    """Lenses that stay over their partners while their cells move."""
+    gx, gy = place.scale(lattice)
+    return VertexChange(((1.0 - gx, 0.0), (0.0, 1.0 - gy)), table)
+
+
+def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
+    """A body whose lenses of array 2, given from the middle of cell 1, are given from the middle of their own cells."""
+    faces = []
+    for face in (body.front, body.back):
+        if face.array == 1:
+            x, y, z = face.vertex
+            face = replace(face, vertex=(x - shift[0], y - shift[1], z), change=change)
+        faces.append(face)
+    return replace(body, front=faces[0], back=faces[1])
+
+
+def _table(aim: Aim, window: Window) -> Floats:
+    """Moves (n1, n2, 2) of lens 2 in every cell, lengths; 0 in cells that are not kept."""
+    lattice = window.lattice
+    cells = lattice.cells()
+    table = np.zeros((*lattice.count, 2))
+    place = cells[:, 0] + cells[:, 1] // 2 if lattice.hexagonal else cells[:, 0]
+    table[place, cells[:, 1]] = traced_moves(window, aim.slopes(lattice.centres(cells)))
+    return table
+
+
+# -- what is refused ---------------------------------------------------------------------------
+
+
+def _refuse_combinations(design: Design) -> None:
+    """What an aimed sheet cannot have; CL121."""
+    reasons = {
+        "body.baffle": (design.body.baffle, "a baffle, whose channels would have to widen", "no baffle"),
+        "pair.confocal": (
+            design.pair.confocal == "best" and not design.pair.given,
+            'confocal = "best", which knows light along the axis alone',
+            'confocal = "exact"; `clacad optimise` finds faces for the aimed field',
+        ),
+        "lattice.count": (
+            design.pair.offset != "paraxial" and design.lattice.count[0] * design.lattice.count[1] > MOST_TRACED,
+            f"a table of more than {MOST_TRACED} vertices",
+            'pair.offset = "paraxial", or fewer cells',
+        ),
+    }  # fmt: skip
+    for key, (asked, what, hint) in reasons.items():
+        if asked:
+            raise NoSuchLens(f"a sheet aimed at a point cannot have {what}", key=key, code="CL121", hint=hint)
+
+
+def _refuse_near(aim: Aim, window: Window) -> None:
+    """A point within ten separations, in the sheet or too near; CL122."""
+    z, least = aim.point[2], NEAREST * window.thin.separation
+    if abs(z) < least:
+        raise NoSuchLens(
+            f"the viewer of lattice.aperture is {abs(z):.6g} from the sheet, nearer than {NEAREST:g} separations",
+            key="lattice.aperture.point.2", code="CL122",
+            hint=f"z <= {-least:.6g} (before array 1) or z >= {least:.6g}; or a smaller separation",
+        )  # fmt: skip
+
+
+def _refuse_steep(aim: Aim, window: Window, design: Design, place: CellPlacement, cells: Ints) -> None:
+    """Lens 2 must not be used too far from its vertex; CL123, with the distance that works."""
+    cell, far = _farthest(aim, window, place, cells)
+    if design.pair.offset != "paraxial":
+        far = far + traced_moves(window, aim.slopes(window.lattice.centres(cell)[None]))[0]
+    half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
+    used = float(np.hypot(*far)) + half
+    if used > STEEPEST * radius:
+        raise NoSuchLens(
+            f"in cell ({cell[0]}, {cell[1]}) lens 2 would be used {used:.4g} from its vertex, {used / radius:.2f} of its radius "
+            f"{radius:.4g}, where at most {STEEPEST:g} sends light right",
+            key="lattice.aperture", code="CL123", hint=_way_out(aim, window, cells),
+        )  # fmt: skip
+
+
+def _refuse_stray(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> None:
+    """Cells of array 2 must stand within p/100 of the light they are for; CL123."""
+    off, (x, y) = _stray(aim, window, place, cells)
+    if off > OFF * min(window.lattice.pitch):
+        raise NoSuchLens(
+            f"at ({x:.4g}, {y:.4g}) the light of the viewer would land {off:.4g} from the middle of its cell of array 2, more than "
+            f"{OFF:g} of the pitch: refraction bends it too much for a lattice that is only scaled",
+            key="lattice.aperture", code="CL123", hint=_way_out(aim, window, cells),
+        )  # fmt: skip
+
+
+def _farthest(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:
+    """The cell (2,) whose lens 2 stands farthest from its middle, and where (2,) from it, by paraxial rays, lengths."""
+    vertex = next(face.vertex for face in window.faces if face.array == 1)
+    places = _vertex_change(place, window.lattice, None).at(window.lattice, cells) + np.subtract(
+        vertex[:2], place.shift
+    )
+    worst = int(np.argmax(np.hypot(*places.T)))
+    return cells[worst], places[worst]
+
+
+def _least_radius(window: Window) -> float:
+    """Least radius of curvature of lens 2, in either meridian, length."""
+    bent = [abs(c) for f in window.faces if f.array == 1 for c in (f.surface.curvature_x, f.surface.curvature_y)]
+    return 1.0 / max(bent)
+
+
+def _stray(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> tuple[float, Floats]:
+    """How far light lands from the middle of its cell of array 2 at most, length, and where it comes in (2,)."""
+    centres, landing = window.lattice.centres(cells), _landing(window)
+    foot = np.array(aim.point[:2])
+    # the cubic term is greatest at 1/√3 of the way from the point's foot to the outermost cell
+    tried = np.concatenate([centres, foot + (centres - foot) / np.sqrt(3.0)])
+    tried = tried[:: max(1, len(tried) // TRIED)]
+    want = np.array([landing((float(a[0]), float(a[1]))) for a in aim.slopes(tried)])
+    off = np.hypot(*(tried * place.scale(window.lattice) + place.shift - tried - want).T)
+    return float(np.max(off)), tried[int(np.argmax(off))]
+
+
+def _way_out(aim: Aim, window: Window, cells: Ints) -> str:
+    """The nearest distance of the viewer, at three digits, from which the sheet can be made, and what else helps."""
+    half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
+
+    def works(z: float) -> bool:
+        trial = Aim((aim.point[0], aim.point[1], z))
+        place = _placed(trial, window.lattice, cells, _landing(window))
+        used = float(np.hypot(*_farthest(trial, window, place, cells)[1])) + half
+        return used <= STEEPEST * radius and _stray(trial, window, place, cells)[0] <= OFF * 2.0 * half
+
+    z, grown = aim.point[2], 1.0
+    while not works(z * grown):
+        grown *= 1.02
+        if grown > 64.0:
+            return "a smaller sheet, or another separation or pitch"
+    return f"a viewer at z = {z * grown:.4g}, a smaller sheet, or a smaller separation"

@@ -1,0 +1,189 @@
+"""Where lens 2 must stand for the light of its cell to leave, in the mean, as the law asks.
+
+Paraxial rays place lens 2 for light along the axis. Light that comes aslant meets it off its vertex, and coma and
+distortion bias what leaves. As each cell has a vertex of its own, it is moved until the mean exit direction of the
+light of the cell's field centre is the asked one: a 2 × 2 secant on the exact trace (Broyden 1965), many cells at once.
+
+Light of one slope finds the same lenses in every cell, so the move is a smooth function of the slope alone. Up to
+`DIRECT` cells it is solved for each; beyond, for a spread of them, and a polynomial through these gives the rest, held to
+cells that it was not made from.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Floats
+from clacad.optics.rays import Fate
+from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
+from clacad.prescription.radii import NoSuchLens
+from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.window import Window
+
+RAYS = 64
+"""Sobol points over a quarter of the light of a cell; their mirror images in x, in y and in both make 256 rays."""
+
+BRACKET = 0.3
+"""Part of the pitch within which a vertex is looked for."""
+
+STEPS = 24
+"""Most steps of the secant; 5 to 8 do."""
+
+CLOSE = 1e-13
+"""Mean direction (radians) that counts as the asked one: what rounding leaves of a mean of 256."""
+
+DIRECT = 400
+"""Cells up to which each is solved for."""
+
+LADDER = ((260, 11), (700, 17))
+"""Slopes through which a polynomial goes, and its degree in both together: the second where the first misses."""
+
+HELD_OUT = 40
+"""Other slopes that it is held to."""
+
+FIT = 1e-9
+"""Part of the pitch by which it may miss a vertex that it was held to: 2e-10 rad for a window of 0.5 mm pitch."""
+
+GRID = 2.0**-40
+"""Part of the pitch that vertices are whole multiples of: coarser than what the order of sums changes, so that bytes repeat."""
+
+
+def traced_moves(window: Window, slopes: Floats) -> Floats:
+    """How far lens 2 must move from where paraxial rays have it, for light of each slope.
+
+    Parameters
+    ----------
+    window : Window
+        Of equal cells, lens 2 where paraxial rays have it.
+    slopes : (m, 2)
+        Of the light of the field centre of each cell, in air.
+
+    Returns
+    -------
+    (m, 2) lengths
+
+    Raises
+    ------
+    NoSuchLens
+        No vertex within `BRACKET` does it, or light is lost on the way.
+    """
+    grid = GRID * min(window.lattice.pitch)
+    if len(slopes) <= DIRECT:
+        return np.asarray(np.rint(_solved(window, slopes) / grid) * grid)
+    for nodes, degree in LADDER:
+        moves, missed = _by_polynomial(window, slopes, nodes, degree)
+        if missed <= FIT * min(window.lattice.pitch):
+            return np.asarray(np.rint(moves / grid) * grid)
+    raise NoSuchLens(
+        f"the vertices of lens 2 change too sharply from cell to cell to be told within {FIT:g} of the pitch",
+        key="lattice.aperture", code="CL123", hint='a viewer farther away, a smaller sheet, or pair.offset = "paraxial"',
+    )  # fmt: skip
+
+
+def _by_polynomial(window: Window, slopes: Floats, count: int, degree: int) -> tuple[Floats, float]:
+    """Moves (m, 2) by a polynomial through `count` of them, and by how much it misses others at most."""
+    order = np.argsort(sobol(len(slopes), 1)[:, 0], kind="stable")
+    middle, reach = slopes.mean(axis=0), np.ptp(slopes, axis=0).max() / 2.0
+    outer = np.argsort(-((slopes - middle) ** 2).sum(axis=1), kind="stable")[: count // 5]
+    nodes = np.unique(np.concatenate([outer, order[: count - len(outer)]]))
+    held = np.setdiff1d(order[count : count + 2 * HELD_OUT], nodes)[:HELD_OUT]
+    solved = _solved(window, slopes[np.concatenate([nodes, held])])
+    scaled = (slopes - middle) / reach
+    terms, *_ = np.linalg.lstsq(_powers(scaled[nodes], degree), solved[: len(nodes)], rcond=None)
+    moves = np.asarray(_powers(scaled, degree) @ terms)
+    return moves, float(np.abs(moves[held] - solved[len(nodes) :]).max(initial=0.0))
+
+
+def _powers(t: Floats, degree: int) -> Floats:
+    """Products of Chebyshev polynomials (m, k) of total degree up to `degree` at points (m, 2)."""
+    x, y = (np.polynomial.chebyshev.chebvander(t[:, k], degree) for k in (0, 1))
+    return np.column_stack([x[:, i] * y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)])
+
+
+def _solved(window: Window, slopes: Floats) -> Floats:
+    """Moves (m, 2) of lens 2, each by a secant of its own, all traced together."""
+    seq, points = interfaces(window), _cell_points(window)
+    second = [i for i, array in enumerate(_owners(window)) if array == 1]
+    asked = _unit(window.law.refract(np.column_stack([slopes, np.ones(len(slopes))])))
+    if not np.isfinite(asked).all():
+        raise NoSuchLens(
+            "the law gives no direction for light of this slope", "lattice.aperture", code="CL123"
+        )
+    focal = np.array(window.thin.focal_length[1])
+    inverse = np.zeros((len(slopes), 2, 2))
+    turned = window.thin.rotation[:2, :2]
+    inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
+    move = np.zeros((len(slopes), 2))
+    error = _bias(seq, second, points, slopes, move, asked)
+    for _ in range(STEPS):
+        if not np.isfinite(error).all() or np.abs(move).max() > BRACKET * min(window.lattice.pitch):
+            break
+        if np.abs(error).max() <= CLOSE:
+            return move
+        step = -np.einsum("kij,kj->ki", inverse, error)
+        step = np.where(np.abs(error).max(axis=1, keepdims=True) <= CLOSE, 0.0, step)
+        after = _bias(seq, second, points, slopes, move + step, asked)
+        inverse = _broyden(inverse, step, after - error)
+        move, error = move + step, after
+    worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf).max(axis=1)))
+    raise NoSuchLens(
+        f"no place of lens 2 within {BRACKET:g} of the pitch sends the light of slope "
+        f"({slopes[worst, 0]:.4g}, {slopes[worst, 1]:.4g}) where the law asks",
+        key="lattice.aperture", code="CL123", hint='a viewer farther away, a smaller sheet, or pair.offset = "paraxial"',
+    )  # fmt: skip
+
+
+def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
+    """Inverse Jacobians (m, 2, 2) that also give the last steps (m, 2) for the last changes (m, 2)."""
+    seen = np.einsum("kij,kj->ki", inverse, change)
+    along = np.einsum("ki,kij->kj", step, inverse)
+    scale = np.einsum("ki,ki->k", step, seen)
+    moved = np.abs(scale) > 0.0
+    add = np.einsum("ki,kj->kij", step - seen, along) / np.where(moved, scale, 1.0)[:, None, None]
+    return np.where(moved[:, None, None], inverse + add, inverse)
+
+
+def _bias(
+    seq: list[Interface], second: list[int], points: Floats, slopes: Floats, move: Floats, asked: Floats
+) -> Floats:
+    """Mean exit direction less the asked one, x and y, (m, 2); lens 2 of each of m cells moved by `move`."""
+    m, n = len(slopes), len(points)
+    ray = np.repeat(np.column_stack([slopes, np.ones(m)]), n, axis=0)
+    low = min(interface.vertex[2] for interface in seq) - 4.0 * float(np.abs(points).max())
+    start = np.column_stack([np.tile(points, (m, 1)) + low * ray[:, :2], np.full(m * n, low)])
+    direction, scaled = unit_directions(ray)
+    offset, travelled = launch(start, scaled, seq[0].vertex)
+    slide = np.column_stack([np.repeat(move, n, axis=0), np.zeros(m * n)])
+    for k, interface in enumerate(seq):
+        if k:
+            offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
+            here, before = (number in second for number in (k, k - 1))
+            offset = offset + (int(before) - int(here)) * slide
+        crossing = cross(interface, offset, direction, travelled)
+        offset, direction = (
+            crossing.offset,
+            np.where((crossing.fate == Fate.ALIVE)[:, None], crossing.direction, np.nan),
+        )
+    mean = _unit(direction.reshape(m, n, 3).mean(axis=1))
+    return np.asarray((mean - asked)[:, :2])
+
+
+def _cell_points(window: Window) -> Floats:
+    """Points (256, 2) where the light of a cell that lens 2 can take crosses z = 0, from the cell's centre, lengths."""
+    fill = min(1.0, *(1.0 / abs(one) for one in (window.law.eta_x, window.law.eta_y)))
+    quarter = fill * window.lattice.over_cell(sobol(RAYS, 2))
+    return np.concatenate([quarter * signs for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1))])
+
+
+def _owners(window: Window) -> list[int | None]:
+    """The array that each face of `interfaces` moves with."""
+    return [
+        other.array if face.array is None else face.array
+        for body in window.bodies
+        for face, other in ((body.front, body.back), (body.back, body.front))
+    ]
+
+
+def _unit(rows: Floats) -> Floats:
+    return np.asarray(rows / np.linalg.norm(rows, axis=-1, keepdims=True))
