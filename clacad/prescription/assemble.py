@@ -37,7 +37,6 @@ from clacad.prescription.radii import (
 )
 from clacad.prescription.residual import residual
 from clacad.prescription.thickness import auto_thickness
-from clacad.prescription.varying_cells import with_varying_law
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
@@ -90,8 +89,7 @@ def build_window(design: Design) -> Window:
     window = replace(window, z_range=window_range(window))
     asked = intent.law.refract(intent.turn[:, 2][None])[0]
     left = residual(window, intent.turn, _entry(window, intent), asked)
-    window = replace(window, residual=left)
-    return window if design.law_spec.varying is None else with_varying_law(window, design)
+    return replace(window, residual=left)
 
 
 def placed(design: Design) -> Window:
@@ -459,6 +457,10 @@ def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle |
 def _own_places(window: Window, design: Design) -> Window:
     """The window whose lenses stand where its viewer's light arrives, or where traced light leaves as asked, if it shall."""
     aperture = design.lattice.aperture
+    if design.law_spec.varying is not None:
+        from clacad.prescription.varying_cells import with_varying_law
+
+        return with_varying_law(window, design)
     if isinstance(aperture, AimedAt):
         from clacad.prescription.aimed_cells import aimed
 

@@ -4,17 +4,19 @@ Paraxial rays place lens 2 for light along the axis. Light that comes aslant mee
 distortion bias what leaves. As each cell has a vertex of its own, it is moved until the mean exit direction of the
 light of the cell's field centre is the asked one: a 2 × 2 secant on the exact trace (Broyden 1965), many cells at once.
 
-Light of one slope finds the same lenses in every cell, so the move is a smooth function of the slope alone. Up to
-`DIRECT` cells it is solved for each; beyond, for a spread of them, and a polynomial through these gives the rest, held to
+Light of one slope finds the same lenses in every cell, so the move is a smooth function of the slope alone; where the law
+varies and the light does not, of δ alone. Up to `DIRECT` cells it is solved for each; beyond, for a spread of them, and a polynomial through these gives the rest, held to
 cells that it was not made from.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
 from clacad.prescription.radii import NoSuchLens
@@ -45,8 +47,39 @@ HELD_OUT = 40
 FIT = 1e-9
 """Part of the pitch by which it may miss a vertex that it was held to: 2e-10 rad for a window of 0.5 mm pitch."""
 
+WAY_OUT = 'a viewer or image farther away, a smaller sheet, or pair.offset = "paraxial"'
+
 GRID = 2.0**-40
 """Part of the pitch that vertices are whole multiples of: coarser than what the order of sums changes, so that bytes repeat."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellLight:
+    """Light of the field centre of cells, and what it shall do.
+
+    Parameters
+    ----------
+    slopes : (m, 2)
+        In air, before the sheet.
+    asked : (m, 3) unit
+        Directions that it shall leave in.
+    first : (m, 2) lengths
+        How far lens 2 of each cell stands, by paraxial rays, from where the window has it.
+    variable : (m, 2)
+        What moves are smooth functions of.
+    key : str
+        Key of the design to blame.
+    """
+
+    slopes: Floats
+    asked: Floats
+    first: Floats
+    variable: Floats
+    key: str = "lattice.aperture"
+
+    def of(self, rows: Ints) -> CellLight:
+        """The light of some cells, by their places (k,) in the list."""
+        return CellLight(self.slopes[rows], self.asked[rows], self.first[rows], self.variable[rows], self.key)
 
 
 def traced_moves(window: Window, slopes: Floats) -> Floats:
@@ -68,28 +101,35 @@ def traced_moves(window: Window, slopes: Floats) -> Floats:
     NoSuchLens
         No vertex within `BRACKET` does it, or light is lost on the way.
     """
+    asked = _unit(window.law.refract(np.column_stack([slopes, np.ones(len(slopes))])))
+    return moves_of(window, CellLight(slopes, asked, np.zeros(slopes.shape), slopes))
+
+
+def moves_of(window: Window, light: CellLight) -> Floats:
+    """How far lens 2 must move from where paraxial rays have it, (m, 2), lengths; see `traced_moves`."""
     grid = GRID * min(window.lattice.pitch)
-    if len(slopes) <= DIRECT:
-        return np.asarray(np.rint(_solved(window, slopes) / grid) * grid)
+    if len(light.slopes) <= DIRECT:
+        return np.asarray(np.rint(_solved(window, light) / grid) * grid)
     for nodes, degree in LADDER:
-        moves, missed = _by_polynomial(window, slopes, nodes, degree)
+        moves, missed = _by_polynomial(window, light, nodes, degree)
         if missed <= FIT * min(window.lattice.pitch):
             return np.asarray(np.rint(moves / grid) * grid)
     raise NoSuchLens(
         f"the vertices of lens 2 change too sharply from cell to cell to be told within {FIT:g} of the pitch",
-        key="lattice.aperture", code="CL123", hint='a viewer farther away, a smaller sheet, or pair.offset = "paraxial"',
+        key=light.key, code="CL123", hint=WAY_OUT,
     )  # fmt: skip
 
 
-def _by_polynomial(window: Window, slopes: Floats, count: int, degree: int) -> tuple[Floats, float]:
+def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) -> tuple[Floats, float]:
     """Moves (m, 2) by a polynomial through `count` of them, and by how much it misses others at most."""
-    order = np.argsort(sobol(len(slopes), 1)[:, 0], kind="stable")
-    middle, reach = slopes.mean(axis=0), np.ptp(slopes, axis=0).max() / 2.0
-    outer = np.argsort(-((slopes - middle) ** 2).sum(axis=1), kind="stable")[: count // 5]
+    variable = light.variable
+    order = np.argsort(sobol(len(variable), 1)[:, 0], kind="stable")
+    middle, reach = variable.mean(axis=0), np.ptp(variable, axis=0).max() / 2.0 or 1.0
+    outer = np.argsort(-((variable - middle) ** 2).sum(axis=1), kind="stable")[: count // 5]
     nodes = np.unique(np.concatenate([outer, order[: count - len(outer)]]))
     held = np.setdiff1d(order[count : count + 2 * HELD_OUT], nodes)[:HELD_OUT]
-    solved = _solved(window, slopes[np.concatenate([nodes, held])])
-    scaled = (slopes - middle) / reach
+    solved = _solved(window, light.of(np.concatenate([nodes, held])))
+    scaled = (variable - middle) / reach
     terms, *_ = np.linalg.lstsq(_powers(scaled[nodes], degree), solved[: len(nodes)], rcond=None)
     moves = np.asarray(_powers(scaled, degree) @ terms)
     return moves, float(np.abs(moves[held] - solved[len(nodes) :]).max(initial=0.0))
@@ -101,21 +141,19 @@ def _powers(t: Floats, degree: int) -> Floats:
     return np.column_stack([x[:, i] * y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)])
 
 
-def _solved(window: Window, slopes: Floats) -> Floats:
+def _solved(window: Window, light: CellLight) -> Floats:
     """Moves (m, 2) of lens 2, each by a secant of its own, all traced together."""
     seq, points = interfaces(window), _cell_points(window)
     second = [i for i, array in enumerate(_owners(window)) if array == 1]
-    asked = _unit(window.law.refract(np.column_stack([slopes, np.ones(len(slopes))])))
+    slopes, asked = light.slopes, light.asked
     if not np.isfinite(asked).all():
-        raise NoSuchLens(
-            "the law gives no direction for light of this slope", "lattice.aperture", code="CL123"
-        )
+        raise NoSuchLens("the law gives no direction for light of this slope", light.key, code="CL123")
     focal = np.array(window.thin.focal_length[1])
     inverse = np.zeros((len(slopes), 2, 2))
     turned = window.thin.rotation[:2, :2]
     inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
     move = np.zeros((len(slopes), 2))
-    error = _bias(seq, second, points, slopes, move, asked)
+    error = _bias(seq, second, points, slopes, light.first + move, asked)
     for _ in range(STEPS):
         if not np.isfinite(error).all() or np.abs(move).max() > BRACKET * min(window.lattice.pitch):
             break
@@ -123,14 +161,14 @@ def _solved(window: Window, slopes: Floats) -> Floats:
             return move
         step = -np.einsum("kij,kj->ki", inverse, error)
         step = np.where(np.abs(error).max(axis=1, keepdims=True) <= CLOSE, 0.0, step)
-        after = _bias(seq, second, points, slopes, move + step, asked)
+        after = _bias(seq, second, points, slopes, light.first + move + step, asked)
         inverse = _broyden(inverse, step, after - error)
         move, error = move + step, after
     worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), np.inf).max(axis=1)))
     raise NoSuchLens(
         f"no place of lens 2 within {BRACKET:g} of the pitch sends the light of slope "
         f"({slopes[worst, 0]:.4g}, {slopes[worst, 1]:.4g}) where the law asks",
-        key="lattice.aperture", code="CL123", hint='a viewer farther away, a smaller sheet, or pair.offset = "paraxial"',
+        key=light.key, code="CL123", hint=WAY_OUT,
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 Cells stay where they are, so that they tile; only vertices differ. Lens 1 stays centred: shared between both lenses the
 decentre would cost more coma. Off its vertex lens 2 turns its light too far, by 6 mrad at a slope of .125 and R2/p = 5, so
-each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.varying_vertices`).
+each vertex is moved until the mean of the cell's light leaves as asked (`clacad.prescription.traced_vertices`).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.design.asked_cells import cell_laws
-from clacad.prescription.cell_heights import face_range, window_range
+from clacad.optics.law.varying import refract_each
+from clacad.prescription.aimed_cells import MOST_TRACED, STEEPEST
 from clacad.prescription.radii import NoSuchLens
-from clacad.prescription.varying_vertices import traced_offsets
-from clacad.sheet.cell_places import VertexChange, extreme_cells
-from clacad.sheet.one_cell import sheet_like
-from clacad.sheet.window import Body, Face, Window
+from clacad.prescription.traced_vertices import CellLight, moves_of
+from clacad.sheet.cell_places import VertexChange
+from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
 
-STEEPEST = 0.65
-"""Farthest point of a cell from its lens's vertex over the radius there: at .69 light was found 55 mrad off, and no vertex cures it."""
+KEY = "law.varying"
 
 
 def with_varying_law(window: Window, design: Design) -> Window:
@@ -45,19 +45,28 @@ def with_varying_law(window: Window, design: Design) -> Window:
         The table of cells cannot be read.
     """
     laws = cell_laws(design)
-    window = replace(window, cell_laws=laws)
+    n1, n2 = design.lattice.count
+    if n1 * n2 > MOST_TRACED:
+        raise NoSuchLens(f"a sheet whose law varies has a table of vertices: {n1 * n2:,} cells are more than the "
+                         f"{MOST_TRACED:,} that it may have", key="lattice.count", code="CL125", hint="fewer cells")  # fmt: skip
     cells = window.lattice.cells()
     deltas = laws.deltas(window.lattice, cells)
-    _refuse_far(window, cells, _by_rule(window, deltas, np.array(window.recipe["f"][0])))
-    focal = np.array(window.thin.focal_length[0])
-    moved = traced_offsets(window, laws.law, deltas)
-    window = replace(
-        _with_change(window, _tabled(window, cells, moved)),
-        thin=replace(window.thin, change=_tabled(window, cells, _by_rule(window, deltas, focal))),
-    )
+    first = _by_rule(window, deltas, np.array(window.recipe["f"][0]))
+    window = replace(window, cell_laws=laws)
+    _refuse_far(window, cells, first)
+    moved = first if design.pair.offset == "paraxial" else first + _traced(window, deltas, first)
     _refuse_far(window, cells, moved)
-    window = _with_land_below(window)
-    return replace(window, z_range=_range(window))
+    thin = _tabled(window, cells, _by_rule(window, deltas, np.array(window.thin.focal_length[0])))
+    return replace(
+        _with_change(window, _tabled(window, cells, moved)), thin=replace(window.thin, change=thin)
+    )
+
+
+def _traced(window: Window, deltas: Floats, first: Floats) -> Floats:
+    """How far lenses 2 must move from `first` (n, 2), lengths, for the light of each cell to leave by its δ (n, 2)."""
+    slopes = np.broadcast_to(aperture_slope(window), deltas.shape)
+    asked = refract_each(window.law, deltas, np.column_stack([slopes, np.ones(len(slopes))]))
+    return moves_of(window, CellLight(slopes, asked, first, deltas, KEY))
 
 
 def _by_rule(window: Window, deltas: Floats, focal: Floats) -> Floats:
@@ -109,42 +118,7 @@ def _refuse_far(window: Window, cells: Ints, moved: Floats) -> None:
             raise NoSuchLens(
                 f"cell ({i}, {j}) would reach {place[worst]:.4g} from the vertex of its lens 2 in {'xy'[axis]}, which is "
                 f"{steep[worst]:.3g} of the radius there; its light cannot be held beyond {STEEPEST:g}",
-                key="law.varying",
+                key=KEY,
+                code="CL123",
                 hint=way,
             )
-
-
-def _extremes(window: Window) -> list[Window]:
-    """Sheets like the cells whose lenses 2 stand farthest out."""
-    change = next(face.change for face in window.faces if face.change is not None)
-    return [sheet_like(window, cell) for cell in extreme_cells(change, window.lattice)]
-
-
-def _with_land_below(window: Window) -> Window:
-    """Lower the land of array 2 until no lens of any cell reaches it."""
-    if all(face.land is None for face in window.faces):
-        return window
-    sheets = _extremes(window)
-
-    def lowered(body: Body) -> Body:
-        if window.form == "biconvex":  # its land is the plate between the lenses, and lenses end where they meet it
-            return body
-        faces = []
-        for name in ("front", "back"):
-            face = getattr(body, name)
-            if face.array == 1 and face.land is not None:
-                # what the middle cell has between its deepest point and the land, every cell keeps
-                own = face_range(window, replace(face, change=None))
-                alike = [face_range(s, f) for s in sheets for f in s.faces if f.array == 1]
-                drop = max(0.0, own[0] - min(r[0] for r in alike)) if face.side < 0 else max(0.0, max(r[1] for r in alike) - own[1])
-                face = replace(face, land=face.land + face.side * drop)
-            faces.append(face)
-        return replace(body, front=faces[0], back=faces[1])
-
-    return replace(window, bodies=tuple(lowered(body) for body in window.bodies))
-
-
-def _range(window: Window) -> tuple[float, float]:
-    """Lowest and highest point of any body (lengths)."""
-    ranges = [window_range(sheet) for sheet in _extremes(window)]
-    return min(r[0] for r in ranges), max(r[1] for r in ranges)
