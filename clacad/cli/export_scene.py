@@ -21,13 +21,14 @@ def export_scene(
     from clacad.prescription.prescribe import prescribe
     from clacad.rendering.atlas.make_atlas import manifest_of
     from clacad.scene import load_scene
+    from clacad.sheet.need_window import equal_cells
     from clacad.storage.atomic import Stage, safe_name
 
     scene = load_scene(path, tuple(overrides))
     still = scene.at(0) if scene.animation is not None else scene
     with Stage(out, overwrite=overwrite) as stage:
         name = f"{safe_name(still.name)}.pov"
-        write_pov(prescribe(still.design()), stage.path(name), still)
+        write_pov(equal_cells(prescribe(still.design()), "export"), stage.path(name), still)
         stage.publish(manifest_of(stage, "scene"))
     if json:
         show_json({"folder": str(out), "files": [name]})

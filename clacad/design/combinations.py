@@ -31,6 +31,27 @@ class Feature:
     instead: str = ""
 
 
+def _has_point(aperture: Any) -> bool:
+    """Whether an aperture as read is a table with a point."""
+    return not isinstance(aperture, str) and aperture is not None and isinstance(aperture[0], tuple)
+
+
+def _tolerated(a: Ask) -> bool:
+    """Whether any tolerance is stated."""
+    return any(a(f"tolerances.{key}") not in (None, 0.0, (0.0, 0.0)) for key in _TOLERATED)
+
+
+_TOLERATED: Final = (
+    "decentre",
+    "rotation",
+    "separation",
+    "radius",
+    "index",
+    "thickness",
+    "tilt",
+    "roughness",
+)
+
 FEATURES: Final = (
     Feature("hexagonal cells", "lattice.kind", lambda a: a("lattice.kind") == "hexagonal"),
     Feature("seam", "lattice.seam", lambda a: bool(a("lattice.seam"))),
@@ -41,24 +62,22 @@ FEATURES: Final = (
     Feature("plano", "pair.form", lambda a: a("pair.form") == "plano", 'form = "slab"'),
     Feature("slab", "pair.form", lambda a: a("pair.form") == "slab"),
     Feature("given faces", "pair.prescription", lambda a: a("pair.prescription") == "given", 'prescription = "derived"'),
-    Feature("tolerances", "tolerances", lambda a: any(a(f"tolerances.{k}") not in (None, 0.0, (0.0, 0.0)) for k in _TOLERATED), "leave [tolerances] out"),
+    Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
     Feature("aimed at a point", "lattice.aperture", lambda a: _has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
     Feature("confocal best", "pair.confocal", lambda a: a("pair.confocal") == "best", 'confocal = "exact"'),
     Feature("baffle", "body.baffle", lambda a: bool(a("body.baffle")), "baffle = false"),
 )  # fmt: skip
-def _has_point(aperture: Any) -> bool:
-    """Whether an aperture as read is a table with a point."""
-    return not isinstance(aperture, str) and aperture is not None and isinstance(aperture[0], tuple)
 
-
-_TOLERATED = ("decentre", "rotation", "separation", "radius", "index", "thickness", "tilt", "roughness")
 
 VARYING: Final = "law.varying"
 SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {VARYING: lambda a: a(VARYING) is not None}
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
 REASONS: Final[Mapping[tuple[str, str], str]] = {
-    (VARYING, "tilt"): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
+    (
+        VARYING,
+        "tilt",
+    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
     (VARYING, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
     (VARYING, "aimed at a point"): "lenses 2 are traced for light of one direction over the sheet",
     (VARYING, "confocal best"): "its radii are for light along the axis alone",

@@ -15,11 +15,11 @@ from clacad.config.key_positions import KeyPath, located, split_key
 from clacad.config.mistakes import Mistake, in_order
 from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
+from clacad.design.cell_table import TableSpec, digest, table_path
 from clacad.design.filled_outline import filling_count
 from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
-from clacad.design.cell_table import TableSpec, digest, table_path
 from clacad.design.sections import (
     AimedAt,
     Allowed,
@@ -32,7 +32,6 @@ from clacad.design.sections import (
     PairSpec,
     TolerancesSpec,
 )
-
 from clacad.design.varying import VaryingSpec, varying_read
 
 if TYPE_CHECKING:

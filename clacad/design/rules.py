@@ -339,7 +339,7 @@ def sheet_is_built(a: Asked) -> Iterator[Mistake]:
         for feature in FEATURES:
             reason = why_not(sheet, feature.name)
             if reason and feature.present(a):
-                yield Mistake("CL125", f"{feature.key} with {sheet}: {reason}", feature.key, allowed=f"one of the two",
+                yield Mistake("CL125", f"{feature.key} with {sheet}: {reason}", feature.key, allowed="one of the two",
                               hint=feature.instead)  # fmt: skip
 
 

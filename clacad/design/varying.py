@@ -149,7 +149,8 @@ VARYING: Final = InlineTable(
 def varying_read(pairs: tuple[tuple[str, Any], ...]) -> VaryingSpec:
     """What `VARYING` read."""
     ((name, value),) = pairs
-    return VaryingSpec(**{name: Conjugates(**dict(value)) if name == "conjugates" else value})
+    found: dict[str, Any] = {name: Conjugates(**dict(value)) if name == "conjugates" else value}
+    return VaryingSpec(**found)
 
 
 def varying_table(spec: VaryingSpec) -> dict[str, Any]:

@@ -36,7 +36,15 @@ def _combinations() -> Entry:
         built = [row[0] for row in rows if row[column] == BUILT]
         told.append(f"{sheet} is built with: {', '.join(built)}.")
         told += [f"{sheet} with {row[0]}: refused, {row[column]}." for row in rows if row[column] != BUILT]
-    return Entry("", "combinations", "sheets whose cells differ, and what stands beside them", " ".join(told), "", "", "see CL125")
+    return Entry(
+        "",
+        "combinations",
+        "sheets whose cells differ, and what stands beside them",
+        " ".join(told),
+        "",
+        "",
+        "see CL125",
+    )
 
 
 def materials_text() -> str:

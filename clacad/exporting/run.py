@@ -204,8 +204,9 @@ def in_all(rows: Sequence[Forecast]) -> Span:
 
 def _prescribed(design: Design) -> Window:
     from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.need_window import equal_cells
 
-    return prescribe(design)
+    return equal_cells(prescribe(design), "export")
 
 
 def _produced(

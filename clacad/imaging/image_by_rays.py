@@ -82,9 +82,7 @@ class Image:
         }  # fmt: skip
 
 
-def image(
-    window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS, rays: int = RAYS
-) -> Image:
+def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS, rays: int = RAYS) -> Image:
     """Find where light of a point meets behind a sheet.
 
     Parameters

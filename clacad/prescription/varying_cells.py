@@ -109,7 +109,11 @@ def _refuse_far(window: Window, cells: Ints, moved: Floats) -> None:
         if not steep[worst] <= STEEPEST:
             (i, j), axis = cells[worst[0]].tolist(), int(worst[1])
             over = (steep[worst] - half[axis] * curved[axis]) / (STEEPEST - half[axis] * curved[axis])
-            most = abs(float(window.law_at(cells[worst[0]]).delta_y if axis else window.law_at(cells[worst[0]]).delta_x))
+            most = abs(
+                float(
+                    window.law_at(cells[worst[0]]).delta_y if axis else window.law_at(cells[worst[0]]).delta_x
+                )
+            )
             way = (
                 f"|delta_{'xy'[axis]}| up to {most / over:.4g} (here {most:.4g}): planes farther off by {over:.3g}, or a smaller sheet"
                 if over > 0.0

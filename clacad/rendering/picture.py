@@ -22,6 +22,7 @@ from clacad.rendering.pixel_input import SampleRange, Sums, sample
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import Viewing, radiance, set_up
 from clacad.scene import Scene, SceneError, load_scene
+from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 
 Progress = Callable[[str, float | None], None]
@@ -137,7 +138,7 @@ def checked_frames(scene: Scene) -> list[Scene]:
     for frame in range(scene.animation.frames):
         try:
             still = scene.at(frame)
-            prescribe(still.design())
+            equal_cells(prescribe(still.design()), "a picture through the sheet")
             stills.append(still)
         except DesignError as error:
             mistakes += [mistake for mistake in error.mistakes if mistake not in mistakes]
@@ -155,7 +156,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     from clacad.tracing.compiled.threads import thread_count
 
     still = scene.at(0) if scene.animation is not None else scene
-    window = prescribe(still.design())
+    window = equal_cells(prescribe(still.design()), "a picture through the sheet")
     view = aim(still.camera)
     fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)

@@ -14,6 +14,7 @@ from clacad.effects.engine.probe_rays import situation_of_scene
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
+from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 from clacad.verification.accuracy.choose_setting import facets_for
 from clacad.verification.accuracy.error_and_seconds import MOST_DISAGREEMENT, TargetOutOfReach
@@ -45,7 +46,7 @@ def within_target(scene: Scene, target: float) -> Scene:
         return chosen
     still = chosen.at(0) if chosen.animation is not None else chosen
     design = still.design()
-    window = prescribe(design)
+    window = equal_cells(prescribe(design), "a picture through the sheet")
     if rung == "mesh" and still.sheet.mesh is None:
         return chosen.replace({"sheet.quads": _quads_within(design, window, target)})
     situation = situation_of_scene(still, window)

@@ -17,13 +17,18 @@ class CellsDiffer(ValueError):
     """
 
     code = "CL139"
+    exit_status = 2
 
     def __init__(self, what: str, instead: str = "") -> None:
-        self.what = what
+        self.what, self.instead = what, instead
         rest = f"; {instead}" if instead else ""
         super().__init__(
             f"{self.code}: {what} takes a sheet of equal cells, and in this one every cell differs{rest}"
         )
+
+    def __reduce__(self) -> tuple[type[CellsDiffer], tuple[str, str]]:
+        """As it was made: it comes back from other processes with the same words."""
+        return CellsDiffer, (self.what, self.instead)
 
 
 def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
@@ -36,6 +41,12 @@ def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
     """
     if not window.uniform:
         raise CellsDiffer(what, instead)
+
+
+def equal_cells(window: Window, what: str, instead: str = "") -> Window:
+    """The window, refused where its cells differ; see `need_equal_cells`."""
+    need_equal_cells(window, what, instead)
+    return window
 
 
 def need_window(value: object, verb: str, rest: str = "") -> None:

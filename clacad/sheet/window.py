@@ -308,15 +308,23 @@ class Window:
         """
 
         def fewer(face: Face) -> Face:
-            return face if face.change is None else replace(face, change=face.change.of_middle(self.lattice, count))
+            return (
+                face
+                if face.change is None
+                else replace(face, change=face.change.of_middle(self.lattice, count))
+            )
 
         small = replace(
             self,
             lattice=self.lattice.with_count(count),
-            bodies=tuple(replace(body, front=fewer(body.front), back=fewer(body.back)) for body in self.bodies),
+            bodies=tuple(
+                replace(body, front=fewer(body.front), back=fewer(body.back)) for body in self.bodies
+            ),
         )
         if self.thin.change is not None:
-            small = replace(small, thin=replace(self.thin, change=self.thin.change.of_middle(self.lattice, count)))
+            small = replace(
+                small, thin=replace(self.thin, change=self.thin.change.of_middle(self.lattice, count))
+            )
         if self.cell_laws is not None:
             small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))
         return replace(small, outline=side_outline(small))

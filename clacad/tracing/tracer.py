@@ -167,7 +167,9 @@ class Tracer:
         if self.continuous and self.rung != "law":
             raise ValueError(f'continuous=True is for rung "law", not {self.rung!r}')
         if self.continuous and self.window.cell_laws is not None and self.window.cell_laws.smooth is None:
-            raise ValueError("continuous=True: the law of this sheet is a table's, which has no values between its cells")
+            raise ValueError(
+                "continuous=True: the law of this sheet is a table's, which has no values between its cells"
+            )
         if self.mesh is not None and self.rung != "mesh":
             raise ValueError(f'mesh= is for rung "mesh", not {self.rung!r}')
         facets = any(effect == "facets" or getattr(effect, "rung", None) == "mesh" for effect in self.effects)
@@ -179,9 +181,7 @@ class Tracer:
             )
 
 
-def _by_numpy(
-    layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous: bool = False
-) -> TraceResult:
+def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous: bool = False) -> TraceResult:
     """Rungs law, thin and surfaces in numpy, hits kept at so many faces."""
     ledger = Ledger.opened(rays, recorded)
     rows = ledger.launchable()

@@ -83,8 +83,9 @@ def middle_cells(window: Window) -> NDArray[np.int64]:
 def situation_of_design(design: Design, angle: float | None = None, radiance: float = RADIANCE) -> Situation:
     """The bundle by which the design is judged; angles that matter: its `law_rms`."""
     from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.need_window import equal_cells
 
-    window = prescribe(design)
+    window = equal_cells(prescribe(design), "a plan of effects")
     tolerance = design.check.law_rms if angle is None else angle
     return situation_of_window(window, design_setting(design), tolerance, radiance, design.check.field)
 
@@ -97,9 +98,10 @@ def design_setting(design: Design) -> Setting:
 def situation_of_scene(scene: Scene, window: Window | None = None) -> Situation:
     """The camera's own rays on the sheet."""
     from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.need_window import equal_cells
 
     design = scene.design()
-    window = prescribe(design) if window is None else window
+    window = equal_cells(prescribe(design), "a plan of effects") if window is None else window
     scale = scene.unit_m / window.unit
     camera, effects = scene.camera, scene.effects
     distance = float(np.linalg.norm(np.array(camera.target) - np.array(camera.position)))

@@ -45,11 +45,12 @@ def accuracy(
     from clacad.exporting.limits import refuse_early
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
+    from clacad.sheet.need_window import equal_cells
     from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays
 
     report = progress or silent
     refuse_early(design, (), {})
-    window = prescribe(design)
+    window = equal_cells(prescribe(design), "the table of accuracy")
     report("tracing the truth", 0.0)
 
     def traced(count: int) -> TracedRays:

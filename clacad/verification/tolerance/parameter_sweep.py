@@ -19,6 +19,7 @@ from clacad.base.types import Progress
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
+from clacad.sheet.need_window import equal_cells
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
 from clacad.verification.tolerance.study import worked
@@ -183,7 +184,7 @@ def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, A
     row |= dict.fromkeys([*BUILT, *TRACED], nan)
     try:
         made = design.replace(changes)
-        window = prescribe(made)
+        window = equal_cells(prescribe(made), "a sweep")
         facts = feasibility(window)
         checks = design_checks(made, window, facts)
     except DesignError as error:
