@@ -227,6 +227,26 @@ def trace(
 
 
 @app.command()
+def image(
+    design: Design,
+    source: Annotated[str, typer.Option("--object", metavar="X,Y,Z", help="Point that light comes from, z < 0 before the "
+                                        "sheet; with z = -inf, parallel light of the slopes X and Y.")] = "0,0,-inf",
+    rungs: Annotated[str, typer.Option("--rung", metavar="A,B", help="law, thin, surfaces.")] = "law,thin,surfaces",
+    rays: Annotated[int, typer.Option("--rays", min=64, max=10_000_000, help="Rays sent on every rung.")] = 20_000,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write the through-focus picture here, "
+                                             ".png or .svg.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
+    overwrite: Replace = False,
+    set: Set = None, json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Where the sheet images a point: predicted and by rays, spot and share of the light on each rung."""
+    from clacad.cli.image_command import ImageRequest, image_design
+
+    request = ImageRequest(source, rungs, rays, out, dry_run, overwrite)
+    return image_design(design, set or [], request, json=json, quiet=quiet)
+
+
+@app.command()
 def accuracy(
     design: Annotated[Path | None, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON); not needed with "
                                                   "--hard.", show_default=False)] = None,

@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tokenize import TokenError
 from typing import IO, TYPE_CHECKING, Any
 
 from clacad.base.regular_file import require_regular
@@ -98,18 +97,12 @@ class RayFile:
 
     def _opened(self, key: str) -> tuple[IO[bytes], np.dtype[Any], int]:
         """Stream at the first row, type, number of rows."""
-        import numpy as np
+        from clacad.base.npy_header import array_head
 
         try:
             stream = self._archive.open(self._members[key])
-            version = np.lib.format.read_magic(stream)
-            read = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
-            )
-            shape, fortran, kind = read(stream)
-        except (*DAMAGED, ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
+            shape, fortran, kind = array_head(stream)
+        except (*DAMAGED, ValueError) as error:
             why = printable(str(error).partition("\n")[0])[:160]
             raise BadRays(f"{self._archive.filename}: array '{key}': {why}") from None
         wanted = 1 if key == "wavelength" else 2

@@ -11,6 +11,7 @@ from typing import IO, Any, Final, NoReturn
 
 import numpy as np
 
+from clacad.base.npy_header import array_head
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.text import printable
 from clacad.base.types import Bools, Floats, Ints
@@ -220,20 +221,10 @@ class TableFile:
         return made
 
     def _array(self, stream: IO[bytes]) -> Floats:
-        from tokenize import TokenError
-
         try:
-            version = np.lib.format.read_magic(stream)
-            read = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
-            )
-            shape, fortran, kind = read(stream)
-        except (ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
-            self.refuse(
-                f"array {ARRAY!r}: {printable(str(error).partition(chr(10))[0])[:100]}", allowed=self._shape()
-            )
+            shape, fortran, kind = array_head(stream)
+        except ValueError as error:
+            self.refuse(f"array {ARRAY!r}: {error}", allowed=self._shape())
         if shape != (*self.lattice.count, 2) or kind.kind not in "fiu" or fortran:
             pickled = ": pickled objects are not read" if kind.hasobject else ""
             self.refuse(f"array {ARRAY!r} is {shape} of {kind}{', Fortran order' if fortran else ''}{pickled}",

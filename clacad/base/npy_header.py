@@ -1,0 +1,28 @@
+"""The head of one array of an .npz archive, as a stranger may have written it."""
+
+from __future__ import annotations
+
+from tokenize import TokenError
+from typing import IO, Any
+
+import numpy as np
+
+from clacad.base.text import printable
+
+
+def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, Fortran order and type of the array whose bytes follow in the stream.
+
+    Raises
+    ------
+    ValueError
+        It is no such head; the message is one line.
+    """
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        return read(stream)
+    except (ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
+        raise ValueError(printable(str(error).partition("\n")[0])[:160]) from None

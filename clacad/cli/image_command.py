@@ -1,0 +1,135 @@
+"""`clacad image`: where a sheet images a point, as its law says and as rays go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.cli.announce_cost import forecast
+from clacad.cli.console import say, show_json, show_text, table
+from clacad.cli.design_commands import load_counted
+from clacad.cli.option_values import BadOption
+
+if TYPE_CHECKING:
+    from clacad.imaging import Image
+
+TASK = "image"
+
+
+@dataclass(frozen=True)
+class ImageRequest:
+    """What the command line asked: the object, rungs, rays, where to draw, whether only to forecast."""
+
+    source: str
+    rungs: str
+    rays: int
+    out: Path | None
+    dry_run: bool
+    overwrite: bool
+
+
+def parse_place(text: str, unit: str) -> tuple[float, float, float]:
+    """Read "x,y,z", lengths bare or with a unit, as a point in design units; z may be -inf.
+
+    Raises
+    ------
+    BadOption
+    """
+    from clacad.base.units import design_unit
+    from clacad.config.quantities import Quantity
+    from clacad.config.value_kinds import Refusal
+
+    own = design_unit(unit)
+    assert own is not None  # the design was read with it
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3:
+        raise BadOption(
+            f'--object {text}: it is a point x,y,z such as "0,0,-300", or slopes and -inf for parallel light'
+        )
+    kind = Quantity("length", "a length")
+    made = []
+    for k, part in enumerate(parts):
+        if k == 2 and part == "-inf":
+            made.append(float("-inf"))
+            continue
+        try:
+            made.append(kind.read(float(part) if _is_number(part) else part, own))
+        except Refusal as refusal:
+            raise BadOption(
+                f"--object {text}: {'xyz'[k]} = {part} {refusal.complaint}; {refusal.allowed}"
+            ) from None
+    return made[0], made[1], made[2]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def image_design(path: Path, overrides: list[str], request: ImageRequest, *, json: bool, quiet: bool) -> int:
+    """Print where the point is imaged (or JSON), write the through-focus picture."""
+    design = load_counted(path, overrides)
+    source = parse_place(request.source, design.unit)
+    from clacad.imaging import image
+    from clacad.imaging.image_by_rays import image_seconds
+    from clacad.prescription.prescribe import prescribe
+    from clacad.storage.atomic import require_writable, write_content
+
+    window = prescribe(design)
+    words: Any = tuple(word.strip() for word in request.rungs.split(",") if word.strip())
+    seconds = image_seconds(window, [w for w in words if w in ("law", "thin", "surfaces")], request.rays)
+    if request.dry_run:
+        return _show_forecast(request, seconds, json=json, quiet=quiet)
+    if request.out is not None:
+        require_writable(request.out, overwrite=request.overwrite)
+    try:
+        with forecast(TASK, seconds, quiet=quiet):
+            found = image(window, source, words, request.rays)
+    except ValueError as error:
+        raise BadOption(str(error)) from error
+    if request.out is not None:
+        from clacad.imaging.through_focus import plot_png, plot_svg
+
+        plot = plot_svg if request.out.suffix.lower() == ".svg" else plot_png
+        write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)
+    if json:
+        show_json(found.to_dict() | {"unit": design.unit})
+    else:
+        show_text(image_text(found, design.unit), quiet=quiet)
+    if request.out is not None:
+        say(f"wrote {request.out}", quiet=quiet)
+    return 0
+
+
+def _show_forecast(request: ImageRequest, seconds: float, *, json: bool, quiet: bool) -> int:
+    if json:
+        show_json({"forecast": {"rays": request.rays, "seconds": seconds}})
+    else:
+        files = "one picture of about 100 kB" if request.out is not None else "no file"
+        show_text(f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {files}; nothing is written",
+                  quiet=quiet)  # fmt: skip
+    return 0
+
+
+def image_text(found: Image, unit: str) -> str:
+    """The image for a person, rung by rung."""
+    lines = [["rung", "predicted x, y, z", "found x, y, z", "apart", "spot rms x, y", "share", unit]]
+    for one in found.rungs:
+        lines.append([
+            one.rung, _place(one.predicted.point), _place(one.found.point), f"{one.off:.3g}",
+            ", ".join(f"{v:.4g}" for v in one.found.spot), f"{100.0 * one.share:.3g} %", "",
+        ])  # fmt: skip
+    width = ", ".join(f"{w:.4g}" for w in found.width)
+    notes = [
+        f"cells do not focus: the image of a point is {width} {unit} wide at least (x, y)",
+        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a sheet of no thickness at z = 0",
+    ]
+    return "\n".join([table(lines), *notes])
+
+
+def _place(point: Any) -> str:
+    return ", ".join(f"{v + 0.0:.6g}" for v in point.round(9))
