@@ -5,26 +5,20 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import IO, Any, Final, NoReturn
 
 import numpy as np
 
 from clacad.base.npy_header import array_head
-from clacad.base.reading_budgets import BUDGETS
 from clacad.base.text import printable
 from clacad.base.types import Bools, Floats, Ints
-from clacad.config.design_error import DesignError, DesignTooLarge
-from clacad.config.mistakes import Mistake
+from clacad.design.number_rows import NumberRows, RowBlock
 from clacad.sheet.lattice import Lattice
 
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
 LARGEST: Final = 1e6
 """Largest |δ|, as of the key law.delta."""
-LONGEST_ROW: Final = 1000
-BLOCK: Final = 1 << 16
-"""Rows read at a time."""
 ARRAY: Final = "delta"
 
 
@@ -50,95 +44,22 @@ class TableFile:
             return self._of_array()
         return self._of_rows()
 
-    def refuse(self, message: str, row: int | None = None, line: str = "", column: int | None = None, *,
-               allowed: str = "", hint: str = "") -> NoReturn:  # fmt: skip
-        """Refuse the table, at a column (from 0) of a row (from 1)."""
-        place = None
-        if column is not None:
-            place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
-        raise DesignError([Mistake("CL124", message, self.key, self.path, row, place, allowed=allowed, hint=hint,
-                                   source_line=line)])  # fmt: skip
+    def refuse(self, message: str, *, allowed: str = "") -> NoReturn:
+        """Refuse the table as a whole."""
+        NumberRows(self.path, COLUMNS, self.key).refuse(message, allowed=allowed)
 
     # --- CSV ------------------------------------------------------------------------------------------
 
     def _of_rows(self) -> Floats:
         made = np.full((*self.lattice.count, 2), np.nan)
-        with open(self.path, "rb") as stream:
-            self._header(self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff"))
-            first = 2
-            for lines in self._blocks(stream):
-                numbers = self._numbers(lines, first)
-                self._enter(made, numbers, lines, first)
-                first += len(lines)
+        rows = NumberRows(self.path, COLUMNS, self.key)
+        for block in rows.blocks():
+            self._enter(made, block, rows)
         return self._whole(made)
 
-    def _header(self, line: str) -> None:
-        names = [part.strip() for part in line.split(",")]
-        if names != [*COLUMNS]:
-            wrong = next((k for k, pair in enumerate(zip(names, COLUMNS)) if pair[0] != pair[1]),
-                         min(len(names), len(COLUMNS)))  # fmt: skip
-            self.refuse(
-                "the header is not that of a table of cells", 1, line, wrong, allowed=",".join(COLUMNS)
-            )
-
-    def _blocks(self, stream: IO[bytes]) -> Iterator[list[str]]:
-        """Rows after the header, many at a time; empty lines at the end are none."""
-        row, read, empty = 1, 0, 0
-        lines: list[str] = []
-        most = BUDGETS["cell-table"].items or 0
-        while raw := stream.readline(LONGEST_ROW):
-            row += 1
-            line = self._text(raw, row)
-            if not line.strip():
-                empty = empty or row
-                continue
-            if empty:
-                self.refuse("an empty row inside the table", empty, allowed=",".join(COLUMNS))
-            lines.append(line)
-            read += 1
-            if read > most:
-                raise DesignTooLarge([Mistake("CL124", f"more than {most:,} rows", self.key, self.path, row)])
-            if len(lines) == BLOCK:
-                yield lines
-                lines = []
-        if lines:
-            yield lines
-
-    def _text(self, raw: bytes, row: int) -> str:
-        """A row without its end."""
-        if len(raw) == LONGEST_ROW:
-            self.refuse(f"a row of {LONGEST_ROW} characters or more", row, allowed=",".join(COLUMNS))
-        try:
-            return raw.decode("utf-8").rstrip("\r\n")
-        except UnicodeDecodeError:
-            self.refuse("the row is not UTF-8 text", row, allowed=",".join(COLUMNS))
-
-    def _numbers(self, lines: list[str], first: int) -> Floats:
-        """Numbers (n, 4) of rows, the first of which is row `first` of the file."""
-        try:
-            numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
-        except ValueError:
-            numbers = np.empty((0, 0))
-        if numbers.shape != (len(lines), len(COLUMNS)):
-            self._refuse_first(lines, first)
-        return numbers
-
-    def _refuse_first(self, lines: list[str], first: int) -> NoReturn:
-        """Name the first row and column that are no number."""
-        for row, line in enumerate(lines, first):
-            parts = line.split(",")
-            for column, part in enumerate(parts[: len(COLUMNS)]):
-                try:
-                    np.loadtxt([part], comments=None, dtype=np.float64)
-                except ValueError:
-                    self.refuse(f"{COLUMNS[column]} is no number", row, line, column, allowed="a number")
-            if len(parts) != len(COLUMNS):
-                self.refuse(f"{len(parts)} values in a row", row, line, min(len(parts), len(COLUMNS)),
-                            allowed=",".join(COLUMNS))  # fmt: skip
-        self.refuse("the rows are not numbers separated by commas", first, allowed=",".join(COLUMNS))
-
-    def _enter(self, made: Floats, numbers: Floats, lines: list[str], first: int) -> None:
+    def _enter(self, made: Floats, block: RowBlock, rows: NumberRows) -> None:
         """Write the δ of rows to their cells."""
+        numbers, lines, first = block
         n1, n2 = self.lattice.count
         whole = (numbers[:, :2] == np.rint(numbers[:, :2])) & (np.abs(numbers[:, :2]) < 2.0**53)
         index: Ints = np.where(whole, numbers[:, :2], -(2.0**53)).astype(np.int64)
@@ -158,14 +79,14 @@ class TableFile:
         if len(bad):
             row = int(bad[0])
             _, column, message, allowed = next(flaw for flaw in flaws if flaw[0][row])
-            self.refuse(message, first + row, lines[row], column, allowed=allowed)
+            rows.refuse(message, first + row, lines[row], column, allowed=allowed)
         flat = place * n2 + j
         _, earliest = np.unique(flat, return_index=True)
         twice = ~np.isnan(made[place, j, 0])
         twice[np.setdiff1d(np.arange(len(flat)), earliest)] = True
         if twice.any():
             row = int(np.argmax(twice))
-            self.refuse(f"cell ({i[row]}, {j[row]}) stands in the table twice", first + row, lines[row], 0,
+            rows.refuse(f"cell ({i[row]}, {j[row]}) stands in the table twice", first + row, lines[row], 0,
                         allowed="each cell once")  # fmt: skip
         made[place, j] = numbers[:, 2:]
 

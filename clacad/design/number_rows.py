@@ -1,0 +1,135 @@
+"""Tables of numbers as CSV that anybody may have written: a header, and rows of as many numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO, Final, NamedTuple, NoReturn
+
+import numpy as np
+
+from clacad.base.reading_budgets import BUDGETS
+from clacad.base.types import Floats
+from clacad.config.design_error import DesignError, DesignTooLarge
+from clacad.config.mistakes import Mistake
+
+LONGEST_ROW: Final = 1000
+BLOCK: Final = 1 << 16
+"""Rows read at a time."""
+
+
+class RowBlock(NamedTuple):
+    """Some rows: their numbers (n, columns), their text, the number of the first in the file (from 1)."""
+
+    numbers: Floats
+    lines: list[str]
+    first: int
+
+
+@dataclass(frozen=True)
+class NumberRows:
+    """A CSV file of numbers.
+
+    Parameters
+    ----------
+    path : str
+    columns : tuple of str
+        The header.
+    key : str
+        Key of the design that names it, "" where none does.
+    """
+
+    path: str
+    columns: tuple[str, ...]
+    key: str = ""
+
+    def blocks(self) -> Iterator[RowBlock]:
+        """Rows, many at a time.
+
+        Raises
+        ------
+        DesignError
+            With row and column: another header, what is no number, too few or many values, text that is not UTF-8.
+        DesignTooLarge
+            More rows than are read.
+        """
+        with open(self.path, "rb") as stream:
+            self._header(self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff"))
+            first = 2
+            for lines in self._lines(stream):
+                yield RowBlock(self._numbers(lines, first), lines, first)
+                first += len(lines)
+
+    def refuse(self, message: str, row: int | None = None, line: str = "", column: int | None = None, *,
+               allowed: str = "", hint: str = "") -> NoReturn:  # fmt: skip
+        """Refuse the table, at a column (from 0) of a row (from 1)."""
+        place = None
+        if column is not None:
+            place = 1 + min(len(line), sum(len(part) + 1 for part in line.split(",")[:column]))
+        raise DesignError([Mistake("CL124", message, self.key, self.path, row, place, allowed=allowed, hint=hint,
+                                   source_line=line)])  # fmt: skip
+
+    def _header(self, line: str) -> None:
+        names = [part.strip() for part in line.split(",")]
+        if names != [*self.columns]:
+            wrong = next((k for k, pair in enumerate(zip(names, self.columns)) if pair[0] != pair[1]),
+                         min(len(names), len(self.columns)))  # fmt: skip
+            self.refuse(
+                "the header is not that of a table of cells", 1, line, wrong, allowed=",".join(self.columns)
+            )
+
+    def _lines(self, stream: IO[bytes]) -> Iterator[list[str]]:
+        """Rows after the header, many at a time; empty lines at the end are none."""
+        row, read, empty = 1, 0, 0
+        lines: list[str] = []
+        most = BUDGETS["cell-table"].items or 0
+        while raw := stream.readline(LONGEST_ROW):
+            row += 1
+            line = self._text(raw, row)
+            if not line.strip():
+                empty = empty or row
+                continue
+            if empty:
+                self.refuse("an empty row inside the table", empty, allowed=",".join(self.columns))
+            lines.append(line)
+            read += 1
+            if read > most:
+                raise DesignTooLarge([Mistake("CL124", f"more than {most:,} rows", self.key, self.path, row)])
+            if len(lines) == BLOCK:
+                yield lines
+                lines = []
+        if lines:
+            yield lines
+
+    def _text(self, raw: bytes, row: int) -> str:
+        """A row without its end."""
+        if len(raw) == LONGEST_ROW:
+            self.refuse(f"a row of {LONGEST_ROW} characters or more", row, allowed=",".join(self.columns))
+        try:
+            return raw.decode("utf-8").rstrip("\r\n")
+        except UnicodeDecodeError:
+            self.refuse("the row is not UTF-8 text", row, allowed=",".join(self.columns))
+
+    def _numbers(self, lines: list[str], first: int) -> Floats:
+        """Numbers (n, 4) of rows, the first of which is row `first` of the file."""
+        try:
+            numbers = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
+        except ValueError:
+            numbers = np.empty((0, 0))
+        if numbers.shape != (len(lines), len(self.columns)):
+            self._refuse_first(lines, first)
+        return numbers
+
+    def _refuse_first(self, lines: list[str], first: int) -> NoReturn:
+        """Name the first row and column that are no number."""
+        for row, line in enumerate(lines, first):
+            parts = line.split(",")
+            for column, part in enumerate(parts[: len(self.columns)]):
+                try:
+                    np.loadtxt([part], comments=None, dtype=np.float64)
+                except ValueError:
+                    self.refuse(f"{self.columns[column]} is no number", row, line, column, allowed="a number")
+            if len(parts) != len(self.columns):
+                self.refuse(f"{len(parts)} values in a row", row, line, min(len(parts), len(self.columns)),
+                            allowed=",".join(self.columns))  # fmt: skip
+        self.refuse("the rows are not numbers separated by commas", first, allowed=",".join(self.columns))
