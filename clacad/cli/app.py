@@ -247,6 +247,32 @@ def image(
 
 
 @app.command()
+def shape(
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="Picture (PNG, JPEG, ...), or points as CSV with the "
+                                           "header x,y or x,y,weight.", show_default=False)],
+    distance: Annotated[str, typer.Option("--distance", metavar="Z", help="From array 2 to the screen.", show_default=False)],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Design file to write; FILE.cells.csv and "
+                                             "FILE.png are written beside it.")] = None,
+    design: Annotated[Path | None, typer.Option("--design", metavar="DESIGN", help="Sheet to shape; default a PMMA slab of "
+                                                "100 x 100 cells of 0.5 mm.")] = None,
+    cells: Cells = None,
+    width: Annotated[str | None, typer.Option("--width", metavar="W", help="Of the picture on the screen; default that of "
+                                              "the sheet.")] = None,
+    source: Annotated[str | None, typer.Option("--source", metavar="E", help="Half angle of the source, e.g. '0.25 deg'.")]
+    = None,
+    rays: Annotated[int, typer.Option("--rays", min=64, max=10_000_000, help="Rays that judge it.")] = 100_000,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
+    overwrite: Replace = False,
+    set: Set = None, json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Write a sheet whose cells send parallel light into a picture or pattern on a screen."""
+    from clacad.cli.shape_command import ShapeRequest, shape_light
+
+    request = ShapeRequest(target, distance, out, design, cells, width, source, rays, dry_run, overwrite)
+    return shape_light(request, set or [], json=json, quiet=quiet)
+
+
+@app.command()
 def accuracy(
     design: Annotated[Path | None, typer.Argument(metavar="DESIGN", help="Design file (TOML or JSON); not needed with "
                                                   "--hard.", show_default=False)] = None,

@@ -122,7 +122,8 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
     wrong = [rung for rung in rungs if rung not in RUNGS]
     if wrong:
         raise ValueError(f'rung is {wrong[0]!r}, not "law", "thin" or "surfaces"')
-    sent, cells = _sent(window, place, rays)
+    sent, which = sent_to(window, place, rays)
+    cells = window.lattice.cells()[np.unique(which)]
     found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
     return Image(place, found, _width(window, place))
 
@@ -133,16 +134,17 @@ def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
     return 0.05 + rays * sum(each[rung] for rung in rungs) + 2e-6 * window.lattice.cell_count
 
 
-def _sent(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
-    """Rays from the source to points spread evenly over the sheet, started below it, and the cells they aim at."""
+def sent_to(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
+    """Rays from a source (3,) to points spread evenly over the sheet, and which of its kept cells (rays,) each aims at."""
     kept = window.lattice.cells()
-    cells = kept[np.linspace(0, len(kept), rays, endpoint=False).astype(np.int64)]
+    which = np.linspace(0, len(kept), rays, endpoint=False).astype(np.int64)
+    cells = kept[which]
     at = window.lattice.centres(cells) + window.lattice.over_cell(sobol(rays, 2))
     direction = _towards(source, at)
     below = window.z_range[0] - max(window.lattice.pitch)
     below = max(below, 0.5 * (source[2] + window.z_range[0])) if np.isfinite(source[2]) else below
     start = np.column_stack([at, np.zeros(rays)]) + direction * (below / direction[:, 2:])
-    return Rays(start, direction), cells
+    return Rays(start, direction), which
 
 
 def _towards(source: Floats, at: Floats) -> Floats:
@@ -157,14 +159,12 @@ def _towards(source: Floats, at: Floats) -> Floats:
 
 def _on(window: Window, rung: Rung, source: Floats, sent: Rays, cells: Ints) -> RungImage:
     """What one rung makes of the rays."""
-    # one block after another: a sheet of differing cells is traced in numpy, in bounded memory
     seen: TraceResult = Tracer(window, rung, path="size")(sent)
     good = seen.fate == Fate.ALIVE
     gap = 0.0 if rung == "law" else lens_plane(window, rung)
-    used = np.unique(cells, axis=0)
     return RungImage(
         rung,
-        _predicted(window, source, used, gap),
+        _predicted(window, source, cells, gap),
         best_point(seen.position[good], seen.direction[good]),
         float(np.mean(good)),
         seen.position[good],

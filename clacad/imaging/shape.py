@@ -1,0 +1,176 @@
+"""A table of cells that sends parallel light into a picture or pattern on a screen.
+
+Cell (i, j) at C sends light of slope t to T on a screen Z behind array 2:  δ = t − η (T − C − s t)/Z. No surface has to be
+integrable, for cells are separate; the price is that the picture has one spot for each cell, of the width
+
+    |η| p + 2 Z α/|η| + λ Z/(|η| p)      α: half angle of the source
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+from clacad.imaging.image_by_rays import lens_plane, sent_to
+from clacad.imaging.target import Target
+from clacad.imaging.transport import assigned
+from clacad.optics.law.beam_shaping import deltas_to, spot_widths
+from clacad.optics.rays import Fate
+from clacad.tracing.tracer import Tracer
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet.lattice import Lattice
+    from clacad.sheet.window import Window
+
+
+@dataclass(frozen=True, eq=False)
+class Blur:
+    """What widens the light of one cell on the screen: widths along the lens axes, lengths.
+
+    cell : |η| p; source : of its angle; diffraction : λ Z/(|η| p)
+    """
+
+    cell: Pair2
+    source: Pair2
+    diffraction: Pair2
+
+    @property
+    def all(self) -> Pair2:
+        """Their sum."""
+        x, y = (float(a + b + c) for a, b, c in zip(self.cell, self.source, self.diffraction, strict=True))
+        return x, y
+
+
+@dataclass(frozen=True, eq=False)
+class Shaped:
+    """Cells and where each sends its light.
+
+    Parameters
+    ----------
+    cells : (n, 2) int
+        Kept cells.
+    places : (n, 2) lengths
+        On the screen.
+    deltas : (n, 2)
+    way : float, length
+        Rms distance from a cell to its place across.
+    blur : Blur
+    """
+
+    cells: Any
+    places: Floats
+    deltas: Floats
+    way: float
+    blur: Blur
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """What rays through the built sheet make on the screen.
+
+    Parameters
+    ----------
+    seen, wanted : (h, w) arrays
+        Light in each square of the screen, over all the light on the sheet: as rays make it, and as asked, spread by the
+        blur of a cell. Row 0 is the top.
+    corners : (x_min, x_max, y_min, y_max), lengths
+    through : float
+        Share of the light that goes through lenses of one telescopelet.
+    within : float
+        Share of all the light that arrives within one blur of its cell's place.
+    difference : float
+        Half the sum of |seen − wanted|, each scaled to 1: the part of the light that lies elsewhere.
+    """
+
+    seen: Floats
+    wanted: Floats
+    corners: tuple[float, float, float, float]
+    through: float
+    within: float
+    difference: float
+
+
+def shaped(design: Design, lattice: Lattice, target: Target, distance: float, source: float = 0.0) -> Shaped:
+    """Find the δ of each cell.
+
+    Parameters
+    ----------
+    design : Design
+        Gives η, s, the pitch and the wavelength; its own δ is not used.
+    lattice : Lattice
+        Of its cells.
+    target : Target
+    distance : float, length
+        From array 2 to the screen.
+    source : float, radians
+        Half angle of the source.
+
+    Raises
+    ------
+    NoTarget
+        More points than cells.
+    """
+    cells = lattice.cells()
+    centres = lattice.centres(cells)
+    wanted = target.places(len(cells))
+    wanted = wanted[assigned(centres, wanted)]
+    way = wanted - centres
+    deltas = deltas_to(design.law, way, distance)
+    far = float(np.sqrt(np.mean(np.sum(way**2, axis=1))))
+    return Shaped(cells, wanted, deltas, far, blur_of(design, distance, source))
+
+
+def blur_of(design: Design, distance: float, source: float) -> Blur:
+    """What widens the light of a cell on a screen `distance` (length) away, of a source of half angle `source` (radians)."""
+    waves = design.pair.wavelength / design.unit_m
+    return Blur(*spot_widths(design.law, design.lattice.pitch, distance, source, waves))
+
+
+def table_text(found: Shaped) -> str:
+    """The table of cells as CSV, each number in its shortest form."""
+    lines = ["i,j,delta_x,delta_y"]
+    for (i, j), (x, y) in zip(found.cells.tolist(), (found.deltas + 0.0).tolist(), strict=True):
+        lines.append(f"{i},{j},{x!r},{y!r}")
+    return "\n".join(lines) + "\n"
+
+
+def rendered(window: Window, found: Shaped, distance: float, rays: int) -> Rendered:
+    """Trace parallel light through the built sheet to the screen.
+
+    Parameters
+    ----------
+    window : Window
+        Built with the table.
+    found : Shaped
+    distance : float, length
+    rays : int
+    """
+    sent, which = sent_to(window, np.array([0.0, 0.0, -np.inf]), rays)
+    seen = Tracer(window, "surfaces", path="size")(sent)
+    good = seen.fate == Fate.ALIVE
+    level = lens_plane(window, "surfaces") + distance
+    reach = (level - seen.position[good, 2]) / seen.direction[good, 2]
+    at = seen.position[good, :2] + reach[:, None] * seen.direction[good, :2]
+    blur = np.array(found.blur.all)
+    near = (np.abs(at - found.places[which[good]]) <= blur).all(axis=1)
+    low, high = found.places.min(axis=0) - blur, found.places.max(axis=0) + blur
+    shape = np.clip(np.ceil((high - low) / (0.5 * blur)), 1, 256).astype(np.int64)
+    edges = [np.linspace(low[k], high[k], int(shape[k]) + 1) for k in (0, 1)]
+    light, _, _ = np.histogram2d(at[:, 0], at[:, 1], edges)
+    spread = found.places[which] + _over_cell(window, sent.position, sent.direction, which, found)
+    asked, _, _ = np.histogram2d(spread[:, 0], spread[:, 1], edges)
+    light, asked = light.T[::-1] / rays, asked.T[::-1] / rays
+    apart = 0.5 * float(np.abs(light / (light.sum() or 1.0) - asked / (asked.sum() or 1.0)).sum())
+    corners = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    return Rendered(light, asked, corners, float(np.mean(good)), float(near.sum() / rays), apart)
+
+
+def _over_cell(window: Window, position: Floats, direction: Floats, which: Any, found: Shaped) -> Floats:
+    """Where each ray lands about its cell's place (n, 2), lengths, if its lenses were ideal: the cell, scaled by |η|."""
+    at = position[:, :2] - position[:, 2:] * direction[:, :2] / direction[:, 2:]
+    scale = np.array(found.blur.cell) / np.array(window.lattice.pitch)
+    return np.asarray((at - window.lattice.centres(found.cells[which])) * scale)

@@ -1,0 +1,35 @@
+"""What was asked of a screen beside what rays make of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clacad.base.drawn_figure import drawn, no_formula
+from clacad.imaging.shape import Rendered
+
+SIZE = (9.6, 4.0)
+
+
+def plot_png(seen: Rendered, name: str, unit: str) -> bytes:
+    """Both pictures and their difference as PNG, the same for the same light; `unit` of the lengths."""
+    return drawn("png", SIZE, lambda figure: _draw(figure, seen, name, unit), {"font.size": 8.0})
+
+
+def _draw(figure: Any, seen: Rendered, name: str, unit: str) -> None:
+    panels = figure.subplots(1, 3)
+    x0, x1, y0, y1 = seen.corners
+    most = max(float(seen.wanted.max()), float(seen.seen.max()))
+    both = {"extent": (x0, x1, y0, y1), "interpolation": "nearest"}
+    panels[0].imshow(seen.wanted, cmap="gray", vmin=0.0, vmax=most, **both)
+    panels[1].imshow(seen.seen, cmap="gray", vmin=0.0, vmax=most, **both)
+    panels[2].imshow(seen.seen - seen.wanted, cmap="RdBu_r", vmin=-most, vmax=most, **both)
+    titles = (
+        "asked, one spot a cell",
+        f"by rays: {100 * seen.within:.4g} % within one blur",
+        f"by rays less asked: {100 * seen.difference:.3g} % elsewhere",
+    )
+    for panel, title in zip(panels, titles, strict=True):
+        panel.set_title(title, fontsize=8)
+        panel.set_xlabel(f"x / {unit}")
+    panels[0].set_ylabel(f"y / {unit}, seen from behind the screen")
+    figure.suptitle(no_formula(name), fontsize=10)

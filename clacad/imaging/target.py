@@ -1,0 +1,155 @@
+"""What light shall make on a screen: points with weights, from a picture's light or from a file of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints, Pair2
+from clacad.design.number_rows import NumberRows
+
+LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
+"""Shares of linear red, green and blue in what is seen (Rec. 709)."""
+
+MOST_PIXELS: Final = 1 << 20
+"""Pixels that a picture is reduced to: light is spread over more than one of them anyway."""
+
+
+class NoTarget(ValueError):
+    """A picture or points that no light can be sent into; exit status 2."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where light shall go on the screen.
+
+    Parameters
+    ----------
+    points : (m, 2) lengths
+        Screen x and y, in the order along which they are dealt out to cells.
+    weights : (m,)
+        Part of the light for each, sum 1.
+    grain : (2,) lengths
+        Size of a pixel, over which a cell's own place is spread; 0 for points.
+    pixels : (h, w) or None
+        Of a picture.
+    """
+
+    points: Floats
+    weights: Floats
+    grain: Pair2
+    pixels: tuple[int, int] | None = None
+
+    def places(self, count: int) -> Floats:
+        """Places (count, 2), lengths: as many in each point as its weight asks, to less than one.
+
+        Systematic sampling along the order of the points; within a pixel they are spread evenly.
+
+        Raises
+        ------
+        NoTarget
+            Fewer than the points of a pattern.
+        """
+        if self.pixels is None and count < len(self.points):
+            raise NoTarget(f"{len(self.points)} points need as many cells, and the sheet has {count}")
+        edges = np.cumsum(self.weights)
+        which = np.searchsorted(edges, (np.arange(count) + 0.5) / count * edges[-1], side="left")
+        which = np.minimum(which, len(edges) - 1)
+        first = np.searchsorted(which, which, side="left")
+        spread = sobol(int((np.arange(count) - first).max()) + 1, 2) - 0.5
+        return np.asarray(self.points[which] + spread[np.arange(count) - first] * self.grain)
+
+
+def of_picture(light: Floats, width: float) -> Target:
+    """Target of a picture.
+
+    Parameters
+    ----------
+    light : (h, w, 3) or (h, w) array
+        Linear light; row 0 is the top, +y, and column 0 the left, −x: as seen from behind the screen, towards the sheet.
+    width : float, length
+        Of the picture on the screen, centred on the sheet's axis.
+
+    Raises
+    ------
+    NoTarget
+        It is black.
+    """
+    grey = light @ np.array(LUMINANCE) if light.ndim == 3 else light
+    grey = _reduced(np.asarray(grey, dtype=np.float64))
+    total = float(grey.sum())
+    if not total > 0.0:
+        raise NoTarget("the picture is black: there is nowhere to send light to")
+    height, across = grey.shape
+    pixel = width / across
+    order = _along_hilbert(height, across)
+    row, column = order.T
+    x, y = (column + 0.5 - 0.5 * across) * pixel, (0.5 * height - row - 0.5) * pixel
+    lit = grey[row, column] > 0.0
+    points = np.column_stack([x, y])[lit]
+    return Target(points, grey[row, column][lit] / total, (pixel, pixel), (height, across))
+
+
+def of_points(path: Path) -> Target:
+    """Target of a CSV file with the header x,y or x,y,weight; lengths in the design's unit.
+
+    Raises
+    ------
+    DesignError
+        With row and column: another header, what is no number.
+    NoTarget
+        No point, or no weight above 0.
+    """
+    with path.open("rb") as stream:
+        weighted = b"weight" in stream.readline(1000)
+    rows = NumberRows(str(path), ("x", "y", "weight") if weighted else ("x", "y"))
+    found = []
+    for numbers, lines, first in rows.blocks():
+        bad = ~(np.abs(numbers) <= 1e9) | (np.arange(numbers.shape[1]) == 2) & (numbers < 0.0)
+        if bad.any():
+            row, column = (int(v[0]) for v in np.nonzero(bad))
+            rows.refuse(f"{rows.columns[column]} is out of range", first + row, lines[row], column,
+                        allowed="a number >= 0" if column == 2 else "a length")  # fmt: skip
+        found.append(numbers)
+    every = np.concatenate(found) if found else np.empty((0, len(rows.columns)))
+    weights = every[:, 2] if weighted else np.ones(len(every))
+    if not weights.sum() > 0.0:
+        raise NoTarget(f"{path}: no point has a weight: there is nowhere to send light to")
+    lit = weights > 0.0
+    return Target(every[lit, :2], weights[lit] / weights.sum(), (0.0, 0.0))
+
+
+def _reduced(grey: Floats) -> Floats:
+    """Means of blocks of a picture (h, w) of too many pixels; the edge that fills no block is spread over its own."""
+    side = int(np.ceil(np.sqrt(grey.size / MOST_PIXELS)))
+    if side <= 1:
+        return grey
+    down, across = (np.arange(0, n, side) for n in grey.shape)
+    sums = np.add.reduceat(np.add.reduceat(grey, down, axis=0), across, axis=1)
+    return np.asarray(sums)
+
+
+def _along_hilbert(height: int, width: int) -> Ints:
+    """Pixels (h w, 2) as row and column along a Hilbert curve, so that neighbours in the order are neighbours."""
+    side = 1
+    while side < max(height, width):
+        side *= 2
+    row, column = (v.ravel().astype(np.int64) for v in np.mgrid[:height, :width])
+    x, y, place = column.copy(), row.copy(), np.zeros(len(row), dtype=np.int64)
+    step = side // 2
+    while step > 0:
+        right, low = (x & step) > 0, (y & step) > 0
+        place += step * step * ((3 * right) ^ low)
+        flip = ~low
+        turn = flip & right
+        x, y = np.where(turn, side - 1 - x, x), np.where(turn, side - 1 - y, y)
+        x, y = np.where(flip, y, x), np.where(flip, x, y)
+        step //= 2
+    order = np.argsort(place, kind="stable")
+    return np.column_stack([row, column])[order]
