@@ -243,7 +243,9 @@ def _farthest(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> tu
 
 def _least_radius(window: Window) -> float:
     """Least radius of curvature of lens 2, in either meridian, length."""
-    bent = [abs(c) for f in window.faces if f.array == 1 for c in (f.surface.curvature_x, f.surface.curvature_y)]
+    bent = [
+        abs(c) for f in window.faces if f.array == 1 for c in (f.surface.curvature_x, f.surface.curvature_y)
+    ]
     return 1.0 / max(bent)
 
 
