@@ -17,6 +17,7 @@ class CellsDiffer(ValueError):
     """
 
     code = "CL139"
+    exit_status = 2
 
     def __init__(self, what: str, instead: str = "") -> None:
         self.what = what
