@@ -56,6 +56,14 @@ CHECKS: dict[str, Text] = {
         "Whether the sheet's normal, with the cone of test rays, lies in the field of view.", "Outside it no light keeps to the law.",
         "|t − a| < (p/s)(1 + |η|)/2", "Set lattice.aperture so that the field is where the viewer is.",
     ),
+    "viewed": (
+        "Mean over the whole sheet of the share of one eye's light that leaves through the partner of the lenslet it entered: of an eye "
+        "at [check] viewer on the axis, of the point that the sheet is aimed at, or 1 m before it. Rays from there over all cells are "
+        "traced through the exact surfaces; in brackets the closed form of thin lenses, cell by cell.",
+        "A cell's field is ± p (1 + |η|)/(2 s) in slope. A sheet wider than that times the distance shows the law in its middle alone.",
+        "⟨ALIVE/launched⟩ over the sheet,  a(C) = (C − P_xy)/(−z_P);  a warning below 0.95",
+        "lattice.aperture = {point = [x, y, z]} with the eye's place; or a smaller sheet, a viewer farther away, a larger p/s.",
+    ),
     "residual": (
         "Error and decollimation the recipe leaves along the axis ray, before any aberration.", "It is what no lens shape can mend.",
         "∠ of the axis ray to the law; ‖Φ‖ p/2", "Another recipe (`pair.confocal`), `pair.conic`, another form, or less tilt.",

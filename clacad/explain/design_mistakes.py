@@ -1,4 +1,4 @@
-"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL138."""
+"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL139."""
 
 from __future__ import annotations
 
@@ -99,6 +99,24 @@ MISTAKES: dict[str, Text] = {
         "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell",
         "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",
     ),
+    "CL121": (
+        "A sheet aimed at a point (lattice.aperture = {point = ...}) is asked for something that sheets whose cells differ cannot have.",
+        "Aimed: slab, plano and biconvex; square, rectangular and hexagonal; outlines, seams, borders, offset delta, given faces, both "
+        "offsets. Not: a baffle (its channels would have to widen), confocal = \"best\" (it knows light along the axis alone), a table of "
+        "more than a million vertices.",
+        "", "Do what the message says, or aim by a slope: lattice.aperture = [x, y] stands all cells alike.",
+    ),
+    "CL122": (
+        "The viewer that a sheet is aimed at is nearer than ten separations, or in it.",
+        "So near, the light of one cell spreads over more than its partner.", "|z_P| ≥ 10 s", "A viewer farther away, or a smaller separation.",
+    ),
+    "CL123": (
+        "A sheet cannot be aimed there: lens 2 would be used too far from its vertex, no vertex sends its light right, or light would land "
+        "away from the middle of its cell.",
+        "Array 2's cells stand where the viewer's light arrives while its vertices stay over those of array 1; at the border of a wide "
+        "sheet seen from near by a lens is then used at its steep rim.",
+        "(|vertex offset| + p/2)/R2 ≤ 0.65;  |landing − middle| ≤ p/100;  |move of the vertex| ≤ 0.3 p",
+        "The message names the cell and a distance of the viewer from which it works; a smaller sheet or p/s helps too.",
     "CL124": (
         "The table of law.varying is not there, not in the design's folder, has changed, or holds something else than one delta for each cell.",
         "A cell without a delta has no lens; a table from anywhere is taken as text and numbers only, never as a program.",
@@ -147,6 +165,11 @@ MISTAKES: dict[str, Text] = {
     "CL137": (
         "A body is so thin that float32 heights cannot tell front from back.", "Mesh files hold float32; the faces would touch.",
         "thickness ≥ some 10⁻⁶ of the distance from the origin", "A thicker body, or STEP.",
+    ),
+    "CL139": (
+        "Something was asked of a sheet whose cells differ that works on equal cells only.",
+        "Sheets of equal cells are one cell, repeated; what repeats, merges or averages that cell has no meaning where each differs.",
+        "", "What the message says works instead; or aim by a slope, lattice.aperture = [x, y].",
     ),
     "CL138": (
         "A lenslet is so small in its cell that the grid of facets has no point on it.", "The mesh would be land without lens.",

@@ -38,6 +38,11 @@ class LightRows:
     timings: bool
 
     @property
+    def viewed(self) -> str:
+        """What one eye gets of the whole sheet, in a sentence."""
+        return next(check.sentence for check in self.report.checks if check.id == "viewed")
+
+    @property
     def budget(self) -> list[tuple[str, str, str]]:
         """Contributions to the direction error, mrad."""
         from clacad.report.figures import budget_rows

@@ -10,6 +10,8 @@ from clacad.base.units import millimetres
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, svg
 from clacad.report.panels import Margins, panels, room_for
 from clacad.verification.light.error_attribution import NAMES
+from clacad.verification.light.viewed import share_map, viewer_of
+from clacad.verification.light.viewed import viewed as seen_from
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,6 +24,10 @@ if TYPE_CHECKING:
 GREEN = "#2b7a4b"
 SHADES = (ACCENT, "#5b9bd5", FAINT, SECOND, "#8a6fb0")
 """Colours of the five parts of the error, in the order of `NAMES`."""
+
+
+VIEWED_RAYS = 4096
+"""Rays that the picture of the sheet shows."""
 
 
 def foci(report: Report, evidence: Evidence) -> str:
@@ -130,6 +136,35 @@ def ghosts(evidence: Evidence) -> str:
         figure.colorbar(image, ax=axes, label="share of the light", shrink=0.9, fraction=0.025, pad=0.02)
 
     return svg(7.6, 2.9, "share of the light over two incident slopes, partner, closed form and ghosts", draw)
+
+
+def viewed(report: Report) -> str:
+    """The share of one eye's light that obeys the law, over the sheet: ideal lenses, and the rays that were traced."""
+    viewer = viewer_of(report.design)
+    values, (x0, x1, y0, y1) = share_map(report.window, viewer)
+    rays = seen_from(report.window, viewer, VIEWED_RAYS)
+    mm = report.window.unit * 1e3
+
+    def draw(figure: Figure) -> None:
+        left, right = panels(figure, 1, 2, Margins(top=0.3, across=0.36, right=0.66), sharey=True)
+        box = (x0 * mm, x1 * mm, y0 * mm, y1 * mm)
+        image = left.imshow(
+            values, origin="lower", extent=box, aspect="equal", vmin=0.0, vmax=1.0, interpolation="nearest"
+        )
+        left.set_title("closed form, thin lenses", fontsize=8.5)
+        for alive, colour, label in ((False, FAINT, "other lenslets"), (True, ACCENT, "obeys the law")):
+            x, y = rays.position[rays.alive == alive].T * mm
+            right.plot(x, y, ".", ms=1.5, color=colour, label=label, rasterized=True)
+        right.set_title("traced rays", fontsize=8.5)
+        right.set_aspect("equal")
+        right.legend(loc="upper right", markerscale=5)
+        left.set_ylabel("y on the sheet (mm)")
+        for panel in (left, right):
+            panel.set_xlabel("x on the sheet (mm)")
+            panel.grid(False)
+        figure.colorbar(image, ax=left, label="share of the light", shrink=0.9, fraction=0.04, pad=0.02)
+
+    return svg(7.6, 3.6, "share of the light of an eye that obeys the law, over the sheet", draw)
 
 
 def parts_of_error(found: Attribution, limit: float) -> str:

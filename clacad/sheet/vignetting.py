@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import polygon_area, polygon_areas
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
@@ -113,6 +114,33 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
         return np.zeros(len(np.asarray(directions)))
     arrival = cells.separation * cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
+    whole = polygon_area(cells.image)
+    return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
+
+
+def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
+    """Share (n,) of light of one direction a cell that meets the partner of that cell, thin lenses.
+
+    Parameters
+    ----------
+    window : Window
+        Whose cells may differ.
+    index : (n, 2) ints
+        Cells of array 0.
+    directions : (n, 3) array
+        Incident directions, sheet frame, any length.
+    """
+    cells, pair = thin_cells(window), window.thin
+    if pair.pitch is None:
+        return share(cells, directions)
+    place = CellPlacement(pair.shift, pair.pitch)
+    own = place.lattice(window.lattice)
+    apart = own.centres(index) - window.lattice.centres(index)
+    arrival = (
+        cells.separation * cells.slopes(directions) - cells.centre - _in_lens_plane(pair.rotation, apart)
+    )
+    like = replace(window, placements=(CellPlacement(), place))
+    target = _in_lens_plane(pair.rotation, optical_tile(like, 1))
     whole = polygon_area(cells.image)
     return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
@@ -200,15 +201,15 @@ def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]
     """Bounding box (x_min, x_max, y_min, y_max) of a body seen along z, design units."""
     arrays = [face.array for face in (body.front, body.back) if face.array is not None]
     one = set(arrays)
-    dx, dy = window.shifts[arrays[0]] if len(one) == 1 else (0.0, 0.0)
+    place = window.placements[arrays[0]] if len(one) == 1 else CellPlacement()
+    dx, dy = place.shift
     if isinstance(window.outline, Circle):
         r = 0.5 * window.outline.diameter
         return dx - r, dx + r, dy - r, dy + r
     if isinstance(window.outline, Rectangle):
         w, h = 0.5 * window.outline.width, 0.5 * window.outline.height
         return dx - w, dx + w, dy - h, dy + h
-    x0, x1, y0, y1 = window.lattice.extent()
-    return x0 + dx, x1 + dx, y0 + dy, y1 + dy
+    return place.extent(window.lattice)
 
 
 def whole_extent(window: Window) -> tuple[float, float, float, float]:
@@ -266,7 +267,7 @@ def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats)
     if face.array is None:
         return distance_in_cell(window, face, points, np.zeros((len(points), 2), dtype=np.int64))
     shift = window.shifts[face.array]
-    index, _, _ = window.lattice.locate(inside[:, 0] - shift[0], inside[:, 1] - shift[1])
+    index, _, _ = window.lattice_of(face.array).locate(inside[:, 0] - shift[0], inside[:, 1] - shift[1])
     return distance_in_cell(window, face, points, index)
 
 
@@ -275,10 +276,10 @@ def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) ->
     if face.array is None:
         return np.asarray(np.abs(points[..., 2] - face.vertex[2]))
     lattice: Lattice = window.lattice
-    shift = np.asarray(window.shifts[face.array])
     kept = lattice.contains(index)
-    centre = lattice.centres(index) + shift
-    local = points[..., :2] - centre[:, None]
+    local = points[..., :2] - window.centres(face.array, index)[:, None]
+    if face.change is not None:
+        local = local - face.change.at(lattice, index)[:, None]
     lens = lens_height(face, local[..., 0].ravel(), local[..., 1].ravel()).reshape(local.shape[:-1])
     to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
     to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)

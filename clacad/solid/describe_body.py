@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.sheet.lattice import Circle, Lattice, Outline
+from clacad.sheet.lattice import Circle, Lattice, Outline, Step
 from clacad.sheet.window import Body, Face, Window
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.outline_faces import flat_faces, outline_faces
@@ -21,6 +22,10 @@ from clacad.solid.tiling_columns import Columns
 from clacad.solid.wall_segments import Column
 from clacad.topology.build_complex import cell_complex, one_tiling
 from clacad.topology.cannot_build import CannotBuild
+
+
+KEPT_CELLS = 4096
+"""Cells of a sheet whose cells differ that are held at a time: a row meets the one above it, so three rows do."""
 
 
 def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
@@ -38,20 +43,39 @@ def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Lay
     ValueError
         The body cannot be built; see `make_cell`.
     """
-    scale = millimetres(window.unit)
     arrays = one_tiling(window, body)
     if len(arrays) == 1:
-        cell = make_cell(window, body.front, body.back, scale)
-        return (Layer(cell, np.array(window.shifts[arrays[0]]) * scale, _outside(window, cell)),)
+        return (_layer(window, arrays[0], (body.front, body.back), (None, None)),)
     made = []
     for face, front in ((body.front, True), (body.back, False)):
         assert face.array is not None
-        if front:
-            cell = make_cell(window, face, None, scale, back_level=middle)
-        else:
-            cell = make_cell(window, None, face, scale, front_level=middle)
-        made.append(Layer(cell, np.array(window.shifts[face.array]) * scale, _outside(window, cell)))
+        faces = (face, None) if front else (None, face)
+        made.append(_layer(window, face.array, faces, (None, middle) if front else (middle, None)))
     return tuple(made)
+
+
+def _layer(
+    window: Window,
+    array: int,
+    faces: tuple[Face | None, Face | None],
+    levels: tuple[float | None, float | None],
+) -> Layer:
+    """The layer of an array's cells between two faces; a cell at a time where cells differ."""
+    scale = millimetres(window.unit)
+
+    def cell_at(index: Step) -> Cell:
+        place = np.array(index)
+        front, back = (None if face is None else window.in_cell(face, place) for face in faces)
+        return make_cell(window, front, back, scale, *levels, array=array)
+
+    alike = all(face is None or face.change is None for face in faces)
+    first = (0, 0) if alike else tuple(window.lattice.cells()[0].tolist())
+    cell = cell_at((first[0], first[1]))
+    own = None if alike else lru_cache(maxsize=KEPT_CELLS)(cell_at)
+    pattern = None if window.placements[array].pitch is None else window.lattice_of(array)
+    return Layer(
+        cell, np.array(window.shifts[array]) * scale, _outside(window, cell), own=own, pattern=pattern
+    )
 
 
 def _outside(window: Window, cell: Cell) -> Column | None:
@@ -100,9 +124,9 @@ def describe_body(window: Window, body: Body, writer: Writer, merge: float = MER
             "CL134",
             "a slab whose arrays are displaced needs a border round both: give body.border a width, or lattice.outline",
         )
-    parts = tuple(
-        replace(part, breaks=breaks) for part, breaks in zip(parts, _breaks(window, body, merge), strict=True)
-    )
+    if window.uniform:
+        breaks = _breaks(window, body, merge)
+        parts = tuple(replace(part, breaks=one) for part, one in zip(parts, breaks, strict=True))
     return describe_layers(parts, window.lattice, window.outline, millimetres(window.unit), writer, merge)
 
 
@@ -163,7 +187,7 @@ def _refuse_beyond(part: Layer, lattice: Lattice, outline: Outline, scale: float
     CannotBuild
         CL136.
     """
-    cells = lattice.centres(lattice.cells()) * scale + part.shift - centre
+    cells = part.places(lattice).centres(lattice.cells()) * scale + part.shift - centre
     x, y = np.moveaxis(cells[:, None] + part.cell.tile, -1, 0)
     if isinstance(outline, Circle):
         beyond = np.hypot(x, y) - 0.5 * outline.diameter * scale

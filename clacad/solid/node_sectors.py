@@ -131,13 +131,17 @@ class Nodes:
         The land round the cells.
     path : Path or None
         The outline.
+    own : callable or None
+        The cell with an index, where cells differ.
     """
 
     def __init__(self, shells: Shells, cell: Cell, lattice: Lattice, centre: Callable[[Step], Floats],
-                 state: Callable[[Step], State], outside: Column | None, path: Path | None) -> None:  # fmt: skip
+                 state: Callable[[Step], State], outside: Column | None, path: Path | None,
+                 own: Callable[[Step], Cell] | None = None) -> None:  # fmt: skip
         self.touches: list[Touch] = []
         self._shells, self._cell, self._rings = shells, cell, rings(lattice)
         self._centre, self._state, self._outside, self._path = centre, state, outside, path
+        self._own = own
         self._levels: dict[tuple[int, tuple[State, ...]], Levels] = {}
         self._made: dict[tuple[int, int, int], tuple[NodeVertices, Sectors]] = {}
 
@@ -159,19 +163,22 @@ class Nodes:
         position = None
         if self._path is not None and "outside" in states:
             position = self._path.position(place)
+        round_it = tuple((anchor[0] + a, anchor[1] + b) for (a, b), _ in ring.cells)
         if position is not None:
-            return self._touch(origin, position, states, corners)
+            return self._touch(origin, position, states, corners, round_it)
         sectors = Sectors(states, corners, tuple((s, s) for s in range(len(states))))
+        if self._own is not None:
+            return self._shells.node(origin, self._levels_round(sectors, round_it)), sectors
         key = (corners[0], states)
         if key not in self._levels:
-            self._levels[key] = self._levels_round(sectors)
+            self._levels[key] = self._levels_round(sectors, round_it)
         return self._shells.node(origin, self._levels[key]), sectors
 
     def _touch(self, origin: Floats, position: tuple[int, float], states: tuple[State, ...],
-               corners: tuple[int, ...]) -> tuple[NodeVertices, Sectors]:  # fmt: skip
+               corners: tuple[int, ...], round_it: tuple[Step, ...]) -> tuple[NodeVertices, Sectors]:  # fmt: skip
         assert self._path is not None
         sectors = self._cut(states, corners, self._path.rays(*position))
-        node = self._shells.node(origin, self._levels_round(sectors))
+        node = self._shells.node(origin, self._levels_round(sectors, round_it))
         count = len(sectors.states)
         beyond = [state == "beyond" for state in sectors.states]
         out = next(r for r in range(count) if beyond[r] and not beyond[(r + 1) % count])
@@ -206,12 +213,15 @@ class Nodes:
             cells.append((first, len(found) - 1))
         return Sectors(tuple(found), tuple(sides), tuple(cells))
 
-    def _levels_round(self, sectors: Sectors) -> Levels:
+    def _levels_round(self, sectors: Sectors, round_it: tuple[Step, ...]) -> Levels:
+        """Levels on the line of a node, from the columns of the sectors; `round_it`: the cells of the ring."""
+        whose = {s: step for step, (first, last) in zip(round_it, sectors.cells) for s in range(first, last + 1)}
         heights = np.full((len(sectors.states), 2), np.nan)
         for s, (state, corner) in enumerate(zip(sectors.states, sectors.corners)):
             if state in ("empty", "beyond"):
                 continue
-            column = column_of_side(self._cell, corner, np.zeros(2), False)
+            cell = self._own(whose[s]) if self._own is not None and state == "cell" else self._cell
+            column = column_of_side(cell, corner, np.zeros(2), False)
             if state == "outside":
                 assert self._outside is not None
                 column = self._outside

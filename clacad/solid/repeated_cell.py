@@ -124,7 +124,7 @@ def plane_face(side: int, level: float) -> CellFace:
 
 
 def make_cell(window: Window, front: Face | None, back: Face | None, scale: float, front_level: float | None = None,
-              back_level: float | None = None) -> Cell:  # fmt: skip
+              back_level: float | None = None, array: int = 0) -> Cell:  # fmt: skip
     """Build the prototile of a tiling.
 
     Parameters
@@ -134,6 +134,8 @@ def make_cell(window: Window, front: Face | None, back: Face | None, scale: floa
         None: a plane at the given level (mm), or open where there is no level either.
     scale : float
         mm per design unit.
+    array : int
+        Whose cells are meant, where arrays have pitches of their own.
 
     Raises
     ------
@@ -143,9 +145,10 @@ def make_cell(window: Window, front: Face | None, back: Face | None, scale: floa
     """
     if front is not None and back is not None:
         refuse_buried_land(front, back)
-    tile, zone = window.lattice.tile() * scale, optical_tile(window) * scale
+    lattice = window.lattice_of(array)
+    tile, zone = lattice.tile() * scale, optical_tile(window, array) * scale
     corners = tuple(tuple(map(tuple, polygon.tolist())) for polygon in (tile, zone))
-    pitch = window.lattice.pitch[0] * scale
+    pitch = lattice.pitch[0] * scale
     return _made_cell(front, back, corners, pitch, scale, (front_level, back_level))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,12 +31,26 @@ class Layer:
         The land between the cells and the outline.
     breaks : tuple of (n,) parameters, or None
         Per class of borders between two cells: where anything changes, from the cell complex.
+    own : callable or None
+        The cell with an index, where cells differ; `cell` is then one of them, of the same tile.
+    pattern : Lattice or None
+        Of the layer's array, where its pitch is its own.
     """
 
     cell: Cell
     shift: Floats
     outside: Column | None
     breaks: tuple[Floats, ...] | None = None
+    own: Callable[[Step], Cell] | None = None
+    pattern: Lattice | None = None
+
+    def at(self, index: Step) -> Cell:
+        """The cell with an index."""
+        return self.cell if self.own is None else self.own(index)
+
+    def places(self, lattice: Lattice) -> Lattice:
+        """Where the layer's cells stand about its own middle; which cells exist is asked of `lattice`."""
+        return lattice if self.pattern is None else self.pattern
 
 
 class Surround(NamedTuple):
@@ -102,10 +117,12 @@ class Borders:
         self, shells: Shells, layer: Layer, lattice: Lattice, scale: float, around: Surround
     ) -> None:
         self.touching: dict[int, tuple[Loop, Loop]] = {}
-        self._shells, self._layer, self._lattice = shells, layer, lattice
+        self._shells, self._layer, self._lattice = shells, layer, layer.places(lattice)
         self._scale, self._around = scale, around
         self._kept = {(int(i), int(j)) for i, j in lattice.cells()}
-        self.nodes = Nodes(shells, layer.cell, lattice, self.centre, self._state, layer.outside, around.path)
+        self.nodes = Nodes(
+            shells, layer.cell, lattice, self.centre, self._state, layer.outside, around.path, layer.own
+        )
         self._classes: dict[tuple[object, ...], SegmentClass] = {}
         self._segments: dict[tuple[int, int, int], Segment] = {}
         self._owners: dict[Step, int] = {}
@@ -150,16 +167,14 @@ class Borders:
         a, b = self.nodes.at(left, k), self.nodes.at(left, (k + 1) % len(self._lattice.steps))
         # Counter-clockwise round node a the right cell comes just before the left one, round b just after.
         states = (a.sectors.states[a.first], a.sectors.states[a.before])
-        key = (k, states, a.sectors, b.sectors)
-        if key not in self._classes:
-            self._classes[key] = self._class(k, states, a, b)
+        kind = self._known_class(left, k, states, a, b)
         owners = (
             -1 if states[0] == "beyond" else self.owner(left),
             -1 if states[1] == "beyond" else self.owner(right),
         )
         offset = np.append(self.centre(left), 0.0)
         bare = "beyond" in states
-        made = self._shells.segment(self._classes[key], offset, (a.node, b.node), owners, bare)
+        made = self._shells.segment(kind, offset, (a.node, b.node), owners, bare)
         if bare:
             self._touch(made, states.index("beyond") ^ 1)
         return made
@@ -173,15 +188,28 @@ class Borders:
         start = made.nodes[0 if column == 0 else -1]
         self.touching[id(start)] = ([], []) if hollow else (side.all_runs(0), side.all_runs(1))
 
-    def _class(self, k: int, states: tuple[State, State], a: Corner, b: Corner) -> SegmentClass:
+    def _known_class(
+        self, left: Step, k: int, states: tuple[State, State], a: Corner, b: Corner
+    ) -> SegmentClass:
+        """The class of a segment: one for all alike, or its own where cells differ."""
+        if self._layer.own is not None:
+            return self._class(left, k, states, a, b)
+        key = (k, states, a.sectors, b.sectors)
+        if key not in self._classes:
+            self._classes[key] = self._class(left, k, states, a, b)
+        return self._classes[key]
+
+    def _class(self, left: Step, k: int, states: tuple[State, State], a: Corner, b: Corner) -> SegmentClass:
         """The class of segments along side k between columns in these states, from node a to node b."""
         start = Post(a.node.levels, (a.first, a.before), (-1, a.before))
         end = Post(b.node.levels, (b.last, b.after), (b.last, -1))
         tile, merge = self._layer.cell.tile, self._shells.merge
-        offset = np.array(self._lattice.offset(*self._lattice.steps[k])) * self._scale
+        step = self._lattice.steps[k]
+        right = (left[0] + step[0], left[1] + step[1])
+        offset = np.array(self._lattice.offset(*step)) * self._scale
         columns = (
-            self._column(states[0], k, np.zeros(2), False),
-            self._column(states[1], k + len(tile) // 2, offset, True),
+            self._column(left, states[0], k, np.zeros(2), False),
+            self._column(right, states[1], k + len(tile) // 2, offset, True),
         )
         breaks = (
             self._layer.breaks[k] if states == ("cell", "cell") and self._layer.breaks is not None else None
@@ -189,11 +217,11 @@ class Borders:
         shape = segment_shape(tile[k], tile[(k + 1) % len(tile)], columns, merge, breaks)
         return segment_class(shape, columns, start, end, merge)
 
-    def _column(self, state: State, k: int, offset: Floats, against: bool) -> Column | None:
+    def _column(self, index: Step, state: State, k: int, offset: Floats, against: bool) -> Column | None:
         if state in ("empty", "beyond"):
             return None
         return (
             self._layer.outside
             if state == "outside"
-            else column_of_side(self._layer.cell, k, offset, against)
+            else column_of_side(self._layer.at(index), k, offset, against)
         )

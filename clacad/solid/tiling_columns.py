@@ -10,7 +10,7 @@ from clacad.solid.edge_classes import Plane, Post, SegmentClass, segment_class
 from clacad.solid.face_pattern import Region
 from clacad.solid.node_sectors import Touch
 from clacad.solid.rational_conics import Arc
-from clacad.solid.repeated_cell import CellFace
+from clacad.solid.repeated_cell import Cell, CellFace
 from clacad.solid.shells import Loop, LoopEdge, Shells, reverse
 from clacad.solid.tiling_borders import Borders, Layer, Sided, Surround
 from clacad.solid.vertical_lines import Levels, linked_levels
@@ -34,11 +34,16 @@ class Columns:
         self.shells, self.cell, self.lattice = shells, layer.cell, lattice
         self._layer, self._scale, self._hollow = layer, scale, around.hollow
         self._borders = Borders(shells, layer, lattice, scale, around)
+        self._lands: dict[int, int] = {}
+        self._repeat(layer.cell)
+
+    def _repeat(self, cell: Cell) -> None:
+        """Work out what all cells like this one share: patches, the sides of an island, curves of its rims."""
+        self._present = cell
         self._rim_arcs: dict[tuple[object, ...], Arc] = {}
         self._rim_curves: dict[tuple[int, int, int], Arc] = {}
-        self._lands: dict[int, int] = {}
-        self._patches = [None if face.lens is None else face.lens.patch for face in self.cell.faces]
-        self._zones = self._zone_classes() if self.cell.island and not self._hollow else []
+        self._patches = [None if face.lens is None else face.lens.patch for face in cell.faces]
+        self._zones = self._zone_classes() if cell.island and not self._hollow else []
 
     @property
     def touches(self) -> list[Touch]:
@@ -58,9 +63,11 @@ class Columns:
     def describe(self) -> None:
         """Describe all cells, borders and nodes."""
         cells = self.lattice.cells()
-        centres = self.lattice.centres(cells) * self._scale + self._layer.shift
+        centres = self._layer.places(self.lattice).centres(cells) * self._scale + self._layer.shift
         for (i, j), centre in zip(cells.tolist(), centres):
             if not self._hollow:
+                if self._layer.own is not None:
+                    self._repeat(self._layer.at((i, j)))
                 self._describe_cell((i, j), np.append(centre, 0.0))
             elif self._borders.bare((i, j)):
                 for k in range(len(self.cell.tile)):
@@ -70,8 +77,8 @@ class Columns:
 
     def _zone_classes(self) -> list[tuple[SegmentClass, Levels]]:
         """The sides of an island's zone, and the levels at the corner where each begins."""
-        cell, merge = self.cell, self.shells.merge
-        columns = [zone_columns(cell, k) for k in range(len(self.cell.tile))]
+        cell, merge = self._present, self.shells.merge
+        columns = [zone_columns(cell, k) for k in range(len(cell.tile))]
         levels = []
         for k, pair in enumerate(columns):
             x, y = cell.zone[k][:, None]
@@ -89,7 +96,7 @@ class Columns:
     def _zone(self, centre: Floats, owner: int) -> list[Sided]:
         nodes = [
             self.shells.node(centre + np.append(corner, 0.0), levels)
-            for corner, (_, levels) in zip(self.cell.zone, self._zones)
+            for corner, (_, levels) in zip(self._present.zone, self._zones)
         ]
         ends = zip(nodes, nodes[1:] + nodes[:1])
         made = [
@@ -101,16 +108,17 @@ class Columns:
     # -- faces ------------------------------------------------------------------------------------
 
     def _describe_cell(self, index: Step, centre: Floats) -> None:
-        borders = [self._borders.at(index, k) for k in range(len(self.cell.tile))]
+        cell = self._present
+        borders = [self._borders.at(index, k) for k in range(len(cell.tile))]
         owner = self._borders.owner(index)
-        zone = self._zone(centre, owner) if self.cell.island else borders
+        zone = self._zone(centre, owner) if cell.island else borders
         shared: dict[int, RimEdges] = {}
-        for f, face in enumerate(self.cell.faces):
+        for f, face in enumerate(cell.faces):
             if face.pattern is None:
                 continue
-            rims = shared if self.cell.one_rim else {}
+            rims = shared if cell.one_rim else {}
             self._zone_faces(f, face, centre, owner, zone, rims)
-            if self.cell.island:
+            if cell.island:
                 outer = [use for side in borders for use in side.all_runs(f)]
                 inner = [use for side in zone for use in Sided(side.segment, 1, True).all_runs(f)]
                 self._land_face(f, face, owner, [outer, reverse(inner)])
@@ -183,7 +191,7 @@ class Columns:
             shift = max(abs(heights[n] - arc.poles[0, 2]), abs(heights[after] - arc.poles[-1, 2]))
             key = (f, number, n, heights[n], heights[after])
             meets = self._rim_arcs.setdefault(key, arc.with_ends(heights[n], heights[after]))
-            tolerance = 1.2 * max(shift, self.cell.misfit) + TOLERANCE
+            tolerance = 1.2 * max(shift, self._present.misfit) + TOLERANCE
             edges.append(self.shells.edge(vertices[n], vertices[after], meets, centre, tolerance))
         return edges, vertices
 

@@ -13,7 +13,6 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
-from clacad.tracing.trace import trace
 from clacad.verification import checks as judging
 from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
@@ -22,7 +21,7 @@ from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
 from clacad.verification.light.law_checks import Optics
-from clacad.verification.light.through_window import judge_light
+from clacad.verification.light.through_window import judge_light, worst_cell
 from clacad.verification.verification_report import Report
 
 if TYPE_CHECKING:
@@ -102,7 +101,8 @@ def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
     progress("tracing the exact surfaces", 0.0)
     checks, optics = judge_window(design, window, facts, rays)
     progress("tracing the field of view", 0.0)
-    curves = meridians(window, lambda lit: trace(window, lit.rays, path="size"))
+    seen = worst_cell(window, design.check.field)
+    curves = meridians(seen.like, seen.send)
     return Report(design, window, facts, tuple(checks), optics, curves, versions=versions())
 
 

@@ -77,8 +77,14 @@ class SharedGeometry:
         before, after = self._template(arc)
         return self.part.add(f"{before}{','.join([f'#{p}' for p in points])}{after}")
 
+    def _bound(self) -> None:
+        """Forget what instances of a class share where each has a class of its own: it is then written again."""
+        if len(self._kept) > _KEPT // 4:
+            self._kept.clear()
+
     def _template(self, arc: Arc) -> tuple[str, str]:
         """Everything but the poles of a curve, the same for all instances of its class."""
+        self._bound()
         found = self._kept.get(id(arc))
         if found is None:
             found = self._kept[id(arc)] = (arc, _curve_text(arc.weights, weight))

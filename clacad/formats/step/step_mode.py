@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from clacad.sheet.need_window import need_equal_cells
+
 if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
@@ -14,9 +16,19 @@ FUSED_CELLS = 2500
 
 
 def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
-    """Resolve mode "auto"."""
+    """Resolve mode "auto"; a sheet whose cells differ has no cell to repeat.
+
+    Raises
+    ------
+    CellsDiffer
+        An assembly is asked of such a sheet.
+    """
     if mode not in ("auto", "fused", "instanced"):
         raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
+    if not window.uniform:
+        if mode == "instanced":
+            need_equal_cells(window, "a STEP assembly of one cell and where it stands", "fused is one solid of all of them")
+        return "fused"
     if mode == "auto":
         return "fused" if window.lattice.cell_count <= FUSED_CELLS else "instanced"
     return mode

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.optics.aperture import equivalent_widths, first_zeros
+from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility.as_rows import FactRow, describe
 from clacad.sheet.feasibility.bodies import body_facts, body_range, connectedness
 from clacad.sheet.feasibility.derived_numbers import (
@@ -22,6 +23,7 @@ from clacad.sheet.feasibility.derived_numbers import (
 )
 from clacad.sheet.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, lit_zone, thin_cells
 from clacad.sheet.window import Window
 
@@ -32,13 +34,14 @@ __all__ = [
 
 
 def feasibility(window: Window, viewer: float | None = None, distance: float | None = None) -> Feasibility:
-    """Derive all numbers of a window (one cell of each array is enough: all cells are alike).
+    """Derive all numbers of a window: of its central cell, where cells differ.
 
     Parameters
     ----------
     viewer, distance : float, metres, optional
         From the sheet to the eye before it (1 m), and to what is looked at behind it (ten separations).
     """
+    window = like_cell(window, np.array(central_cell(window)))
     cells = thin_cells(window)
     wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
     width = [float(np.ptp(cells.zone[:, k])) for k in (0, 1)]

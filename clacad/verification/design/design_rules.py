@@ -13,7 +13,8 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.design.process_profiles import profile
-from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, least_thickness
+from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, feasibility, least_thickness
+from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
 from clacad.verification.design.process_rules import making_checks, process_limit
@@ -38,6 +39,8 @@ def design_checks(
     solved : bool
         Whether a lens that does not cover its cell is said which thickness, index or pitch would: a second's work.
     """
+    if not window.uniform:
+        return _in_outer_cells(design, window)
     found: list[Check] = [_one_piece(body) for body in facts.bodies]
     found += [_cover(design, window, lens, solved=solved) for lens in facts.lenses]
     found += [_graph(design, lens) for lens in facts.lenses]
@@ -45,6 +48,29 @@ def design_checks(
     found += making_checks(design, window, facts)
     found += [_field(design, facts), _fresnel_number(design, facts), _residual(design, window)]
     return accepted(found, design)
+
+
+def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
+    """The checks of a sheet whose cells differ: each in the worst of those cells whose lenses stand farthest out."""
+    worst: dict[tuple[str, str], Check] = {}
+    for cell in outer_cells(window):
+        like = like_cell(window, cell)
+        for check in design_checks(design, like, feasibility(like, *design.viewing_places), solved=False):
+            key, found = (check.id, check.subject), worst.get((check.id, check.subject))
+            if found is None or _worse(check, found):
+                named = f"in cell ({cell[0]}, {cell[1]}): {check.sentence}"
+                worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": cell.tolist()})
+    return tuple(check for check in worst.values() if check.id not in ("field", "allowance"))
+
+
+def _worse(one: Check, other: Check) -> bool:
+    """Whether a check says worse of a part than another of the same name."""
+    order = ("fail", "not run", "warn", "pass")
+    if one.state != other.state:
+        return order.index(one.state) < order.index(other.state)
+    if not (isinstance(one.value, float) and isinstance(other.value, float)):
+        return False
+    return one.value > other.value if one.relation == "<=" else one.value < other.value
 
 
 def _one_piece(body: BodyFacts) -> Check:

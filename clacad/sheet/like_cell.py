@@ -1,0 +1,109 @@
+"""A sheet of equal cells like one cell of a sheet whose cells differ: what is asked of one cell is asked of it.
+
+Its partner stands where that cell's does, its lenses stand as there. Neighbours stand in for neighbours: of two that meet
+in a border the stand-in has the outer one twice, so that the step between them is bounded from above. Where array 2 has
+another pitch the cells of the stand-in are as wide as the wider array's, so that no lens is judged by less than its cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints, Pair2
+from clacad.sheet.cell_places import CellPlacement, extreme_cells
+from clacad.sheet.lattice import Circle, Lattice, Outline
+from clacad.sheet.window import Window
+
+SAMPLED = 64
+"""Cells that a sheet of many is judged by, besides those that stand out."""
+
+SIDES = 4
+"""Directions in which the cell is judged whose lens stands farthest out."""
+
+
+def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
+    """Give the window of equal cells like the cell at `index` (2,); the window itself if its cells are alike.
+
+    widest : bool
+        Whether its cells are as wide as those of the wider array, else as those of array 1.
+    """
+    if window.uniform:
+        return window
+    wider = max(max(place.scale(window.lattice)) for place in window.placements) if widest else 1.0
+    first = window.centres(0, index)
+    bodies = tuple(
+        replace(body, front=window.in_cell(body.front, index), back=window.in_cell(body.back, index))
+        for body in window.bodies
+    )
+    places = tuple(
+        CellPlacement(_pair(window.centres(k, index) - first)) for k in range(len(window.placements))
+    )
+    thin = CellPlacement(window.thin.shift, window.thin.pitch)
+    apart = thin.lattice(window.lattice).centres(index) + np.asarray(thin.shift) - first
+    return replace(
+        window,
+        bodies=bodies,
+        placements=places,
+        lattice=_wider(window.lattice, wider),
+        outline=None if window.outline is None else _larger(window.outline, wider),
+        thin=replace(window.thin, shift=_pair(apart), pitch=None, change=None),
+    )
+
+
+def outer_cells(window: Window) -> Ints:
+    """Cells (m, 2) whose lenses stand farthest from where others have them, in four directions."""
+    changes = [face.change for face in window.faces if face.change is not None]
+    if not changes:  # arrays of two pitches alone
+        return np.asarray(sampled_cells(window, SIDES))
+    lattice = window.lattice
+    found = []
+    for face in window.faces:
+        if face.change is None:
+            continue
+        cells = extreme_cells(face.change, lattice)
+        places = window.vertices(face, cells)[:, :2]
+        angles = np.arange(SIDES) * (2.0 * np.pi / SIDES)
+        found.append(cells[[int(np.argmax(places @ (np.cos(a), np.sin(a)))) for a in angles]])
+        found.append(cells[[int(np.argmax(np.hypot(*places.T)))]])
+    return np.unique(np.concatenate(found), axis=0)
+
+
+def sampled_cells(window: Window, count: int = SAMPLED) -> Ints:
+    """As many kept cells (≤ count, 2), spread evenly over the sheet: Sobol points, the same every time."""
+    lattice = window.lattice
+    if lattice.cell_count <= count:
+        return lattice.cells()
+    n1, n2 = lattice.count
+    found: Ints = np.empty((0, 2), dtype=np.int64)
+    for chunk in range(64):
+        i, j = np.floor(sobol(4 * count, 2, skip=1 + 4 * count * chunk) * (n1, n2)).astype(np.int64).T
+        index = np.stack([i - j // 2 if lattice.hexagonal else i, j], axis=-1)
+        found = np.concatenate([found, index[lattice.contains(index)]])
+        _, first = np.unique(found, axis=0, return_index=True)
+        found = found[np.sort(first)]
+        if len(found) >= count:
+            break
+    return found[:count]
+
+
+def _wider(lattice: Lattice, factor: float) -> Lattice:
+    """The same cells, kept or not, `factor` (from 1 on) times as wide."""
+    if factor <= 1.0:
+        return lattice
+    pitch = (lattice.pitch[0] * factor, lattice.pitch[1] * factor)
+    outline = None if lattice.outline is None else _larger(lattice.outline, factor)
+    return replace(lattice, pitch=pitch, outline=outline)
+
+
+def _larger(outline: Outline, factor: float) -> Outline:
+    factor = max(factor, 1.0)
+    if isinstance(outline, Circle):
+        return Circle(outline.diameter * factor)
+    return replace(outline, width=outline.width * factor, height=outline.height * factor)
+
+
+def _pair(v: Floats) -> Pair2:
+    return float(v[0]), float(v[1])

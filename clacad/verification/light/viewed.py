@@ -1,0 +1,146 @@
+"""What an eye sees of the whole sheet: the share of its light that obeys the law, over the sheet and in the mean.
+
+The field of one cell is narrow, and an eye near a wide sheet looks at its border aslant: there its light meets other
+lenslets than the partner. Traced through the exact surfaces, and in the closed form of thin lenses cell by cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints
+from clacad.design.sections import AimedAt
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.feasibility.pitch_for_eye import VIEWING_DISTANCE
+from clacad.sheet.vignetting import partner_share
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace
+from clacad.verification.checks import Check, State
+from clacad.verification.limit_sources import other
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+RAYS = 8192
+"""Sobol rays over the whole sheet: the mean is within .004 (an rms of .5/√8192 if they were drawn by chance)."""
+
+ENOUGH = 0.95
+"""Mean share below which a warning is given."""
+
+PLACES = 48
+"""Cells a side of the map over the sheet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Viewed:
+    """The share of one viewer's light that obeys the law.
+
+    Attributes
+    ----------
+    viewer : (x, y, z), lengths
+        Sheet frame.
+    traced, thin : float
+        Mean over the sheet: ALIVE over all rays that meet a cell, and the closed form of thin lenses.
+    position : (n, 2) lengths
+        Where each ray meets z = 0.
+    alive : (n,) bool
+    """
+
+    viewer: tuple[float, float, float]
+    traced: float
+    thin: float
+    position: Floats
+    alive: Floats
+
+
+def viewer_of(design: Design) -> tuple[float, float, float]:
+    """Where the eye is: as [check] viewer says, on the axis; else the point a sheet is aimed at; else 1 m before it."""
+    distance, _ = design.viewing_places
+    aperture = design.lattice.aperture
+    if distance is None and isinstance(aperture, AimedAt):
+        return aperture.point
+    return 0.0, 0.0, -(VIEWING_DISTANCE if distance is None else distance) / design.unit_m
+
+
+def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS) -> Viewed:
+    """Send light of a viewer through a whole sheet.
+
+    Parameters
+    ----------
+    window : Window
+    viewer : (x, y, z), lengths
+        Sheet frame; before the sheet (z < 0) light starts there, behind it light goes towards it.
+    rays : int
+        Sobol points over all cells; fewer where an outline leaves some out.
+    """
+    points = sobol(rays, 4)
+    cells = _cells(window, points[:, :2])
+    kept = window.lattice.contains(cells)
+    cells, inside = cells[kept], window.lattice.over_cell(points[kept, 2:])
+    place = window.centres(0, cells) + inside
+    slope = _slopes(place, viewer)
+    ray = np.column_stack([slope, np.ones(len(slope))])
+    before = window.z_range[0] - max(window.lattice.pitch)
+    start = np.column_stack([place + before * slope, np.full(len(slope), before)])
+    fate = trace(window, Rays(start, ray), path="size").fate
+    thin = partner_share(
+        window, cells, np.column_stack([_slopes(window.centres(0, cells), viewer), ray[:, 2]])
+    )
+    alive = fate == Fate.ALIVE
+    return Viewed(viewer, float(alive.mean()), float(thin.mean()), place, alive)
+
+
+def share_map(
+    window: Window, viewer: tuple[float, float, float]
+) -> tuple[Floats, tuple[float, float, float, float]]:
+    """Thin share over the sheet (PLACES, PLACES), [y, x], NaN beside it, and its (x_min, x_max, y_min, y_max), lengths."""
+    x0, x1, y0, y1 = window.lattice.extent()
+    y, x = np.meshgrid(
+        *(np.linspace(a, b, 2 * PLACES + 1)[1::2] for a, b in ((y0, y1), (x0, x1))), indexing="ij"
+    )
+    cells, _, _ = window.lattice.locate(x.ravel(), y.ravel())
+    slope = _slopes(window.centres(0, cells), viewer)
+    found = partner_share(window, cells, np.column_stack([slope, np.ones(len(slope))]))
+    return np.where(window.lattice.contains(cells), found, np.nan).reshape(x.shape), (x0, x1, y0, y1)
+
+
+def viewed_check(design: Design, window: Window) -> Check:
+    """Does the light of the eye obey the law, over the whole sheet?"""
+    found = viewed(window, viewer_of(design))
+    x, y, z = viewer = found.viewer
+    where = f"at ({x:.4g}, {y:.4g}, {z:.4g}) {design.unit}"
+    sentence = (
+        f"of the light of an eye {where}, {100.0 * found.traced:.3g} % over the whole sheet obeys the law"
+    )
+    state: State = "pass" if found.traced >= ENOUGH else "warn"
+    if state == "warn":
+        sentence += f" (ideal lenses: {100.0 * found.thin:.3g} %), the rest meets other lenslets: {_cure(design, viewer, found)}"
+    return Check(
+        "viewed", state, sentence, found.traced, ENOUGH, relation=">=", where="surfaces", required=False,
+        bundle=f"{len(found.alive)} Sobol rays over all cells, seed 0", limit_source=other("fixed: 19 of 20 parts"),
+        detail={"viewer": viewer, "thin": found.thin},
+    )  # fmt: skip
+
+
+def _cure(design: Design, viewer: tuple[float, float, float], found: Viewed) -> str:
+    """The key that makes a sheet for this eye."""
+    if isinstance(design.lattice.aperture, AimedAt) and design.lattice.aperture.point == viewer:
+        return "the lenses themselves lose it; a smaller pitch or a viewer farther away would keep more"
+    point = ", ".join(f"{v:.6g}" for v in viewer)
+    return f"lattice.aperture = {{point = [{point}]}} stands the cells of array 2 where it arrives; check.viewer says where the eye is"
+
+
+def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
+    x, y, z = viewer
+    return np.asarray((place - (x, y)) / -z)
+
+
+def _cells(window: Window, unit_square: Floats) -> Ints:
+    """Cells (n, 2), kept or not, spread evenly over the lattice's whole count by points (n, 2)."""
+    n1, n2 = window.lattice.count
+    i, j = (np.floor(unit_square * (n1, n2)).astype(np.int64)).T
+    return np.stack([i - j // 2 if window.lattice.hexagonal else i, j], axis=-1)
