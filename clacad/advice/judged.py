@@ -12,7 +12,6 @@ from functools import cached_property
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
-from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, accepted, passed, wrong
 from clacad.verification.design.design_rules import design_checks
@@ -100,6 +99,6 @@ def judge(design: Design) -> Judged:
     DesignError
         The design cannot be built.
     """
-    window = equal_cells(prescribe(design), "check")
+    window = prescribe(design)
     facts = feasibility(window, *design.viewing_places)
     return Judged(design, window, facts, design_checks(design, window, facts, solved=False))

@@ -117,6 +117,7 @@ MISTAKES: dict[str, Text] = {
         "sheet seen from near by a lens is then used at its steep rim.",
         "(|vertex offset| + p/2)/R2 ≤ 0.65;  |landing − middle| ≤ p/100;  |move of the vertex| ≤ 0.3 p",
         "The message names the cell and a distance of the viewer from which it works; a smaller sheet or p/s helps too.",
+    ),
     "CL124": (
         "The table of law.varying is not there, not in the design's folder, has changed, or holds something else than one delta for each cell.",
         "A cell without a delta has no lens; a table from anywhere is taken as text and numbers only, never as a program.",

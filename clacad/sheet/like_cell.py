@@ -43,13 +43,20 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     )
     thin = CellPlacement(window.thin.shift, window.thin.pitch)
     apart = thin.lattice(window.lattice).centres(index) + np.asarray(thin.shift) - first
+    lens_2 = np.array(window.thin.offset)
+    lens_2[:2] += apart - np.asarray(window.thin.shift)
+    if window.thin.change is not None:
+        lens_2[:2] += window.thin.change.at(window.lattice, index)
+    x, y, z = (float(v) for v in lens_2)
     return replace(
         window,
         bodies=bodies,
         placements=places,
+        law=window.law_at(index),
+        cell_laws=None,
         lattice=_wider(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, wider),
-        thin=replace(window.thin, shift=_pair(apart), pitch=None, change=None),
+        thin=replace(window.thin, offset=(x, y, z), shift=_pair(apart), pitch=None, change=None),
     )
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from clacad.base.types import Progress, silent
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
-from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 from clacad.verification import checks as judging
 from clacad.verification.checks import Check
@@ -96,7 +95,7 @@ def verified(
 def _judge_design(design: Design, rays: int, progress: Progress) -> Report:
     """The report of a design without files, its warnings not yet accepted."""
     progress("building the window", 0.0)
-    window = equal_cells(prescribe(design), "verify")
+    window = prescribe(design)
     facts = feasibility(window, *design.viewing_places)
     progress("tracing the exact surfaces", 0.0)
     checks, optics = judge_window(design, window, facts, rays)

@@ -102,7 +102,8 @@ def _worst(tried: list[SeenCell], field: float) -> SeenCell:
     if len(tried) == 1:
         return tried[0]
     rays, alive, direction = _through_all(tried, field)
-    asked = tried[0].window.law.refract(rays.direction)
+    each = rays.direction.reshape(len(tried), -1, 3)
+    asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
     error = np.where(alive, angle_between(direction, asked), np.nan).reshape(len(tried), -1)
     through = alive.reshape(len(tried), -1).sum(axis=1)
     dark = through < FEWEST_TRIED
@@ -126,7 +127,7 @@ def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Opt
     """The same, η, δ and turn fitted to the light of the field centres of all cells: each cell is for its own light."""
     rays, alive, direction = _through_all(tried, FIT_SCALE * field)
     window = tried[0].window
-    into, out = rays.direction[alive], direction[alive]
+    into, out = _as_in_the_middle(tried, rays.direction)[alive], direction[alive]
     lit = replace(optics.fit_bundle, rays=rays, aperture=1.0)
     try:
         fit = Law.fit(into, out, axes=window.law)
@@ -134,6 +135,22 @@ def _fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Opt
         return replace(optics, fit=None, fit_bundle=lit, fit_rms=np.nan, fit_sigma={}, turn=None)
     turn = turn_of(into, out, window.law)
     return replace(optics, fit=fit.law, fit_bundle=lit, fit_rms=fit.rms, fit_sigma=fit.sigma, turn=turn)
+
+
+def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
+    """Light (n, 3) of cells that each have a δ of their own, as it would have to come for the law of the sheet's middle.
+
+    t' = (t − δ)/η, so what a cell does to slope t the middle does to t − δ + δ₀.
+    """
+    law = tried[0].window.law
+    if tried[0].window.cell_laws is None:
+        return direction
+    over = np.array(
+        [[one.like.law.delta_x - law.delta_x, one.like.law.delta_y - law.delta_y] for one in tried]
+    )
+    lens = direction @ law.rotation
+    lens[:, :2] -= np.repeat(over, len(direction) // len(tried), axis=0) * lens[:, 2:]
+    return np.asarray(lens @ law.rotation.T)
 
 
 def judge_light(
