@@ -56,6 +56,19 @@ CHECKS: dict[str, Text] = {
         "Whether the sheet's normal, with the cone of test rays, lies in the field of view.", "Outside it no light keeps to the law.",
         "|t − a| < (p/s)(1 + |η|)/2", "Set lattice.aperture so that the field is where the viewer is.",
     ),
+    "image_point": (
+        "Distance from where light of the point that the sheet is made to image meets (the point nearest to all its rays, traced over "
+        "all cells) to where the chief rays of the law have it.",
+        "A cell does not focus: the image of a point is one cell wide, and cells whose light leaves with a bias pull it away.",
+        "X* = argmin Σ|(1 − d dᵀ)(X − P)|²;  |X* − X_law| ≤ max(w, ζ/100),  w = p |η − s/z − (1 − s/z)/(1 + κz)|",
+        'pair.offset = "traced"; a smaller sheet, planes farther away.',
+    ),
+    "spot": (
+        "Rms distance along x and y at which rays pass the point that is nearest to them all.",
+        "Cells alone leave w/√12; what is beyond them is aberration of lenses used off their vertices.",
+        "1.5 √(w²/12 + (law_rms ζ)² + (λζ/(p|η|))²)",
+        "A smaller pitch until diffraction is as wide; a longer focal length; other conic constants (pair.conic).",
+    ),
     "viewed": (
         "Mean over the whole sheet of the share of one eye's light that leaves through the partner of the lenslet it entered: of an eye "
         "at [check] viewer on the axis, of the point that the sheet is aimed at, or 1 m before it. Rays from there over all cells are "

@@ -19,6 +19,7 @@ from clacad.sheet.like_cell import like_cell, outer_cells, sampled_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.checks import Check
+from clacad.verification.light.image_checks import image_checks
 from clacad.verification.light.law_checks import (
     FIT_SCALE,
     POINT_RAYS,
@@ -165,4 +166,8 @@ def judge_light(
     found = [
         *law_checks(design, optics), throughput_check(design, seen.like, optics), confocality_check(design, seen.like)
     ]  # fmt: skip
-    return [*(seen.named(check) for check in found), viewed_check(design, window)], optics
+    return [
+        *(seen.named(check) for check in found),
+        viewed_check(design, window),
+        *image_checks(design, window),
+    ], optics

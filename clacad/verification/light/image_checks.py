@@ -1,0 +1,85 @@
+"""Does a sheet that is made to image do so: where light of the asked point meets, and how narrow it is there."""
+
+from __future__ import annotations
+
+from math import hypot, inf, isfinite, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Pair2
+from clacad.imaging.image_by_rays import Image, image, lens_plane
+from clacad.optics.law.beam_shaping import spot_widths
+from clacad.sheet.window import Window
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.limit_sources import other
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+RAYS = 16_384
+NEAR = 0.01
+"""Part of the image distance by which the image point may be off, where the image of a cell is narrower."""
+SPREAD = 1.5
+"""Times the width that cells, the limit of the law's error and diffraction leave together."""
+
+
+def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | None:
+    """The point that a design is made to image, and how far behind array 2 (lengths); None of other designs.
+
+    A sheet of two focal lengths has no image point, and one whose image is at infinity none at a place.
+    """
+    spec = design.law_spec.varying
+    if spec is None:
+        return None
+    if spec.conjugates is not None:
+        planes = spec.conjugates
+        return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
+    if spec.f_image is not None and spec.f_image[0] == spec.f_image[1] and isfinite(spec.f_image[0]):
+        return (0.0, 0.0, -inf), spec.f_image[0]
+    return None
+
+
+def image_checks(design: Design, window: Window) -> list[Check]:
+    """Judge the image of the point on the axis; none of a design that is made to image no point."""
+    asked = asked_image(design)
+    if asked is None:
+        return []
+    source, distance = asked
+    found = image(window, source, ("surfaces",), RAYS)
+    (one,) = found.rungs
+    if not np.isfinite(one.found.point).all():
+        return [not_run(name, "no light of the asked point gets through") for name in ("image_point", "spot")]
+    place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
+    off = hypot(one.off, 0.0)
+    text = f"{RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
+    unit = design.unit
+    limit = max(*found.width, NEAR * abs(distance))
+    point = judge(
+        "image_point", off, limit,
+        f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g}, {place[1]:.3g}), {off:.3g} {unit} from "
+        f"where the law has it ({distance:.6g})",
+        unit=unit, where="surfaces", bundle=text, limit_source=other("width of a cell's image, or 1 % of its distance"),
+        detail={"found": place.tolist(), "share": one.share},
+    )  # fmt: skip
+    narrow = _allowed(design, window, found, distance)
+    worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
+    spot = judge(
+        "spot", one.found.spot[worst], narrow[worst],
+        f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells alone leave "
+        f"{found.width[worst] / sqrt(12.0):.4g}",
+        unit=unit, where="surfaces", bundle=text, limit_source=other("cells, check.law_rms and diffraction together, times 1.5"),
+        detail={"spot": list(one.found.spot), "width": list(found.width)},
+    )  # fmt: skip
+    return [point, spot]
+
+
+def _allowed(design: Design, window: Window, found: Image, distance: float) -> Pair2:
+    """Widest rms of the image along x and y (lengths) that what the design allows can leave."""
+    waves = design.pair.wavelength / design.unit_m
+    _, _, wave = spot_widths(window.law, window.lattice.pitch, abs(distance), 0.0, waves)
+    x, y = (
+        SPREAD * sqrt(w * w / 12.0 + (design.check.law_rms * distance) ** 2 + d * d)
+        for w, d in zip(found.width, wave, strict=True)
+    )
+    return x, y
