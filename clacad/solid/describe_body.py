@@ -23,7 +23,6 @@ from clacad.solid.wall_segments import Column
 from clacad.topology.build_complex import cell_complex, one_tiling
 from clacad.topology.cannot_build import CannotBuild
 
-
 KEPT_CELLS = 4096
 """Cells of a sheet whose cells differ that are held at a time: a row meets the one above it, so three rows do."""
 

@@ -215,7 +215,9 @@ class Nodes:
 
     def _levels_round(self, sectors: Sectors, round_it: tuple[Step, ...]) -> Levels:
         """Levels on the line of a node, from the columns of the sectors; `round_it`: the cells of the ring."""
-        whose = {s: step for step, (first, last) in zip(round_it, sectors.cells) for s in range(first, last + 1)}
+        whose = {
+            s: step for step, (first, last) in zip(round_it, sectors.cells) for s in range(first, last + 1)
+        }
         heights = np.full((len(sectors.states), 2), np.nan)
         for s, (state, corner) in enumerate(zip(sectors.states, sectors.corners)):
             if state in ("empty", "beyond"):

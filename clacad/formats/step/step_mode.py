@@ -27,7 +27,9 @@ def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
         raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
     if not window.uniform:
         if mode == "instanced":
-            need_equal_cells(window, "a STEP assembly of one cell and where it stands", "fused is one solid of all of them")
+            need_equal_cells(
+                window, "a STEP assembly of one cell and where it stands", "fused is one solid of all of them"
+            )
         return "fused"
     if mode == "auto":
         return "fused" if window.lattice.cell_count <= FUSED_CELLS else "instanced"
