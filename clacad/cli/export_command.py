@@ -88,7 +88,6 @@ def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool
     from clacad.exporting.run import run_export
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.feasibility import describe, feasibility
-    from clacad.sheet.need_window import equal_cells
 
     progress = Progress(quiet=quiet)
     _announce(_cut(design, asked), asked, progress, quiet=quiet)
@@ -101,7 +100,7 @@ def _export(path: Path, design: Design, out: Path, asked: Request, *, json: bool
     if json:
         show_json(dict(manifest.document))
         return 0
-    window = equal_cells(prescribe(_cut(design, asked)), "export")
+    window = prescribe(_cut(design, asked))
     text = derived_text(describe(window, feasibility(window, *design.viewing_places)))
     files = files_text(manifest.files, design.check.of_light[0])
     show_text(f"{design.name}\n{text}\nfiles in {manifest.folder}\n{files}", quiet=quiet)

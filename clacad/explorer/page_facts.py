@@ -7,9 +7,11 @@ from dataclasses import asdict
 from typing import Any
 
 from clacad.design import Design
+from clacad.design.sections import AimedAt
 from clacad.explorer.design_text import lines
 from clacad.explorer.sliders import Slider, sheet_width
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.window import Window
 
 MOST_CELLS = 8192
@@ -37,7 +39,9 @@ PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
 
 def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str, Any]:
     """All that the page's script needs, as plain JSON; lengths in the design's unit, wavelength and `unitM` in metres."""
+    need_equal_cells(window, "the page of sliders", "`clacad verify -o` writes a page that shows it")
     lattice, aperture = window.lattice, design.lattice.aperture
+    assert not isinstance(aperture, AimedAt)  # its cells differ
     return {
         "kind": lattice.kind, "form": window.form, "pitch": list(lattice.pitch), "count": list(lattice.count),
         "outline": _outline(design), "seam": window.land.seam, "border": window.land.border, "opaque": window.land.opaque,

@@ -86,14 +86,13 @@ def explore(
     from clacad.explorer.sliders import places
     from clacad.exporting.limits import refuse_uncountable
     from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.need_window import equal_cells
-    from clacad.storage.atomic import write_content
+        from clacad.storage.atomic import write_content
 
     file = Path(out)
     if file.suffix.lower() not in (".html", ".htm"):
         raise BadRequest(f"{file}: the page is one file that ends in .html")
     refuse_uncountable(design)
-    window = equal_cells(prescribe(design), "the explorer")
+    window = prescribe(design)
     text = page(design)
     if dry_run:
         if file.exists() and not overwrite:
@@ -119,9 +118,8 @@ def page(design: Design) -> str:
     from clacad.explorer.sliders import LAW, SHEET, VIEW, sliders
     from clacad.prescription.prescribe import prescribe
     from clacad.report.self_contained import environment, one_script
-    from clacad.sheet.need_window import equal_cells
-
-    window = equal_cells(prescribe(design), "the explorer")
+    
+    window = prescribe(design)
     moved = sliders(design, window)
     script, digest = one_script(HERE / "closed_forms.js", HERE / "explorer.js")
     count = " × ".join(map(str, window.lattice.count))

@@ -20,6 +20,7 @@ from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import difference_of_laws
 from clacad.optics.rays import Fate
+from clacad.sheet.bundle import bundle, central_cell, field_points
 from clacad.sheet.light_against_law import (
     FEWEST,
     change_with_shift,
@@ -29,6 +30,7 @@ from clacad.sheet.light_against_law import (
     rms_error,
     shift_of_array_2,
 )
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.window import WALL, Window
 
 if TYPE_CHECKING:
@@ -221,18 +223,15 @@ class _Light:
     """Rays of the checks over one cell, and what the law and the exact surfaces do to them."""
 
     def __init__(self, window: Window, field: float, centre: str) -> None:
-        self.window, self._field, self._centre = window.with_cells((1, 1)), field, centre
+        like = like_cell(window, np.array(central_cell(window)), widest=False)
+        self.window, self._field, self._centre = like.with_cells((1, 1)), field, centre
 
     @cached_property
     def rays(self) -> Rays:
-        from clacad.sheet.bundle import bundle
-
         return bundle(self.window, RAYS, self._field, self._centre).rays
 
     @cached_property
     def _points(self) -> list[Bundle]:
-        from clacad.sheet.bundle import bundle, field_points
-
         directions = field_points(self.window, self._field, self._centre)
         return [bundle(self.window, POINT_RAYS, 0.0, middle=direction) for direction in directions]
 

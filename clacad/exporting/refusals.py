@@ -13,12 +13,17 @@ from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
 from clacad.sheet.gap import NoFixture
+from clacad.sheet.need_window import need_equal_cells
 from clacad.storage.errors import ExportError, NotPossible
 
 if TYPE_CHECKING:
     from clacad.exporting.request import Request
     from clacad.sheet.window import Window
     from clacad.storage.worker import Worker
+
+
+OF_ANY_CELLS = ("step",)
+"""Formats that hold sheets whose cells differ."""
 
 
 class Refusals:
@@ -77,9 +82,13 @@ def require_possible(window: Window, format: str, asked: Request, worker: Worker
     Raises
     ------
     NotPossible, NoFixture, LimitRefused, CannotBuild
+    CellsDiffer
+        The format holds sheets of equal cells only.
     WorkerDied
         The letters could not be drawn.
     """
+    if format not in OF_ANY_CELLS:
+        need_equal_cells(window, f"format {format}", f"formats {', '.join(OF_ANY_CELLS)} hold such sheets")
     if format in _NEEDS:
         _NEEDS[format](window, asked, worker)
 

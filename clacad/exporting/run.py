@@ -204,9 +204,8 @@ def in_all(rows: Sequence[Forecast]) -> Span:
 
 def _prescribed(design: Design) -> Window:
     from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.need_window import equal_cells
 
-    return equal_cells(prescribe(design), "export")
+    return prescribe(design)
 
 
 def _produced(

@@ -289,6 +289,20 @@ class Window:
         laws = CellLaws(self.law) if self.cell_laws is None else self.cell_laws
         return laws.law_at(self.lattice, index)
 
+    def locate(self, array: int, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
+        """The cell (n, 2) of an array that holds each sheet point, and the point from its centre, (n,) each, lengths."""
+        dx, dy = self.placements[array].shift
+        return self.lattice_of(array).locate(x - dx, y - dy)
+
+    def seen_by_lens(self, face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Sheet points, (n,) each, in the cell frame in which the lens of their cell stands at `Face.vertex`, lengths."""
+        assert face.array is not None
+        index, x, y = self.locate(face.array, x, y)
+        if face.change is None:
+            return x, y
+        moved = face.change.at(self.lattice, index)
+        return x - moved[:, 0], y - moved[:, 1]
+
     def in_cell(self, face: Face, index: Ints) -> Face:
         """The face of a sheet whose cells are all like the one at `index` (2,)."""
         if face.change is None:

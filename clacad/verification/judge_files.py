@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from clacad.base.types import Progress
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 from clacad.verification.checks import Check, not_run, unreadable
@@ -57,7 +56,7 @@ def judge_files(
         more, one = _judge_one(asked, subject, window)
         checks += more
         judged.append(one)
-    whole = equal_cells(prescribe(design), "verify") if window is None else window
+    whole = prescribe(design) if window is None else window
     checks += whole_delivery(whole, [(one.subject, one.judged_as, one.present) for one in judged])
     return checks, judged
 
@@ -70,7 +69,7 @@ def _judge_one(asked: Inspection, subject: Subject, window: Window | None) -> Ju
 
     window : with the cells that somebody says it holds; None where nobody does
     """
-    whole = equal_cells(prescribe(asked.design), "verify") if window is None else window
+    whole = prescribe(asked.design) if window is None else window
     if subject.entry and (reason := no_optics(whole, subject)) is not None:
         asked.progress(f"reading {subject.name}", 0.0)
         return judge_other(subject, reason), FileReport(subject, reason.note, role=Role.OTHER)

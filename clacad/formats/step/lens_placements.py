@@ -106,8 +106,7 @@ def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, F
             continue
         chosen = np.flatnonzero((outward[:, 2] < 0.0) == (face.side > 0))
         at = place[chosen] / scale
-        shift = window.shifts[face.array]
-        _, x, y = window.lattice.locate(at[:, 0] - shift[0], at[:, 1] - shift[1])
+        x, y = window.seen_by_lens(face, at[:, 0], at[:, 1])
         z, expected = lens_height_and_normal(face, x, y)
         away = np.abs((at[:, 2] - z) * expected[:, 2]) * scale
         turned = np.linalg.norm(np.cross(expected, outward[chosen]), axis=1)
@@ -173,8 +172,7 @@ def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured
     for number, one in enumerate(window.faces):
         if one.array is not None:
             chosen = face == number
-            x, y = (middle[chosen] - np.asarray(window.shifts[one.array])).T
-            cell[chosen] = window.lattice.locate(x, y)[0]
+            cell[chosen] = window.locate(one.array, *middle[chosen].T)[0]
     error, slope = (_worst(one.reshape(many, -1), lenses.patch, patches) for one in (away, angle))
     return Measured(error, slope, face, cell)
 
@@ -237,10 +235,10 @@ class _Board:
 
     def _moved_cell(self, array: int, cell: Ints, moves: Floats) -> tuple[Ints, Floats]:
         """Cells (k, 2) of an array where moves (k, 3, 4) take one, and how far from their centres it then is (k,) mm."""
-        window, shift = self._window, np.asarray(self._window.shifts[array])
-        at = np.append(window.lattice.centres(cell[None])[0] + shift, 0.0) * self._scale
+        window = self._window
+        at = np.append(window.centres(array, cell), 0.0) * self._scale
         place = applied(moves, at[None])[:, 0] / self._scale
-        index, x, y = window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+        index, x, y = window.locate(array, place[:, 0], place[:, 1])
         return index, np.sqrt(x * x + y * y + place[:, 2] ** 2) * self._scale
 
     def _instanced(self, face: int, error: float, index: Ints, away: Floats) -> None:

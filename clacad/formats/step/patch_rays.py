@@ -57,8 +57,8 @@ class Cells:
 
     def of(self, place: Floats) -> NDArray[np.int64]:
         """Cells (n, 2) of points (n, 2), mm."""
-        at = place / millimetres(self.window.unit) - np.asarray(self.window.shifts[self.array])
-        return self.window.lattice.locate(at[:, 0], at[:, 1])[0]
+        at = place / millimetres(self.window.unit)
+        return self.window.locate(self.array, at[:, 0], at[:, 1])[0]
 
 
 def column_patches(scan: Scan, low: Floats, high: Floats) -> list[PlacedPatch]:

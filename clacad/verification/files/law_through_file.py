@@ -92,7 +92,7 @@ class FileLight:
 
 def measure_light(
     design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS,
-    cell: tuple[int, int] | None = None,
+    cell: tuple[int, int] | None = None, exact: Tracer | None = None,
 ) -> FileLight:  # fmt: skip
     """Send the rays of the checks through a file.
 
@@ -106,19 +106,21 @@ def measure_light(
         Of the main bundle, and of each of the nine field points.
     cell : (i, j) or None
         Cell that is lit; default the central one.
+    exact : callable or None
+        Bundle → TraceResult through the exact surfaces; None: through those of `window`.
     """
     spec = design.check
     main = bundle(window, rays, spec.field, spec.field_centre, cell=cell)
-    seen, truth = send(main), trace(window, main.rays, path="size")
+    seen, truth = send(main), trace(window, main.rays, path="size") if exact is None else exact(main)
     alive = seen.fate == Fate.ALIVE
     asked = window.law.refract(main.rays.direction)
     error = law_errors(seen, asked)
     both = alive & (truth.fate == Fate.ALIVE) & np.isfinite(asked).all(axis=1)
-    law, exact = fitted_laws(window.law, main.rays, seen, truth, both) or (None, None)
+    law, true_law = fitted_laws(window.law, main.rays, seen, truth, both) or (None, None)
     bias, middle = _field(design, window, send, point_rays, main.cell)
     closed = float(share(thin_cells(window), main.rays.direction[:SHARE_DIRECTIONS]).mean())
     return FileLight(
-        main, rms_error(error), float(error.max()) if len(error) >= FEWEST else np.nan, bias, law, exact,
+        main, rms_error(error), float(error.max()) if len(error) >= FEWEST else np.nan, bias, law, true_law,
         _shift(window, main, seen, truth, both), middle, (float(alive.mean()), closed), seen, truth,
     )  # fmt: skip
 

@@ -19,10 +19,10 @@ from clacad.sheet.window import Body, Window
 from clacad.storage.errors import ExportError
 from clacad.verification.checks import Check, judge, not_run, unreadable
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
+from clacad.verification.files.law_through_file import IDS, light_checks
 from clacad.verification.files.mesh_shape import volume_of
 from clacad.verification.files.reading_worker import longest_wait, reading_worker
-from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, point_rays
+from clacad.verification.files.step_light import FACE_RAYS, FaceTracer, light_of_cells
 from clacad.verification.limit_sources import LimitSource, default, other
 
 if TYPE_CHECKING:
@@ -226,11 +226,11 @@ def _light(
     held = [body.name for body in _held(window, found)]
     send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]))
     try:
-        light = measure_light(asked.design, window, send, min(asked.rays, FACE_RAYS), point_rays(window))
+        light, rms, cells = light_of_cells(asked.design, window, send, min(asked.rays, FACE_RAYS))
     except (ExportError, OSError) as error:
         why = f"no light could be sent through its faces: {error}"
         return [not_run(name, why, **asked.common) for name in IDS]
-    return light_checks(asked, light, "faces" if found["kernel"] else "lens patches")
+    return light_checks(asked, light, "faces" if found["kernel"] else "lens patches", rms=rms, cells=cells)
 
 
 def _closed(found: Mapping[str, Any], common: Mapping[str, Any]) -> Check:

@@ -17,12 +17,17 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.bundle import Bundle
+from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.light_against_law import law_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Window, optical_tile
 from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
+from clacad.verification.files.law_through_file import FileLight, measure_light
+from clacad.verification.light.law_checks import Tracer
+from clacad.verification.light.through_window import tried_cells, worst_of
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.storage.worker import Worker
 
 FACE_RAYS = 1024
@@ -30,6 +35,9 @@ FACE_RAYS = 1024
 
 POINT_RAYS = 256
 """Rays of each of the nine field points; four times as many where little light gets through."""
+
+CELL_RAYS = 64
+"""Rays of each further cell of a sheet whose cells differ; a cell through which less than a quarter of them gets is lost."""
 
 MARGIN = 0.1
 """Pitches round a telescopelet in which faces are looked for."""
@@ -45,6 +53,45 @@ def point_rays(window: Window) -> int:
     """Rays of each field point, so that enough of them get through."""
     middle = np.array([[0.0, 0.0, 1.0]])
     return POINT_RAYS if float(share(thin_cells(window), middle)[0]) > 0.5 else 4 * POINT_RAYS
+
+
+def light_of_cells(
+    design: Design, window: Window, send: Tracer, rays: int
+) -> tuple[FileLight, list[float], list[tuple[int, int]]]:
+    """Light through the cell by which a sheet is judged; where cells differ, through others too.
+
+    Parameters
+    ----------
+    design, window
+    send : callable
+        Bundle → TraceResult through the file.
+    rays : int
+        Of the main bundle.
+
+    Returns
+    -------
+    light : FileLight
+        Of the cell whose light leaves farthest from the law through the exact surfaces; of the central one where all are alike.
+    rms : list of float, radians
+        Of it, then of the other cells that are looked at.
+    cells : list of (i, j)
+    """
+    if window.uniform:
+        return measure_light(design, window, send, rays, point_rays(window)), [], []
+    tried = tried_cells(window)
+    worst = worst_of(tried, design.check.field)
+    light = measure_light(
+        design, worst.like, lambda lit: send(worst.placed(lit)), rays, POINT_RAYS, exact=worst.send
+    )
+    rms, cells = [light.rms], [(int(worst.cell[0]), int(worst.cell[1]))]
+    for one in tried:
+        if one is worst:
+            continue
+        lit = bundle(one.like, CELL_RAYS, design.check.field)
+        error = law_errors(send(one.placed(lit)), one.like.law.refract(lit.rays.direction))
+        rms.append(float(np.sqrt(np.mean(error**2))) if len(error) >= CELL_RAYS // 4 else np.inf)
+        cells.append((int(one.cell[0]), int(one.cell[1])))
+    return light, rms, cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +157,13 @@ class FaceTracer:
 
 def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
     """Whether points (n, 3) of a lens patch lie where the lens stands proud of its land, in its optical zone."""
-    shift = np.asarray(window.shifts[face.array])
-    _, x, y = window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+    _, x, y = window.locate(face.array, place[:, 0], place[:, 1])
     room = 1e-9 * min(window.lattice.pitch)
     proud = np.ones(len(place), dtype=bool)
     if face.land is not None:
         proud = (face.land - place[:, 2]) * face.side >= -room
     if window.land.seam > 0.0:
-        corners = optical_tile(window)
+        corners = optical_tile(window, face.array)
         for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             edge = end - start
             proud &= edge[0] * (y - start[1]) - edge[1] * (x - start[0]) >= -room * float(np.hypot(*edge))
@@ -126,10 +172,9 @@ def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
 
 def column(window: Window, cell: tuple[int, int], bodies: Sequence[Body]) -> tuple[Floats, Floats]:
     """Column of x and y, low (2,) and high (2,), that holds a telescopelet, with a margin."""
-    centre = window.lattice.centres(np.array([cell], dtype=np.int64))[0]
     arrays = {face.array for body in bodies for face in (body.front, body.back) if face.array is not None}
     corners = np.concatenate(
-        [window.lattice.tile() + centre + np.asarray(window.shifts[array]) for array in sorted(arrays)]
+        [window.lattice_of(array).tile() + window.centres(array, np.array(cell)) for array in sorted(arrays)]
     )
     room = MARGIN * min(window.lattice.pitch)
     return corners.min(axis=0) - room, corners.max(axis=0) + room
@@ -138,11 +183,11 @@ def column(window: Window, cell: tuple[int, int], bodies: Sequence[Body]) -> tup
 def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Body, ...]) -> None:
     """Bodies the file lacks, as the design has them."""
     live = state.alive()
-    centre = window.lattice.centres(np.array([lit.cell], dtype=np.int64))[0]
+    cell = np.array(lit.cell)
 
     def exact(face: Any) -> ExactFace:
-        shift = np.zeros(2) if face.array is None else np.asarray(window.shifts[face.array])
-        return ExactFace(face, np.append(centre + shift, 0.0))
+        centre = window.centres(0 if face.array is None else face.array, cell)
+        return ExactFace(window.in_cell(face, cell), np.append(centre, 0.0))
 
     pieces = tuple(FacetBody(exact(body.front), exact(body.back), body.index) for body in bodies)
     found = trace_facets(pieces, Rays(state.position[live], state.direction[live]))
@@ -177,8 +222,7 @@ class _State:
 
     def see(self, rows: NDArray[np.intp], array: int, window: Window, place: Floats) -> None:
         """Note which cells of an array rays crossed; those of one telescopelet have one number."""
-        shift = window.shifts[array]
-        index, _, _ = window.lattice.locate(place[:, 0] - shift[0], place[:, 1] - shift[1])
+        index, _, _ = window.locate(array, place[:, 0], place[:, 1])
         known = self.cell[rows, 0] != NO_CELL
         self.stray[rows[known]] |= (self.cell[rows[known]] != index[known]).any(axis=1)
         self.stray[rows] |= ~window.lattice.contains(index)

@@ -64,9 +64,14 @@ class SeenCell:
 
     def send(self, lit: Bundle) -> TraceResult:
         """Trace a bundle that was made for `like` through this cell of the sheet."""
+        return trace(self.window, self.placed(lit).rays, path="size")
+
+    def placed(self, lit: Bundle) -> Bundle:
+        """A bundle that was made for `like`, before this cell of the sheet."""
         if self.like is self.window:
-            return trace(self.window, lit.rays, path="size")
-        return trace(self.window, Rays(self.moved(lit), lit.rays.direction), path="size")
+            return lit
+        cell = (int(self.cell[0]), int(self.cell[1]))
+        return replace(lit, cell=cell, rays=Rays(self.moved(lit), lit.rays.direction))
 
     def moved(self, lit: Bundle) -> Floats:
         """Starts (n, 3) of a bundle that was made for `like`, before this cell of the sheet."""
@@ -87,10 +92,10 @@ class SeenCell:
 
 def worst_cell(window: Window, field: float) -> SeenCell:
     """The cell whose light of a cone (half angle `field`, radians) leaves farthest from the law, of those tried."""
-    return _worst(_tried(window), field)
+    return worst_of(tried_cells(window), field)
 
 
-def _tried(window: Window) -> list[SeenCell]:
+def tried_cells(window: Window) -> list[SeenCell]:
     """The one cell of a sheet of equal cells; else those whose lenses stand farthest out, and a sample over the sheet."""
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]
@@ -98,7 +103,7 @@ def _tried(window: Window) -> list[SeenCell]:
     return [SeenCell(window, like_cell(window, cell, widest=False), cell, len(cells)) for cell in cells]
 
 
-def _worst(tried: list[SeenCell], field: float) -> SeenCell:
+def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
     """That through which next to no light gets, else whose light leaves farthest (rms) from the law."""
     if len(tried) == 1:
         return tried[0]
@@ -158,8 +163,8 @@ def judge_light(
     design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
 ) -> tuple[list[Check], Optics]:
     """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them."""
-    tried = _tried(window)
-    seen = _worst(tried, design.check.field)
+    tried = tried_cells(window)
+    seen = worst_of(tried, design.check.field)
     optics = measure(design, seen.like, seen.send, rays, point_rays)
     if len(tried) > 1:
         optics = _fitted_over_all(optics, tried, design.check.field)
