@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
-
-import numpy as np
+from math import isfinite
 
 from clacad.sheet.window import Body, Face, Window
 
@@ -177,5 +175,4 @@ def _principal(body: Body, axis: str) -> tuple[float, float]:
 
 def _curvature(face: Face, axis: str) -> float:
     """Curvature of a face at its apex in a meridian, > 0 convex, one over a length."""
-    found = getattr(face.surface, f"curvature_{axis}", nan)
-    return 0.0 if face.array is None or not np.isfinite(found) else float(found)
+    return float(face.surface.curvature_x if axis == "x" else face.surface.curvature_y)
