@@ -231,6 +231,11 @@ def _launch(stack: Stack, points: Floats, field: float) -> tuple[Floats, Floats]
     return first.scale * (window.lattice.over_cell(points[:, :2]) + centre), slope
 
 
+def launched(stack: Stack, rays: int, field: float) -> Rays:
+    """Rays over one cell of the first sheet and a square of slopes, begun before it; lengths of the stack."""
+    return _started(stack, *_launch(stack, sobol(rays, 4), field))
+
+
 def _started(stack: Stack, place: Floats, slope: Floats) -> Rays:
     """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), begun before the material."""
     first = stack.sheets[0]
