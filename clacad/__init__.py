@@ -64,6 +64,9 @@ _HOME = {
     "plan_effects": "clacad.effects",
     "optimise": "clacad.optimising",
     "explore": "clacad.explorer",
+    "stack": "clacad.stacking",
+    "Stack": "clacad.sheet.stack",
+    "trace_stack": "clacad.tracing.through_stack",
 }
 
 __all__ = sorted(_HOME)

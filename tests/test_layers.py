@@ -30,6 +30,7 @@ ROOMS = [
     "effects",
     "exporting",
     "verification",
+    "stacking",  # sheets behind one another
     "advice",  # what verify will say, and which keys would change it
     "optimising",  # a search needs the walls that checks judge by
     "rendering",

@@ -61,7 +61,7 @@ class ChiefRays:
         (a, b), (c, d) = seen.matrix
         if d == 0.0:
             return inf, inf, inf
-        beyond = float(-b / d)
+        beyond = float(-b / d) + 0.0  # no −0
         return beyond, float(seen.shift[0] + beyond * seen.shift[1]), float(a + beyond * c)
 
 

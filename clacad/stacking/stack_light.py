@@ -19,7 +19,7 @@ from clacad.optics import chief_rays
 from clacad.optics.chief_rays import ChiefRays
 from clacad.optics.law import angle_between
 from clacad.optics.law.imaging import slope_map
-from clacad.optics.rays import Fate, Rays
+from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.bundle import central_cell, middle_direction
 from clacad.sheet.stack import Stack, StackedSheet, lens_planes
 from clacad.sheet.vignetting import share, thin_cells
@@ -53,9 +53,10 @@ class Meridian:
     beams : float, length
         B for the middle of the light that gets through, which for |η| > 1 is no chief ray.
     share : float or None
-        Rays that keep to their telescopelets in this meridian, in every sheet.
+        Light that keeps to its telescopelets in this meridian, in every sheet, of what does in the other; None where cells or
+        lenses do not lie along x and y.
     measured_space : float or None, length
-        B fitted to these rays.
+        B fitted to rays that keep to their telescopelets in this meridian.
     measured_slope : float or None
         D fitted to these rays.
     scatter : float or None
@@ -209,10 +210,10 @@ def measure_light(tracer: StackTracer, rays: int, field: float) -> StackLight:
     found = tracer(_started(stack, place, slope))
     direction = np.column_stack([slope, np.ones(rays)])
     alive = found.fate == Fate.ALIVE
-    kept = _kept(stack, found)
+    strayed = _strayed(stack, found)
     exit_place = _at_last_plane(stack, found)
     meridians = tuple(
-        _meridian(stack, axis, (place[:, axis], slope[:, axis]), exit_place[:, axis], found, kept[:, axis])
+        _meridian(stack, axis, (place[:, axis], slope[:, axis]), exit_place[:, axis], found, strayed)
         for axis in (0, 1)
     )
     return StackLight(
@@ -253,16 +254,35 @@ def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
     return np.asarray(found.position[:, :2] + slope * (level - found.position[:, 2:]))
 
 
-def _kept(stack: Stack, found: StackTrace) -> Bools:
-    """Which rays keep to their telescopelets in every sheet, in x and in y (n, 2)."""
-    good = np.repeat((found.fate == Fate.ALIVE)[:, None], 2, axis=1)
-    if not all(_parted(one) for one in stack.sheets) or len(found.passed) == 0:
-        return good
-    apart = np.repeat(np.isin(found.fate, (Fate.ALIVE, Fate.GHOST))[:, None], 2, axis=1)
+def _strayed(stack: Stack, found: StackTrace) -> Bools | None:
+    """Which rays are known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y mix."""
+    if not all(_parted(one) for one in stack.sheets):
+        return None
+    strayed = np.zeros((len(found), 2), dtype=bool)
     for rows, result in found.passed:
-        if (result.fate == Fate.GHOST).any():  # of rung law nothing is known but that it obeys
-            apart[rows] &= result.order == 0
-    return apart
+        strayed[rows] |= _orders(result)
+    return strayed
+
+
+def _orders(result: TraceResult) -> Bools:
+    """Which rays (k,) a sheet sent through another column of cells, and another row (k, 2)."""
+    return np.asarray((result.fate == Fate.GHOST)[:, None] & (result.order != 0))
+
+
+def _shares(found: StackTrace) -> tuple[float, float]:
+    """Light that keeps to its telescopelets in x, of what does in y, and the other way about.
+
+    Sheet by sheet, of what came to it ALIVE: where light goes that strayed before says nothing of either meridian.
+    """
+    so_far, shares = np.ones(len(found), dtype=bool), np.ones(2)
+    for rows, result in found.passed:
+        here, lost = so_far[rows], _orders(result)
+        alive = here & (result.fate == Fate.ALIVE)
+        for axis in (0, 1):
+            shares[axis] *= alive.sum() / max(1, int((here & ~lost[:, 1 - axis]).sum()))
+        so_far[:] = False
+        so_far[rows[alive]] = True
+    return float(shares[0]), float(shares[1])
 
 
 def _parted(one: StackedSheet) -> bool:
@@ -285,9 +305,9 @@ def _passed_on(found: StackTrace) -> list[float]:
 
 
 def _meridian(
-    stack: Stack, axis: int, entered: tuple[Floats, Floats], left: Floats, found: StackTrace, kept: Bools
-) -> Meridian:  # fmt: skip
-    """One meridian: in closed form, and fitted to the rays that kept to it.
+    stack: Stack, axis: int, entered: tuple[Floats, Floats], left: Floats, found: StackTrace, strayed: Bools | None
+) -> Meridian:
+    """One meridian: in closed form, and fitted to the rays that kept to it; ghosts that strayed across it alone are among them.
 
     entered : place and slope (n,) on the first lens plane; left : place (n,) on the last
     """
@@ -295,7 +315,11 @@ def _meridian(
     long = length(stack, axis)
     straight = chief is not None and abs(chief.matrix[1, 1] - 1.0) < 1e-9 and abs(chief.matrix[1, 0]) < 1e-12
     acts = float(chief.matrix[0, 1]) if chief is not None and straight else None
-    space = slope = scatter = None
+    space = slope = scatter = share = None
+    kept = found.fate == Fate.ALIVE
+    if strayed is not None:
+        share = _shares(found)[axis]
+        kept = np.isin(found.fate, (Fate.ALIVE, Fate.GHOST)) & ~strayed[:, axis]
     if kept.sum() >= FEWEST:
         place, way = (one[kept] for one in entered)
         out = found.direction[kept, axis] / found.direction[kept, 2]
@@ -304,7 +328,7 @@ def _meridian(
     return Meridian(
         None if chief is None else _pairs(chief.matrix), None if chief is None else chief.determinant, long, acts,
         None if acts is None else long - acts, None if middle is None else float(middle.matrix[0, 1]),
-        float(kept.mean()), space, slope, scatter,
+        share, space, slope, scatter,
     )  # fmt: skip
 
 
