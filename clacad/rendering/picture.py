@@ -137,7 +137,8 @@ def checked_frames(scene: Scene) -> list[Scene]:
     for frame in range(scene.animation.frames):
         try:
             still = scene.at(frame)
-            prescribe(still.design())
+            for design in still.designs():
+                prescribe(design)
             stills.append(still)
         except DesignError as error:
             mistakes += [mistake for mistake in error.mistakes if mistake not in mistakes]
