@@ -170,7 +170,8 @@ def export(
 @app.command()
 def stack(
     designs: Annotated[list[Path], typer.Argument(metavar="DESIGN...", help="Design files, in the order light meets them; the "
-                                                  "same one may be given twice. Sheets are called a, b, c ...",
+                                                  "same one may be given twice. Sheets are called a, b, c ... Or one "
+                                                  "scene file with [[sheet]]s.",
                                                   show_default=False)],
     gap: Annotated[str, typer.Option("--gap", metavar="L,M", help="Clear distance between neighbours, e.g. '100 mm'; one for "
                                      "all, or one for each gap.")] = "",
@@ -200,7 +201,20 @@ def stack(
     from clacad.cli.stack_command import StackWords, stack_designs
 
     words = StackWords(
-        out, files, gap, formats, field, object_distance, rays, cells, quads, step, mesh, dry_run, overwrite, force
+        out,
+        files,
+        gap,
+        formats,
+        field,
+        object_distance,
+        rays,
+        cells,
+        quads,
+        step,
+        mesh,
+        dry_run,
+        overwrite,
+        force,
     )
     return stack_designs(designs, set or [], words, json=json, quiet=quiet)
 

@@ -45,8 +45,8 @@ def stack_designs(
     """Measure a stack and write it, or judge the files of one; with --dry-run say what that would cost."""
     if words.files is not None and (words.out is not None or words.dry_run):
         raise BadOption("--files judges what was written: give it without -o and --dry-run")
-    designs = load_sheets(paths, overrides)
-    asked = _asked(designs[0], words)
+    designs, gaps, ids = _sheets_and_places(paths, overrides, words.gap)
+    asked = _asked(designs[0], gaps, ids, words)
     from clacad.stacking.make_stack import prepared
 
     made, standing = prepared(designs, asked)
@@ -55,6 +55,37 @@ def stack_designs(
     if words.files is not None:
         return _judge(made, standing, asked, words.files, json=json, quiet=quiet)
     return _make(designs, standing, asked, words.out, json=json, quiet=quiet)
+
+
+def _sheets_and_places(
+    paths: Sequence[Path], overrides: Sequence[str], gap: str
+) -> tuple[list[Design], tuple[float, ...], tuple[str, ...] | None]:
+    """Designs, gaps in the first one's unit, and names: of design files, or of the sheets of one scene file."""
+    from clacad.cli.export_scene import is_scene
+
+    if not any(is_scene(path) for path in paths):
+        designs = load_sheets(paths, overrides)
+        texts = [text for text in gap.split(",") if text.strip()]
+        return designs, tuple(parse_design_length("--gap", text, designs[0]) for text in texts), None
+    if len(paths) > 1 or gap:
+        raise BadOption(
+            "a scene file says which sheets there are and where they stand: give it alone, without --gap"
+        )
+    from clacad.exporting.limits import refuse_uncountable
+    from clacad.rendering.sheet_passage import stack_of
+    from clacad.scene import load_scene
+
+    scene = load_scene(paths[0], tuple(overrides))
+    still = scene if scene.animation is None else scene.at(0)
+    designs = list(still.designs())
+    for design in designs:
+        refuse_uncountable(design)
+    standing = stack_of(still)
+    return (
+        designs,
+        tuple(max(0.0, one) for one in standing.gaps),
+        tuple(one.id or "a" for one in standing.sheets),
+    )
 
 
 def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]:
@@ -77,7 +108,9 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
             number = ord(letter) - ord("a")
             if not 0 <= number < len(paths):
                 last = chr(ord("a") + len(paths) - 1)
-                raise BadOption(f"--set {text}: there is no sheet {letter}; sheets are a to {last}, in the order they are given")
+                raise BadOption(
+                    f"--set {text}: there is no sheet {letter}; sheets are a to {last}, in the order they are given"
+                )
             own[number].append(text.strip()[2:])
         else:
             for one in own:
@@ -85,7 +118,9 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
     return [load_counted(path, changes) for path, changes in zip(paths, own, strict=True)]
 
 
-def _asked(first: Design, words: StackWords) -> StackRequest:
+def _asked(
+    first: Design, gaps: tuple[float, ...], ids: tuple[str, ...] | None, words: StackWords
+) -> StackRequest:
     """The request in numbers; lengths in the first design's unit.
 
     Raises
@@ -94,13 +129,12 @@ def _asked(first: Design, words: StackWords) -> StackRequest:
     """
     from clacad.stacking import StackRequest
 
-    gaps = [parse_design_length("--gap", text, first) for text in words.gap.split(",") if text.strip()]
     distance = None
     if words.object_distance is not None:
         distance = parse_design_length("--object", words.object_distance, first)
     step: Any = one_of("step", words.step)
     return StackRequest(
-        gaps=tuple(gaps), formats=tuple(dict.fromkeys(f.strip() for f in words.formats.split(",") if f.strip())),
+        gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(f.strip() for f in words.formats.split(",") if f.strip())),
         field=None if words.field is None else parse_angle("--field", words.field), object_distance=distance,
         rays=words.rays, cells=parse_cells(words.cells), quads=words.quads, step=step, overwrite=words.overwrite,
         force=words.force, mesh_light=words.mesh,
@@ -125,7 +159,10 @@ def _dry(standing: Stack, asked: StackRequest, words: StackWords, *, json: bool,
     if json:
         show_json({"files": found, "sheets": sheets, "seconds": [span.low, span.high]})
     else:
-        show_text(f"{_sheets_text(sheets)}\n{forecast_text(found)}\nin all {span} of processor time; nothing is written", quiet=quiet)
+        show_text(
+            f"{_sheets_text(sheets)}\n{forecast_text(found)}\nin all {span} of processor time; nothing is written",
+            quiet=quiet,
+        )
     return 0
 
 
@@ -160,7 +197,13 @@ def _verdict(good: bool, checks: Sequence[Check]) -> str:
 
 
 def _make(
-    designs: Sequence[Design], standing: Stack, asked: StackRequest, out: Path | None, *, json: bool, quiet: bool
+    designs: Sequence[Design],
+    standing: Stack,
+    asked: StackRequest,
+    out: Path | None,
+    *,
+    json: bool,
+    quiet: bool,
 ) -> int:
     """Measure, write, print: the share of light first."""
     from clacad.stacking.make_stack import TASK, in_all, light_seconds, stack
@@ -232,6 +275,8 @@ def _spaces(made: Stacked) -> Iterable[str]:
         assert one.moves_image is not None
         nearer = "nearer" if one.moves_image >= 0.0 else "farther"
         by_rays = "" if one.measured_space is None else f", {one.measured_space:.6g} by rays"
+        if one.beams is not None and abs(one.beams - one.acts_as_space) > 1e-9 * abs(one.acts_as_space):
+            by_rays = f", {one.beams:.6g} for the middle of the light that gets through{by_rays}"
         lines.append(
             f"{name}: acts as {one.acts_as_space:.6g} {made.unit} of space{by_rays}, over {one.length:.6g} {made.unit}: "
             f"what is seen stands {abs(one.moves_image):.6g} {made.unit} {nearer}; {matrix}"
@@ -248,14 +293,16 @@ def _sheets_text(sheets: Iterable[dict[str, Any]]) -> str:
 
 
 def _rungs_text(made: Stacked) -> str:
-    """The same rays on every rung."""
-    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y"]]
+    """The same rays on every rung: what each says, how far it is from the exact surfaces, what it takes."""
+    rows = [["rung", "share", "x", "y", f"space x / {made.unit}", "y", "scatter x / pitch", "y", "error / mrad", "other fate",
+             "seconds"]]  # fmt: skip
     for one in made.light:
         x, y = one.meridians
         cells = [one.rung, f"{one.share:.4f}"]
         for name, form in (("share", ".4f"), ("measured_space", ".6g"), ("scatter", ".3g")):
             cells += ["" if (v := getattr(m, name)) is None else format(v, form) for m in (x, y)]
-        rows.append(cells)
+        error = "truth" if one.rung == "surfaces" else f"{1e3 * one.error:.3g}"
+        rows.append([*cells, error, f"{100.0 * one.strays:.3g} %", f"{one.seconds:.2g}"])
     return table(rows)
 
 

@@ -32,7 +32,7 @@ class ChiefRays:
     shift: Floats
 
     def then(self, after: ChiefRays) -> ChiefRays:
-        """This, and behind it another one."""
+        """Give this with another one behind it."""
         return ChiefRays(after.matrix @ self.matrix, after.matrix @ self.shift + after.shift)
 
     @property

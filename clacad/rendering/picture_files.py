@@ -40,7 +40,7 @@ def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Byte
 
 def metadata_of(picture: Picture) -> dict[str, str]:
     """What a picture's metadata say, by key."""
-    scene, passage = picture.scene, picture.passage
+    scene = picture.scene
     found = {
         "Title": scene.name,
         "Software": _version(),
@@ -50,7 +50,9 @@ def metadata_of(picture: Picture) -> dict[str, str]:
         "clacad:samples": f"{int(picture.samples.min())} to {int(picture.samples.max())} rays a pixel",
         "clacad:encoding": scene.camera.encoding,
         "clacad:handedness": MIRRORED if scene.camera.mirror else "as seen by a camera before the part",
-        "clacad:left-out": NOT_SIMULATED if len(scene.sheets) == 1 else f"light sent back and forth between sheets, {NOT_SIMULATED}",
+        "clacad:left-out": NOT_SIMULATED
+        if len(scene.sheets) == 1
+        else f"light sent back and forth between sheets, {NOT_SIMULATED}",
     }
     blocks = [f"{name} in blocks of {side} x {side} pixels" for name, side in picture.blockwise]
     return {**found, "clacad:coarse": ", ".join(blocks)} if blocks else found

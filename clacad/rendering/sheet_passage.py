@@ -154,7 +154,9 @@ def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool)
         past[rows[missed]] = not one.opaque
         light = _joined(light, past, passed)
     shining = met[light.parent]
-    return Beyond(*(getattr(light, name)[shining] for name in ("parent", "position", "direction", "flux"))), met
+    return Beyond(
+        *(getattr(light, name)[shining] for name in ("parent", "position", "direction", "flux"))
+    ), met
 
 
 def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:

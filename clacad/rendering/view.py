@@ -104,7 +104,11 @@ def set_up(
         from clacad.rendering.pixel_input import pane_of
 
         made = tables(stage)
-        pane = None if planned.several else pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
+        pane = (
+            None
+            if planned.several
+            else pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
+        )
     return Viewing(
         stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, pane
     )
@@ -128,7 +132,9 @@ def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
     """
     low = passage.several[0].sheet.span[1] / scale
     high = passage.several[-1].sheet.span[0] / scale
-    for kind, (x, y, z, radius), turn, size in zip(stage.kind, stage.bound, stage.rotation, stage.size, strict=True):
+    for kind, (x, y, z, radius), turn, size in zip(
+        stage.kind, stage.bound, stage.rotation, stage.size, strict=True
+    ):
         reach = np.abs(turn[2]) @ size[:3] if kind in (BOX, SCREEN) else radius
         if kind != FLOOR and z - reach < high and z + reach > low:
             raise BadStack(

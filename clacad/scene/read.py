@@ -31,7 +31,6 @@ from clacad.scene.sections import (
     SheetSpec,
 )
 
-
 MOST_SHEETS = 26
 """Sheets a scene may hold, as many as a stack."""
 
@@ -144,7 +143,9 @@ def _checked(
     top = {name: value for name, value in data.items() if name not in keys.SECTIONS and name != "object"}
     root = reader.table("", top, keys.ROOT)
     several = isinstance(data.get("sheet"), list)
-    parts = {name: _section(reader, data, name) for name in keys.SECTIONS if not (several and name == "sheet")}
+    parts = {
+        name: _section(reader, data, name) for name in keys.SECTIONS if not (several and name == "sheet")
+    }
     sheets = _sheets(reader, data["sheet"]) if several else [parts["sheet"]]
     objects = _objects(reader, data.get("object", []), "object")
     moves = _moves(reader, parts.get("animation", {}).pop("move", None), data)

@@ -31,7 +31,12 @@ def scene_schema() -> Schema:
         definitions[name] = table
         properties[name] = {"$ref": f"#/$defs/{name}"}
     definitions["stacked_sheet"] = _table(STACKED)
-    several = {"type": "array", "minItems": 1, "maxItems": MOST_SHEETS, "items": {"$ref": "#/$defs/stacked_sheet"}}
+    several = {
+        "type": "array",
+        "minItems": 1,
+        "maxItems": MOST_SHEETS,
+        "items": {"$ref": "#/$defs/stacked_sheet"},
+    }
     properties["sheet"] = {"anyOf": [properties["sheet"], several]}
     properties["object"] = {"type": "array", "items": {"$ref": "#/$defs/object"}}
     needed = _required(ROOT) + [name for name in SECTIONS if name not in OPTIONAL]

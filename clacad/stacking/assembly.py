@@ -81,7 +81,11 @@ class Assembly:
                 "clacad.exporting.step_record:read", str(path), one.window, place, timeout=SECONDS, progress=self.progress,
             )  # fmt: skip
             agreed = compare_step(
-                written["sheets"][number], found, one.window, _volume(one.window), f"{path.name}, sheet {one.id}"
+                written["sheets"][number],
+                found,
+                one.window,
+                _volume(one.window),
+                f"{path.name}, sheet {one.id}",
             )
             checks = set(agreed) if not number else checks & set(agreed)
         facts = {
@@ -97,9 +101,7 @@ class Assembly:
         path = self.stage.path(f"{NAME}.glb")
         self.progress(f"write {path.name}", 0.0)
         made = {id(one.window): Meshes(one.window).at(self.quads) for one in self.stack.sheets}
-        pieces = {
-            key: cut.pieces(instanceable(cut.window), normals=True) for key, cut in made.items()
-        }
+        pieces = {key: cut.pieces(instanceable(cut.window), normals=True) for key, cut in made.items()}
         write_glb_stack(
             [
                 PlacedPieces(one.id, pieces[id(one.window)], millimetres(one.window.unit), one.z * self._mm)
@@ -113,14 +115,20 @@ class Assembly:
             cut = made[id(one.window)]
             promise = cut.promise(instanced=instanceable(one.window), single=True)
             compare_mesh(
-                mesh_of_sheet(whole, place), one.window, promise, f"{path.name}, sheet {one.id}", _volume(one.window)
+                mesh_of_sheet(whole, place),
+                one.window,
+                promise,
+                f"{path.name}, sheet {one.id}",
+                _volume(one.window),
             )
             facets += promise.facets
         facts = {
             "mode": "assembly", "quads": self.quads, "float": "f32", "triangles": facets,
             "triangles_stored": sum(len(piece.triangles) for each in pieces.values() for piece in each),
         }  # fmt: skip
-        return self._record(path, "glb", "m", facts, ("closed", "shape", "volume"), Prospect(Role.PREVIEW, True))
+        return self._record(
+            path, "glb", "m", facts, ("closed", "shape", "volume"), Prospect(Role.PREVIEW, True)
+        )
 
     @property
     def _mm(self) -> float:

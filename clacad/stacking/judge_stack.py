@@ -16,7 +16,7 @@ from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.stacking.assembly import mesh_of_sheet, places
-from clacad.stacking.stack_light import launched
+from clacad.stacking.stack_rays import launched
 from clacad.storage.atomic import file_hash, read_manifest
 from clacad.storage.errors import BadRequest, ExportError
 from clacad.tracing.through_stack import StackTrace, StackTracer
@@ -65,12 +65,16 @@ def judge_stack(
     wanted = [files] if files.is_file() else [folder / name for name in sorted(stated)]
     subjects = [path for path in wanted if path.suffix.lower() in (".step", ".stp", ".glb")]
     if not subjects:
-        raise BadRequest(f"{files}: there is no STEP or GLB file of a stack; `clacad stack … -o DIR` writes them")
+        raise BadRequest(
+            f"{files}: there is no STEP or GLB file of a stack; `clacad stack … -o DIR` writes them"
+        )
     checks: list[Check] = []
     for path in subjects:
         entry = stated.get(path.name, {})
         if not path.is_file():
-            checks.append(unreadable(FileNotFoundError(f"{path} is not there"), where="file", subject=path.name))
+            checks.append(
+                unreadable(FileNotFoundError(f"{path} is not there"), where="file", subject=path.name)
+            )
             continue
         checks += _same_bytes(path, entry)
         if path.suffix.lower() == ".glb":
@@ -86,7 +90,9 @@ def _same_bytes(path: Path, entry: Mapping[str, Any]) -> list[Check]:
         return []
     found = file_hash(path)
     same = found == entry["sha256"]
-    sentence = "its bytes are those that were written" if same else "its bytes are not those that were written"
+    sentence = (
+        "its bytes are those that were written" if same else "its bytes are not those that were written"
+    )
     return [Check("integrity", "pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16],
                   relation="=", where="file", subject=path.name)]  # fmt: skip
 
@@ -99,9 +105,7 @@ def _judge_faces(
     told = entry.get("sheets", ())
     for one, design, place in zip(stack.sheets, designs, places(stack), strict=True):
         stated = next((s for s in told if isinstance(s, dict) and s.get("name") == one.id), {})
-        asked = Inspection(
-            design, f"{path.name} sheet {one.id}", FACE_RAYS, progress, Role.MASTER, stated
-        )
+        asked = Inspection(design, f"{path.name} sheet {one.id}", FACE_RAYS, progress, Role.MASTER, stated)
         checks += judge_solid(asked, one.window, path, place)[0]
     progress("tracing through the assembly", 0.9)
     return [*checks, _light_through(stack, path, field)]

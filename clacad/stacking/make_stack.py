@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.machine_rates import Rates, Span, total
-from clacad.base.types import Progress, silent
+from clacad.base.types import Progress, Rung, silent
 from clacad.base.units import millimetres
 from clacad.exporting.forecast import Forecast, forecast
 from clacad.exporting.limits import refuse_over_limits, refuse_uncountable, worker_memory
@@ -19,7 +19,8 @@ from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
 from clacad.sheet.stack import BadStack, Stack, stacked
 from clacad.stacking.assembly import FORMATS, NAME, Assembly, sheet_facts
-from clacad.stacking.stack_light import StackImage, StackLight, measure_image, measure_light
+from clacad.stacking.stack_image import StackImage, measure_image
+from clacad.stacking.stack_light import StackLight, measure_light
 from clacad.storage.atomic import MANIFEST, Stage, canonical_json, file_hash, require_folder
 from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
 
-RUNGS = ("law", "thin", "surfaces")
+RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 """Rungs on which the light of a stack is measured; facets are asked for, since they take longer than all of these."""
 
 QUADS = 8
@@ -67,6 +68,8 @@ class StackRequest:
         Replace files of another origin; pass the limits of size.
     mesh_light : bool
         Trace rung mesh, too, of so many `quads`.
+    ids : tuple of str or None
+        Names of the sheets; None: a, b, c, …
     """
 
     gaps: tuple[float, ...]
@@ -80,6 +83,7 @@ class StackRequest:
     overwrite: bool = False
     force: bool = False
     mesh_light: bool = False
+    ids: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +201,7 @@ def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Desi
         if design.sha256 not in windows:
             windows[design.sha256] = prescribe(design)
     gaps = asked.gaps * (len(made) - 1) if len(asked.gaps) == 1 else asked.gaps
-    return made, stacked([windows[design.sha256] for design in made], gaps)
+    return made, stacked([windows[design.sha256] for design in made], gaps, asked.ids)
 
 
 def _refuse_numbers(asked: StackRequest) -> None:
@@ -222,15 +226,11 @@ def measured(
     """Light through a stack on every rung, and the image of a point by the exact surfaces."""
     field, first = field_of(designs, asked), designs[0]
     distance = asked.object_distance or first.check.object or 10.0 * standing.sheets[0].window.thin.separation
-    rungs = (*RUNGS, "mesh") if asked.mesh_light else RUNGS
-    lights = []
-    for number, rung in enumerate(rungs):
-        report(f"light on rung {rung}", number / (len(rungs) + 1))
-        tracer = StackTracer(standing, rung, mesh=asked.quads if rung == "mesh" else None, path="size")
-        lights.append(measure_light(tracer, asked.rays, field))
-        if rung == "surfaces":
-            image = measure_image(tracer, asked.rays, field, distance)
-    return tuple(lights), image
+    tracers = [StackTracer(standing, rung, path="size") for rung in RUNGS]
+    image = measure_image(tracers[-1], asked.rays, field, distance)
+    if asked.mesh_light:
+        tracers.append(StackTracer(standing, "mesh", asked.quads, path="size"))
+    return measure_light(tracers, asked.rays, field, report), image
 
 
 def rows(standing: Stack, asked: StackRequest) -> list[Forecast]:
@@ -296,7 +296,9 @@ def _written(found: Stacked, asked: StackRequest, out: Path, report: Progress) -
         report("publish", 1.0)
         stage.publish(content)
         folder = stage.folder
-    return Stacked(found.stack, found.designs, found.light, found.image, found.unit, Manifest(folder, content))
+    return Stacked(
+        found.stack, found.designs, found.light, found.image, found.unit, Manifest(folder, content)
+    )
 
 
 def _numbers(found: Stacked, stage: Stage) -> FileRecord:
@@ -331,4 +333,3 @@ def _content(found: Stacked, records: Sequence[FileRecord], asked: StackRequest)
             "step": asked.step, "object_distance": found.image.object_distance,
         },
     }  # fmt: skip
-

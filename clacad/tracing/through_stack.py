@@ -109,9 +109,7 @@ class StackTracer:
         for one, mesh in zip(sheets, meshes, strict=True):
             key = (id(one.window), mesh if isinstance(mesh, int) else id(mesh))
             if key not in made:
-                made[key] = Tracer(
-                    one.window, self.rung, mesh=mesh, threads=self.threads, path=self.path
-                )
+                made[key] = Tracer(one.window, self.rung, mesh=mesh, threads=self.threads, path=self.path)
             object.__setattr__(self, "tracers", (*self.tracers, made[key]))
 
     def __call__(self, rays: Rays) -> StackTrace:
@@ -124,7 +122,9 @@ class StackTracer:
         rows, passed = np.arange(many), []
         for number, (one, tracer) in enumerate(zip(self.stack.sheets, self.tracers, strict=True)):
             waves = None if rays.wavelength is None else rays.wavelength[rows]
-            result = tracer(entering(one, self.rung, Rays(found.position[rows], found.direction[rows], waves)))
+            result = tracer(
+                entering(one, self.rung, Rays(found.position[rows], found.direction[rows], waves))
+            )
             passed.append((rows, result))
             rows = _taken_over(found, rows, result, number, one, self.rung)
         return replace(found, passed=tuple(passed))

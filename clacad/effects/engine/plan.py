@@ -24,9 +24,9 @@ from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.sheet.stack import Stack
     from clacad.effects.engine.light_rays import LightRays
     from clacad.scene import Scene
+    from clacad.sheet.stack import Stack
 
 State = Literal["on", "off", "forced", "without", "unknown"]
 Mode = Literal["auto", "list", "none"]
@@ -235,7 +235,9 @@ def plan_sheets(
             on = np.isin(found.fate, (Fate.ALIVE, Fate.GHOST, Fate.LAND))
             sent = Rays(found.position[on], found.direction[on])
         own = entering(one, "surfaces", sent)
-        plans.append(_planned(probe_rays.situation_of_scene(scene, one.window, number, own), wishes, spec.rung, exact))
+        plans.append(
+            _planned(probe_rays.situation_of_scene(scene, one.window, number, own), wishes, spec.rung, exact)
+        )
     return tuple(plans)
 
 

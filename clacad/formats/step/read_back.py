@@ -153,7 +153,9 @@ def _occ_facts(
     many = [len(piece.placements) for piece in several]
     faces = sum(len(piece.faces) * k for piece, k in zip(several, many, strict=True))
     if not faces:
-        raise UnreadableFile(f"{os.fspath(path)}: the CAD kernel finds no face in it{'' if place is None else ' where the sheet should stand'}; the file is damaged")
+        raise UnreadableFile(
+            f"{os.fspath(path)}: the CAD kernel finds no face in it{'' if place is None else ' where the sheet should stand'}; the file is damaged"
+        )
     engraved = 0.0 if window is None else engraved_in(several, window)
     measured = engraved_volume if engraved else volume
     tolerance = ShapeAnalysis_ShapeTolerance()

@@ -160,7 +160,13 @@ def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, pat
         part.presentation([style for sheet, _ in made.values() for style in sheet.styles])
         part.close()
     sheets = [
-        {"name": title, "z": z, "mode": made[id(window)][1], "pcurves": pcurves, **_total(made[id(window)][0].bodies)}
+        {
+            "name": title,
+            "z": z,
+            "mode": made[id(window)][1],
+            "pcurves": pcurves,
+            **_total(made[id(window)][0].bodies),
+        }
         for title, window, z in placed
     ]
     bodies = [body for _, window, _ in placed for body in made[id(window)][0].bodies]

@@ -90,7 +90,9 @@ class FaceTracer:
             2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
         ]
         up = np.array([0.0, 0.0, self.z])
-        function, more = (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (raised(self.window, self.z / scale), numbers))
+        function, more = (
+            (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (raised(self.window, self.z / scale), numbers))
+        )
         found = self.worker.run(
             function, self.path, state.position[live] * scale + up, state.direction[live], [body.index for body in bodies],
             (low * scale).tolist(), (high * scale).tolist(), *more, timeout=SECONDS,
@@ -121,7 +123,9 @@ def raised(window: Window, z: float) -> Window:
 
     if z == 0.0:
         return window
-    return replace(window, bodies=tuple(replace(b, front=up(b.front), back=up(b.back)) for b in window.bodies))
+    return replace(
+        window, bodies=tuple(replace(b, front=up(b.front), back=up(b.back)) for b in window.bodies)
+    )
 
 
 def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
