@@ -146,7 +146,7 @@ def _dry(standing: Stack, asked: StackRequest, words: StackWords, *, json: bool,
     from clacad.base.units import millimetres
     from clacad.cli.tables import forecast_text
     from clacad.stacking.assembly import sheet_facts
-    from clacad.stacking.make_stack import in_all, refuse, rows
+    from clacad.stacking.stack_cost import in_all, refuse, rows
     from clacad.storage.atomic import require_folder
 
     if words.out is not None:
@@ -206,7 +206,8 @@ def _make(
     quiet: bool,
 ) -> int:
     """Measure, write, print: the share of light first."""
-    from clacad.stacking.make_stack import TASK, in_all, light_seconds, stack
+    from clacad.stacking.make_stack import stack
+    from clacad.stacking.stack_cost import TASK, in_all, light_seconds
 
     progress = Progress(quiet=quiet)
     try:

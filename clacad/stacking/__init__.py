@@ -7,8 +7,9 @@ one after the other (`Law.then`), else the air between them is what makes it a s
 
 from __future__ import annotations
 
-from clacad.stacking.make_stack import Stacked, StackRequest, stack
+from clacad.stacking.make_stack import Stacked, stack
 from clacad.stacking.stack_image import StackImage
 from clacad.stacking.stack_light import Meridian, StackLight
+from clacad.stacking.stack_request import StackRequest
 
 __all__ = ["Meridian", "StackImage", "StackLight", "StackRequest", "Stacked", "stack"]

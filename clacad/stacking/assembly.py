@@ -29,9 +29,6 @@ from clacad.storage.worker import Worker
 if TYPE_CHECKING:
     from clacad.sheet.volume_and_extent import Integral
 
-FORMATS = ("step", "glb")
-"""What a stack is written as: formats that know assemblies."""
-
 NAME = "stack"
 """First part of the files' names."""
 

@@ -7,20 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from clacad.base.machine_rates import Rates, Span, total
 from clacad.base.types import Progress, Rung, silent
 from clacad.base.units import millimetres
-from clacad.exporting.forecast import Forecast, forecast
-from clacad.exporting.limits import refuse_over_limits, refuse_uncountable, worker_memory
+from clacad.exporting.limits import refuse_uncountable, worker_memory
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
-from clacad.exporting.request import Request
-from clacad.exporting.tessellations import Meshes
 from clacad.sheet.stack import BadStack, Stack, stacked
-from clacad.stacking.assembly import FORMATS, NAME, Assembly, sheet_facts
+from clacad.stacking.assembly import NAME, Assembly, sheet_facts
+from clacad.stacking.stack_cost import refuse
 from clacad.stacking.stack_image import StackImage, measure_image
 from clacad.stacking.stack_light import StackLight, measure_light
+from clacad.stacking.stack_request import FORMATS, StackRequest
 from clacad.storage.atomic import MANIFEST, Stage, canonical_json, file_hash, require_folder
 from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
@@ -33,57 +31,6 @@ if TYPE_CHECKING:
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 """Rungs on which the light of a stack is measured; facets are asked for, since they take longer than all of these."""
-
-QUADS = 8
-"""Facets along a cell side of a GLB file, which is for looking at."""
-
-RAY_SECONDS, FIXED_SECONDS = 1.6e-6, 0.4
-"""Processor seconds of a ray through a sheet on all rungs, and of the rest, on the reference machine."""
-
-TASK = "stack light"
-"""Name under which the time of the light is noted."""
-
-
-@dataclass(frozen=True, eq=False)
-class StackRequest:
-    """What is asked of a stack.
-
-    Parameters
-    ----------
-    gaps : tuple of float
-        Clear distances between neighbours, in the unit of the first design; one for all, or one for each.
-    formats : tuple of "step" and "glb"
-    field : float or None, radians
-        Slopes of the light reach to its tangent; None: check.field of the first design.
-    object_distance : float or None
-        Of the point that is imaged, before array 1 of the first sheet, in the unit of the first design; None: its
-        check.object, else ten times its separation.
-    rays : int
-    cells : (a, b) or None
-        Write and measure so many cells of every sheet.
-    quads : int
-        Facets along a cell side, of GLB.
-    step : "auto", "fused" or "instanced"
-    overwrite, force : bool
-        Replace files of another origin; pass the limits of size.
-    mesh_light : bool
-        Trace rung mesh, too, of so many `quads`.
-    ids : tuple of str or None
-        Names of the sheets; None: a, b, c, …
-    """
-
-    gaps: tuple[float, ...]
-    formats: tuple[str, ...] = FORMATS
-    field: float | None = None
-    object_distance: float | None = None
-    rays: int = 65536
-    cells: tuple[int, int] | None = None
-    quads: int = QUADS
-    step: Literal["auto", "fused", "instanced"] = "auto"
-    overwrite: bool = False
-    force: bool = False
-    mesh_light: bool = False
-    ids: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,56 +178,6 @@ def measured(
     if asked.mesh_light:
         tracers.append(StackTracer(standing, "mesh", asked.quads, path="size"))
     return measure_light(tracers, asked.rays, field, report), image
-
-
-def rows(standing: Stack, asked: StackRequest) -> list[Forecast]:
-    """What the files would cost: one row a format, of all sheets that differ together."""
-    found: dict[str, list[Forecast]] = {name: [] for name in asked.formats}
-    wanted = Request(formats=asked.formats, step=asked.step)
-    for window in {id(one.window): one.window for one in standing.sheets}.values():
-        meshes = Meshes(window)
-        for row in forecast(meshes, asked.formats, asked.quads, wanted):
-            found[row.format].append(row)
-    return [_together(several) for several in found.values() if several]
-
-
-def _together(several: Sequence[Forecast]) -> Forecast:
-    """One row for the parts of one file."""
-    first = several[0]
-
-    def added(name: str) -> int | None:
-        values = [getattr(row, name) for row in several]
-        return None if None in values else sum(values)
-
-    return Forecast(
-        first.format, sum(row.bytes for row in several), False, added("facets"), first.quads,
-        sum(row.modelled for row in several), (sum(r.memory[0] for r in several), sum(r.memory[1] for r in several)),
-        (sum(r.seconds[0] for r in several), sum(r.seconds[1] for r in several)), added("stored"),
-        sum(row.places for row in several),
-    )  # fmt: skip
-
-
-def light_seconds(sheets: int, asked: StackRequest) -> float:
-    """Processor seconds of the light on the reference machine."""
-    return FIXED_SECONDS + RAY_SECONDS * asked.rays * sheets
-
-
-def in_all(standing: Stack, asked: StackRequest) -> Span:
-    """Processor seconds of light and files on this machine."""
-    rates = Rates.here()
-    files = [Span(*row.seconds) for row in rows(standing, asked)]
-    return total([rates.span(TASK, light_seconds(len(standing.sheets), asked)), *files])
-
-
-def refuse(standing: Stack, asked: StackRequest, folder: Path) -> None:
-    """Refuse files beyond the limits of size.
-
-    Raises
-    ------
-    LimitRefused
-    """
-    if not asked.force:
-        refuse_over_limits(standing.sheets[0].window, rows(standing, asked), folder)
 
 
 def _written(found: Stacked, asked: StackRequest, out: Path, report: Progress) -> Stacked:
