@@ -65,6 +65,9 @@ _HOME = {
     "optimise": "clacad.optimising",
     "explore": "clacad.explorer",
     "image": "clacad.imaging",
+    "stack": "clacad.stacking",
+    "Stack": "clacad.sheet.stack",
+    "trace_stack": "clacad.tracing.through_stack",
 }
 
 __all__ = sorted(_HOME)

@@ -31,6 +31,7 @@ ROOMS = [
     "imaging",  # where light of a point meets behind a sheet, and tables that send light into a pattern
     "exporting",
     "verification",
+    "stacking",  # sheets behind one another
     "advice",  # what verify will say, and which keys would change it
     "optimising",  # a search needs the walls that checks judge by
     "rendering",

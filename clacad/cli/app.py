@@ -168,6 +168,58 @@ def export(
 
 
 @app.command()
+def stack(
+    designs: Annotated[list[Path], typer.Argument(metavar="DESIGN...", help="Design files, in the order light meets them; the "
+                                                  "same one may be given twice. Sheets are called a, b, c ... Or one "
+                                                  "scene file with [[sheet]]s.",
+                                                  show_default=False)],
+    gap: Annotated[str, typer.Option("--gap", metavar="L,M", help="Clear distance between neighbours, e.g. '100 mm'; one for "
+                                     "all, or one for each gap.")] = "",
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Write stack.step, stack.glb, stack.json and "
+                                             "manifest.json here; without it, only measure.")] = None,
+    files: Annotated[Path | None, typer.Option("--files", metavar="DIR|FILE", help="Judge what was written of this stack: each "
+                                               "sheet as its own master, and light through all.")] = None,
+    formats: Annotated[str, typer.Option("--format", metavar="F,G", help="step, glb.")] = "step,glb",
+    field: Annotated[str | None, typer.Option("--field", metavar="E", help="Slopes of the light, either way in x and y, e.g. "
+                                              "'20 mrad'; default check.field of the first design.")] = None,
+    object_distance: Annotated[str | None, typer.Option("--object", metavar="L", help="Distance before the stack of the point "
+                                                        "that is imaged; default check.object of the first design, or ten "
+                                                        "separations.")] = None,
+    rays: Annotated[int, typer.Option("--rays", min=64, max=100_000_000, help="Rays through the stack on each rung.")] = 65536,
+    cells: Cells = None,
+    quads: Annotated[int, typer.Option("--quads", min=1, max=1024, help="Facets along a cell side of GLB, and of --mesh.")] = 8,
+    step: Annotated[str, declared("step")] = DEFAULTS.step,
+    mesh: Annotated[bool, typer.Option("--mesh", help="Trace rung mesh, too.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
+    overwrite: Overwrite = DEFAULTS.overwrite,
+    force: Annotated[bool, declared("force")] = DEFAULTS.force,
+    set: Annotated[list[str] | None, typer.Option("--set", metavar="[ID.]KEY=VALUE", help='Override one value of a sheet, e.g. '
+                                                  '--set "b.law.eta=[5, 5]", or of all. Repeatable.')] = None,
+    json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Sheets behind one another: the share of light through all, how space behaves, one assembly."""
+    from clacad.cli.stack_command import StackWords, stack_designs
+
+    words = StackWords(
+        out,
+        files,
+        gap,
+        formats,
+        field,
+        object_distance,
+        rays,
+        cells,
+        quads,
+        step,
+        mesh,
+        dry_run,
+        overwrite,
+        force,
+    )
+    return stack_designs(designs, set or [], words, json=json, quiet=quiet)
+
+
+@app.command()
 def verify(
     design: Design,
     files: Annotated[Path | None, typer.Option("--files", metavar="DIR|FILE", help="What was written, or a file that "

@@ -37,9 +37,12 @@ def show_effects(
     from clacad.exporting.limits import refuse_uncountable
 
     target = load_target(path, overrides)
-    refuse_uncountable(target if isinstance(target, Design) else target.design())
+    for design in (target,) if isinstance(target, Design) else target.designs():
+        refuse_uncountable(design)
     from clacad.effects import plan_effects
 
+    if not isinstance(target, Design) and len(target.sheets) > 1:
+        return _show_sheets(target, exact=exact, force=force, without=without, json=json, quiet=quiet)
     try:
         plan = plan_effects(target, exact=exact, force=force, without=without)
     except ValueError as error:
@@ -48,6 +51,27 @@ def show_effects(
         show_json(plan.to_dict())
     else:
         show_text(plan_text(plan), quiet=quiet)
+    return 0
+
+
+def _show_sheets(
+    scene: Scene, *, exact: bool, force: list[str], without: list[str], json: bool, quiet: bool
+) -> int:
+    """Print the plan of each of several sheets, by its id."""
+    from clacad.effects import plan_sheets
+    from clacad.rendering.sheet_passage import stack_of
+
+    still = scene.at(0) if scene.animation is not None else scene
+    stack = stack_of(still)
+    try:
+        plans = plan_sheets(still, stack, exact=exact, force=force, without=without)
+    except ValueError as error:
+        raise NoPlan(str(error)) from error
+    named = list(zip((one.id for one in stack.sheets), plans, strict=True))
+    if json:
+        show_json({"sheets": [{"id": name, **plan.to_dict()} for name, plan in named]})
+    else:
+        show_text("\n\n".join(f"sheet {name}\n{plan_text(plan)}" for name, plan in named), quiet=quiet)
     return 0
 
 

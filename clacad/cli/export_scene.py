@@ -23,8 +23,14 @@ def export_scene(
     from clacad.scene import load_scene
     from clacad.sheet.need_window import equal_cells
     from clacad.storage.atomic import Stage, safe_name
+    from clacad.storage.errors import NotPossible
 
     scene = load_scene(path, tuple(overrides))
+    if len(scene.sheets) > 1:
+        raise NotPossible(
+            f"{path}: POV-Ray scenes hold one sheet, and this one has {len(scene.sheets)}; `clacad stack` writes their assembly, "
+            "`clacad render` their picture"
+        )
     still = scene.at(0) if scene.animation is not None else scene
     with Stage(out, overwrite=overwrite) as stage:
         name = f"{safe_name(still.name)}.pov"

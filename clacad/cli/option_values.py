@@ -89,3 +89,22 @@ def parse_length(text: str | None, design: Design) -> float:
     if not (value > 0.0 and isfinite(value)):
         raise BadOption(f"--saddle-bevel {text}: it is a length above 0, such as '5 um'")
     return value
+
+
+def parse_design_length(option: str, text: str, design: Design) -> float:
+    """Read a length from 0 on such as "5 um" in the design's unit; a bare number is in that unit."""
+    from clacad.base.units import design_unit
+    from clacad.config.quantities import Quantity
+    from clacad.config.value_kinds import Refusal
+
+    unit = design_unit(design.unit)
+    assert unit is not None  # the design was read
+    kind = Quantity("length", "a length >= 0", least=0.0)
+    try:
+        value: object = float(text)
+    except ValueError:
+        value = text.strip()
+    try:
+        return kind.read(value, unit)
+    except Refusal as refusal:
+        raise BadOption(f"{option} {text.strip()}: {refusal.complaint}; {refusal.allowed}") from None

@@ -19,7 +19,7 @@ Exit status: 0 all checks passed; 1 a check failed or did not run; 2 bad input; 
 Example: clacad export designs/paper-a-covered.toml -o exports/paper --format step,3mf,stl --cells 10x10"""
 
 GROUPS = {
-    "make": ("new", "check", "optimise", "shape", "export", "schema"),
+    "make": ("new", "check", "optimise", "shape", "export", "stack", "schema"),
     "look": ("trace", "image", "render", "explore", "atlas", "effects"),
     "judge": ("verify", "accuracy", "sweep", "tolerance"),
     "help": ("explain", "doctor"),

@@ -86,7 +86,9 @@ def _adjusted(scene: Scene, request: RenderRequest) -> Scene:
         if value is not None:
             changes[f"camera.{key}"] = value
     if request.rung is not None:
-        changes["sheet.rung"] = request.rung
+        several = len(scene.sheets) > 1 or scene.sheet.id
+        homes = [f"sheet.{one.id}" for one in scene.sheets] if several else ["sheet"]
+        changes |= {f"{home}.rung": request.rung for home in homes}
     made = scene.replace(changes) if changes else scene
     return made if request.target is None else _within_target(made, request.target)
 
@@ -132,11 +134,14 @@ def _told(pictures: list[Picture], files: list[Path], *, json: bool, quiet: bool
     if json:
         shown = []
         for picture, file in zip(pictures, files, strict=True):
-            plan = picture.passage.plan
+            plan, several = picture.passage.plan, picture.passage.several
             shown.append({
                 "file": str(file), "metadata": metadata_of(picture), "samples": int(picture.samples.sum()),
                 "error": float(picture.error.mean()), "plan": None if plan is None else plan.to_dict(),
             })  # fmt: skip
+            if several:
+                plans = ((one.sheet.id, one.passage.plan) for one in several)
+                shown[-1]["plans"] = {name: None if one is None else one.to_dict() for name, one in plans}
         show_json({"pictures": shown})
         return
     for picture, file in zip(pictures, files, strict=True):

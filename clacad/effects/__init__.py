@@ -18,6 +18,7 @@ _HOME = {
     "light_reaching_camera": "engine.camera_light",
     "Plan": "engine.plan",
     "plan_effects": "engine.plan",
+    "plan_sheets": "engine.plan",
 }
 
 __all__ = sorted(_HOME)

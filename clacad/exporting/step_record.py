@@ -15,6 +15,7 @@ from clacad.storage.errors import FileDisagrees
 
 if TYPE_CHECKING:
     from clacad.exporting.format_table import Job
+    from clacad.formats.step.sheet_of_many import SheetPlace
     from clacad.formats.step.step_files import Schema
     from clacad.formats.step.step_mode import Mode
 
@@ -87,11 +88,11 @@ def write(
     return write_step(window, path, mode, schema, pcurves)
 
 
-def read(path: str, window: Window) -> dict[str, Any]:
-    """Read in the worker, with OCC where the file is of a size it can take."""
+def read(path: str, window: Window, place: SheetPlace | None = None) -> dict[str, Any]:
+    """Read in the worker, with OCC where the file is of a size it can take; `place`: one sheet of several in it."""
     from clacad.formats.step.read_back import read_brep, read_step
 
-    return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window)
+    return read_brep(path, window) if path.lower().endswith(".brep") else read_step(path, window, place=place)
 
 
 def compare_step(written: dict[str, Any], found: dict[str, Any], window: Window, exact: Integral | None, name: str

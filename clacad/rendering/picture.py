@@ -138,7 +138,8 @@ def checked_frames(scene: Scene) -> list[Scene]:
     for frame in range(scene.animation.frames):
         try:
             still = scene.at(frame)
-            equal_cells(prescribe(still.design()), "a picture through the sheet")
+            for design in still.designs():
+                equal_cells(prescribe(design), "a picture through the sheet")
             stills.append(still)
         except DesignError as error:
             mistakes += [mistake for mistake in error.mistakes if mistake not in mistakes]

@@ -114,7 +114,8 @@ def _patch(view: View, side: int, at: tuple[float, float]) -> Ints:
 
 def task(scene: Scene) -> str:
     """Name under which such a picture is noted: rung, effects and path decide what a ray costs."""
-    return f"render {scene.sheet.rung} {scene.effects.mode} {_path(scene)}"
+    rungs = "+".join(one.rung for one in scene.sheets)
+    return f"render {rungs} {scene.effects.mode} {_path(scene)}"
 
 
 ATLAS = "atlas"

@@ -11,6 +11,8 @@ import numpy as np
 
 from clacad.base.types import Bytes, Floats
 from clacad.rendering.picture import Picture
+from clacad.rendering.sheet_passage import Passage
+from clacad.scene import Scene
 from clacad.storage.atomic import write_file
 
 STILLS = (".png", ".webp", ".tiff", ".tif")
@@ -38,25 +40,42 @@ def encode(light: Floats, exposure: float = 1.0, encoding: str = "srgb") -> Byte
 
 def metadata_of(picture: Picture) -> dict[str, str]:
     """What a picture's metadata say, by key."""
-    scene, passage = picture.scene, picture.passage
+    scene = picture.scene
     found = {
         "Title": scene.name,
         "Software": _version(),
-        "clacad:design": f"{scene.design().name} sha256 {scene.design().sha256}",
-        "clacad:rung": passage.rung if passage.plan is None else f"{passage.rung} ({passage.plan.rung_why})",
-        "clacad:effects": _effect_text(picture),
+        "clacad:design": _of_sheets(scene, [f"{one.name} sha256 {one.sha256}" for one in scene.designs()]),
+        "clacad:rung": _of_sheets(scene, [_rung_text(one) for one in _passages(picture)]),
+        "clacad:effects": _of_sheets(scene, [_effect_text(one) for one in _passages(picture)]),
         "clacad:samples": f"{int(picture.samples.min())} to {int(picture.samples.max())} rays a pixel",
         "clacad:encoding": scene.camera.encoding,
         "clacad:handedness": MIRRORED if scene.camera.mirror else "as seen by a camera before the part",
-        "clacad:left-out": NOT_SIMULATED,
+        "clacad:left-out": NOT_SIMULATED
+        if len(scene.sheets) == 1
+        else f"light sent back and forth between sheets, {NOT_SIMULATED}",
     }
     blocks = [f"{name} in blocks of {side} x {side} pixels" for name, side in picture.blockwise]
     return {**found, "clacad:coarse": ", ".join(blocks)} if blocks else found
 
 
-def _effect_text(picture: Picture) -> str:
-    plan = picture.passage.plan
-    return "none" if plan is None else plan.summary()
+def _passages(picture: Picture) -> list[Passage]:
+    """How rays pass each sheet."""
+    return [one.passage for one in picture.passage.several] or [picture.passage]
+
+
+def _of_sheets(scene: Scene, said: list[str]) -> str:
+    """What is said of each sheet, by its id where there are several; the first's alone where nothing is said of others."""
+    if len(scene.sheets) == 1 or len(said) == 1:
+        return said[0]
+    return "; ".join(f"{sheet.id}: {text}" for sheet, text in zip(scene.sheets, said, strict=True))
+
+
+def _rung_text(passage: Passage) -> str:
+    return passage.rung if passage.plan is None else f"{passage.rung} ({passage.plan.rung_why})"
+
+
+def _effect_text(passage: Passage) -> str:
+    return "none" if passage.plan is None else passage.plan.summary()
 
 
 def _version() -> str:

@@ -40,6 +40,10 @@ def within_target(scene: Scene, target: float) -> Scene:
     TargetOutOfReach
         The scene's rung, or its mesh file, is off by more; the message says by how much and what is not.
     """
+    if len(scene.sheets) > 1:
+        raise TargetOutOfReach(
+            "a target chooses how rays pass one sheet, and the scene has several: give each its own rung, [[sheet]] rung"
+        )
     chosen = scene.replace({"effects.angle": f"{1e3 * target!r} mrad"})
     rung = chosen.sheet.rung
     if rung in ("auto", "surfaces"):

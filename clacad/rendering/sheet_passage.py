@@ -1,17 +1,23 @@
-"""How rays of a scene pass the sheet: the rung and the effects, as planned once for the whole picture."""
+"""How rays of a scene pass the sheet: the rung and the effects, as planned once for the whole picture.
+
+Of several sheets each has its own rung and effects, and light goes from one to the next: light that a sheet splits goes on
+as so many rays, light that it sends back is not met by the sheets before it again.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Rung
+from clacad.base.types import Bools, Floats, Rung
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.scene import Scene
+from clacad.scene import Scene, SheetSpec
+from clacad.sheet.stack import Stack, StackedSheet, standing
 from clacad.sheet.window import Window
+from clacad.tracing.through_stack import entering, leaving
 from clacad.tracing.trace import trace
 
 if TYPE_CHECKING:
@@ -50,16 +56,21 @@ class Passage:
         The effects; None for geometry alone.
     mesh : Mesh, str or None
         Rung mesh: the triangles.
+    several : tuple of StackedPassage
+        All sheets, where there are more than one; the rest says how rays pass the first.
     """
 
     rung: Rung
     shining: tuple[int, ...]
     plan: Plan | None = None
     mesh: Mesh | str | None = None
+    several: tuple[StackedPassage, ...] = ()
 
     @property
     def plain(self) -> bool:
         """Whether the trace alone says all: no effect beyond the labels of geometry, and no share of a law."""
+        if self.several:
+            return all(one.passage.plain for one in self.several)
         if self.plan is None:
             return True
         names = self.plan.traced()
@@ -68,16 +79,25 @@ class Passage:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that are on."""
+        """Effects that are on, in any sheet."""
+        if self.several:
+            return tuple(dict.fromkeys(name for one in self.several for name in one.passage.names))
         return () if self.plan is None else self.plan.names
 
     @property
     def homogeneous(self) -> bool:
         """Whether the sheet is nothing but its law."""
-        return self.rung == "law" and self.plain
+        return self.rung == "law" and self.plain and not self.several
+
+    def light_of_all(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
+        """Trace a block of camera rays through every sheet; what shines, and which rays (n,) met a sheet."""
+        if self.several:
+            return through_all(self.several, rays, compiled)
+        beyond, result = self.light(window, rays, compiled)
+        return beyond, np.asarray(result.fate != Fate.MISSED)
 
     def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
-        """Trace a block of camera rays, on this thread alone, and give what shines."""
+        """Trace a block of rays through one sheet, in its frame, on this thread alone, and give what shines."""
         path: Literal["numpy", "numba"] = "numba" if compiled else "numpy"
         options: dict[str, Any] = {} if self.mesh is None else {"mesh": self.mesh}
         if self.plain or self.plan is None:
@@ -88,24 +108,126 @@ class Passage:
         return Beyond(light.parent, light.position, light.direction, light.flux), result
 
 
+@dataclass(frozen=True, eq=False)
+class StackedPassage:
+    """How rays pass one of several sheets.
+
+    Attributes
+    ----------
+    sheet : StackedSheet
+    passage : Passage
+    opaque : bool
+        Whether light that misses it is stopped.
+    """
+
+    sheet: StackedSheet
+    passage: Passage
+    opaque: bool
+
+
+def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
+    """Trace camera rays through sheets behind one another; what shines, and which rays (n,) met any of them.
+
+    Frame and unit are those of the first sheet.
+    """
+    many = len(rays)
+    way = rays.direction / np.linalg.norm(rays.direction, axis=1)[:, None]
+    light = Beyond(np.arange(many), rays.position, way, np.ones(many))
+    met = np.zeros(many, dtype=bool)
+    for number, one in enumerate(several):
+        ahead = light.direction[:, 2] > 0.0
+        rows = np.flatnonzero(ahead)
+        parent = light.parent[rows]
+        waves = None if rays.wavelength is None else rays.wavelength[parent]
+        rung = one.passage.rung
+        sent = entering(one.sheet, rung, Rays(light.position[rows], light.direction[rows], waves))
+        beyond, result = one.passage.light(one.sheet.window, sent, compiled)
+        missed = result.fate == Fate.MISSED
+        met[parent[~missed]] = True
+        if one.opaque and number:  # beside the first it is the caller who shows nothing
+            met[parent] = True
+        passed = Beyond(
+            parent[beyond.parent], leaving(one.sheet, rung, beyond.position), beyond.direction,
+            light.flux[rows[beyond.parent]] * beyond.flux,
+        )  # fmt: skip
+        past = ~ahead
+        past[rows[missed]] = not one.opaque
+        light = _joined(light, past, passed)
+    shining = met[light.parent]
+    return Beyond(
+        *(getattr(light, name)[shining] for name in ("parent", "position", "direction", "flux"))
+    ), met
+
+
+def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:
+    """The rays of a list that are kept, and those of another one."""
+    names = ("parent", "position", "direction", "flux")
+    return Beyond(*(np.concatenate([getattr(light, name)[kept], getattr(more, name)]) for name in names))
+
+
+def stack_of(scene: Scene) -> Stack:
+    """The sheets of a still scene with where they stand, in the first one's frame and unit.
+
+    Raises
+    ------
+    SceneError, DesignError
+        A design that cannot be read or made.
+    BadStack
+        Sheets overlap.
+    """
+    from clacad.prescription.prescribe import prescribe
+
+    made: dict[str, Window] = {}
+    windows = []
+    for design in scene.designs():
+        if design.sha256 not in made:
+            made[design.sha256] = prescribe(design)
+        windows.append(made[design.sha256])
+    unit = windows[0].unit
+    sheets = [
+        StackedSheet(spec.id, window, spec.z * (scene.unit_m / unit), window.unit / unit)
+        for spec, window in zip(scene.sheets, windows, strict=True)
+    ]
+    return in_scene(sheets, unit, scene)
+
+
+def in_scene(sheets: list[StackedSheet], unit: float, scene: Scene) -> Stack:
+    """Sheets as a stack; where they overlap the message is in the scene's unit."""
+    scale = unit / scene.unit_m
+    told = [replace(one, z=one.z * scale, scale=one.scale * scale) for one in sheets]
+    standing(told, scene.unit_m, scene.unit)
+    return Stack(tuple(sheets), unit)
+
+
 def plan_passage(scene: Scene, window: Window) -> Passage:
-    """Choose rung and effects of a still scene.
+    """Choose rung and effects of a still scene, of several sheets for each.
 
     Raises
     ------
     ValueError
-        An unknown effect.
+        An unknown effect, or sheets that overlap.
     """
     from clacad.effects import plan_effects
 
-    plan = plan_effects(scene)
+    if len(scene.sheets) == 1:
+        return _passage(scene, scene.sheet, plan_effects(scene), window)
+    from clacad.effects import plan_sheets
+
+    stack = stack_of(scene)
+    several = tuple(
+        StackedPassage(one, _passage(scene, spec, plan, one.window), spec.surround == "opaque")
+        for one, spec, plan in zip(stack.sheets, scene.sheets, plan_sheets(scene, stack), strict=True)
+    )
+    return replace(several[0].passage, several=several)
+
+
+def _passage(scene: Scene, sheet: SheetSpec, plan: Plan, window: Window) -> Passage:
+    """How rays pass one sheet, as planned."""
     mesh: Mesh | str | None = None
     if plan.rung == "mesh":
         from clacad.mesh import tessellate
 
-        mesh = (
-            scene.file(scene.sheet.mesh) if scene.sheet.mesh else tessellate(window, quads=scene.sheet.quads)
-        )
+        mesh = scene.file(sheet.mesh) if sheet.mesh else tessellate(window, quads=sheet.quads)
     ghosts = (int(Fate.GHOST),) if "ghosts" in plan.names else ()
     return Passage(cast(Rung, plan.rung), (int(Fate.ALIVE), int(Fate.LAND), *ghosts), plan, mesh)
 

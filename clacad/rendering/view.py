@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats
-from clacad.optics.rays import Fate, Rays
+from clacad.optics.rays import Rays
 from clacad.rendering.reference.scene_hits import background, look
-from clacad.rendering.scene_arrays import FLOOR, SceneArrays, set_stage
+from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
 from clacad.rendering.spectrum import SpectralLine, lines
 from clacad.scene import Camera, Scene
+from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
 
 
@@ -89,22 +90,57 @@ def set_up(
     planned = plan_passage(scene, window) if passage is None else passage
     scale = scene.unit_m / window.unit
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
-    box = sheet_box(window) / scale
+    box = _box_of_all(planned, window) / scale
     colours = lines(scene.light, window, "dispersion" in planned.names)
     opaque, before = (
         sheet and scene.sheet.surround == "opaque",
         may_stand_before(stage, front, scene.camera, box),
     )
     made = pane = None
+    if planned.several:
+        _refuse_between(stage, planned, scale)
     if compiled:
         from clacad.rendering.compiled.scene_tables import tables
         from clacad.rendering.pixel_input import pane_of
 
         made = tables(stage)
-        pane = pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
+        pane = (
+            None
+            if planned.several
+            else pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
+        )
     return Viewing(
         stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, pane
     )
+
+
+def _box_of_all(passage: Passage, window: Window) -> Floats:
+    """Box round every sheet, lengths of the first window."""
+    boxes = [
+        sheet_box(one.sheet.window) * one.sheet.scale + [0.0, 0.0, one.sheet.z] for one in passage.several
+    ] or [sheet_box(window)]
+    low, high = np.array(boxes).min(axis=0)[0], np.array(boxes).max(axis=0)[1]
+    return np.array([low, high])
+
+
+def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
+    """Refuse objects that reach between sheets: light on its way from one to the next is not held against objects.
+
+    Raises
+    ------
+    BadStack
+    """
+    low = passage.several[0].sheet.span[1] / scale
+    high = passage.several[-1].sheet.span[0] / scale
+    for kind, (x, y, z, radius), turn, size in zip(
+        stage.kind, stage.bound, stage.rotation, stage.size, strict=True
+    ):
+        reach = np.abs(turn[2]) @ size[:3] if kind in (BOX, SCREEN) else radius
+        if kind != FLOOR and z - reach < high and z + reach > low:
+            raise BadStack(
+                f"an object at ({x:.4g}, {y:.4g}, {z:.4g}) reaches between the sheets, into z from {low:.6g} to {high:.6g}: "
+                "objects stand before all sheets or behind all of them"
+            )
 
 
 def sheet_box(window: Window) -> Floats:
@@ -149,10 +185,10 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     if len(rows) and viewing.present:
         start = position[rows] * viewing.scale
         waves = None if wavelength is None else np.full(len(rows), wavelength)
-        beyond, result = viewing.passage.light(
+        beyond, met = viewing.passage.light_of_all(
             viewing.window, Rays(start, direction[rows], waves), viewing.compiled
         )
-        beside[rows] = result.fate == Fate.MISSED
+        beside[rows] = ~met
         light[rows] = _through(viewing, position[rows], direction[rows], beyond, ~beside[rows])
     rows = np.flatnonzero(beside)
     if len(rows) and not viewing.opaque:

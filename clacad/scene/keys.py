@@ -142,6 +142,13 @@ SHEET: Final[dict[str, Key]] = {
     "quads": Key(Whole("a whole number from 1 to 256", 1, 256), "rung mesh without a file: quads a cell side", 16),
     "surround": Key(Word(("see-through", "opaque")), "what is seen beside the sheet", "see-through"),
 }  # fmt: skip
+STACKED: Final[dict[str, Key]] = {
+    "id": Key(Text("a name of letters, digits, - and _, beginning with a letter", 60, pattern="[A-Za-z][A-Za-z0-9_-]*"),
+              "name of the sheet, for animation, --set, plan and forecast", REQUIRED),
+    "z": Key(_LENGTH_FROM_0, "where the sheet's own z = 0 stands; 0 for the first", 0.0),
+    **SHEET,
+}  # fmt: skip
+"""Keys of a [[sheet]], of which a scene may hold several."""
 CAMERA: Final[dict[str, Key]] = {
     "position": Key(_POINT, "where the camera stands, z < 0", REQUIRED),
     "target": Key(_POINT, "what it looks at", (0.0, 0.0, 0.0)),

@@ -39,7 +39,9 @@ class Scene:
         As written.
     unit_m : float, metres
         Length of one scene unit.
-    sheet, camera, light, background, objects, effects, animation
+    sheets : tuple of SheetSpec
+        In the order light meets them, the nearest to the camera first.
+    camera, light, background, objects, effects, animation
         The sections of the file; `animation` is None for a still.
     notes : tuple of str
     given : mapping
@@ -53,7 +55,7 @@ class Scene:
     name: str
     unit: str
     unit_m: float
-    sheet: SheetSpec
+    sheets: tuple[SheetSpec, ...]
     camera: Camera
     light: Light
     background: Background
@@ -86,19 +88,34 @@ class Scene:
         return Scene(**read_dict(data, overrides, folder))
 
     @property
+    def sheet(self) -> SheetSpec:
+        """The sheet, of several the first."""
+        return self.sheets[0]
+
+    @property
     def folder(self) -> str:
         """Folder that the scene's files are relative to."""
         return folder_of(self.path)
 
     def design(self) -> Design:
-        """Read the sheet's design with the scene's changes.
+        """Read the sheet's design with the scene's changes; of several sheets the first's.
 
         Raises
         ------
         SceneError
             With every mistake of the design file or of the changes.
         """
-        return design_of(self)
+        return design_of(self, self.sheet)
+
+    def designs(self) -> tuple[Design, ...]:
+        """Read the designs of all sheets, in the order light meets them.
+
+        Raises
+        ------
+        SceneError
+            With every mistake of the first design that has any.
+        """
+        return tuple(design_of(self, one) for one in self.sheets)
 
     def file(self, name: str) -> str:
         """Path of a file the scene names.

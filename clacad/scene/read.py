@@ -31,6 +31,9 @@ from clacad.scene.sections import (
     SheetSpec,
 )
 
+MOST_SHEETS = 26
+"""Sheets a scene may hold, as many as a stack."""
+
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
     """Read a scene file; the fields of a `Scene`, see `load_scene`."""
@@ -78,18 +81,36 @@ def put(data: Any, key: str, value: Any) -> Any:
         With a sentence, if there is no such part.
     """
     steps = key.split(".")
+    several = isinstance(data, Mapping) and isinstance(data.get("sheet"), list)
+    if steps[0] == "sheet" and several and len(steps) > 1:
+        if len(steps) == 2 or steps[1] in keys.SHEET:
+            raise LookupError(f"the scene has several sheets: say whose, sheet.<id>.{'.'.join(steps[1:])}")
+        steps[1] = _numbered(data, "sheet", steps[1])
+        if steps[2] == "set" and len(steps) > 3:
+            return override.put(data, ("sheet", int(steps[1]), "set", ".".join(steps[3:])), value)
     if steps[:2] == ["sheet", "set"] and len(steps) > 2:
         return override.put(data, ("sheet", "set", ".".join(steps[2:])), value)
     if steps[0] == "object" and len(steps) > 2:
-        objects = data.get("object") if isinstance(data, Mapping) else None
-        listed = objects if isinstance(objects, list) else []
-        names = [o.get("id") if isinstance(o, dict) else None for o in listed]
-        if steps[1] in names:
-            steps[1] = str(names.index(steps[1]))
-        elif not steps[1].isdigit():
-            known = ", ".join(str(name) for name in names if name) or "none has an id"
-            raise LookupError(f"there is no object {steps[1]}; objects: {known}")
+        steps[1] = _numbered(data, "object", steps[1])
     return override.put(data, split_key(".".join(steps)), value)
+
+
+def _numbered(data: Any, kind: str, name: str) -> str:
+    """Number, as text, of an object or sheet that is named by its id.
+
+    Raises
+    ------
+    LookupError
+    """
+    found = data.get(kind) if isinstance(data, Mapping) else None
+    listed = found if isinstance(found, list) else []
+    names = [o.get("id") if isinstance(o, dict) else None for o in listed]
+    if name in names:
+        return str(names.index(name))
+    if not name.isdigit():
+        known = ", ".join(str(name) for name in names if name) or "none has an id"
+        raise LookupError(f"there is no {kind} {name}; {kind}s: {known}")
+    return name
 
 
 def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
@@ -121,18 +142,23 @@ def _checked(
     reader = Reader(unit)
     top = {name: value for name, value in data.items() if name not in keys.SECTIONS and name != "object"}
     root = reader.table("", top, keys.ROOT)
-    parts = {name: _section(reader, data, name) for name in keys.SECTIONS}
+    several = isinstance(data.get("sheet"), list)
+    parts = {
+        name: _section(reader, data, name) for name in keys.SECTIONS if not (several and name == "sheet")
+    }
+    sheets = _sheets(reader, data["sheet"]) if several else [parts["sheet"]]
     objects = _objects(reader, data.get("object", []), "object")
     moves = _moves(reader, parts.get("animation", {}).pop("move", None), data)
     if reader.mistakes:
         return None, reader.mistakes
-    sheet = parts["sheet"]
-    sheet["set"] = _flat(sheet["set"])
+    for sheet in sheets:
+        sheet["set"] = _flat(sheet["set"])
+    in_line = sorted((SheetSpec(**sheet) for sheet in sheets), key=lambda one: one.z)
     effects = parts["effects"]
     effects["angle"] = None if effects["angle"] == "auto" else effects["angle"]
     animation = Animation(**parts["animation"], moves=moves) if "animation" in data else None
     fields = {
-        "name": root["name"], "unit": root["unit"], "unit_m": float(unit.metres), "sheet": SheetSpec(**sheet),
+        "name": root["name"], "unit": root["unit"], "unit_m": float(unit.metres), "sheets": tuple(in_line),
         "camera": Camera(**parts["camera"]), "light": Light(**parts["light"]),
         "background": Background(**parts["background"]), "objects": objects, "effects": EffectsSpec(**effects),
         "animation": animation, "notes": root["notes"], "given": data, "source": source, "path": path,
@@ -156,10 +182,32 @@ def _section(reader: Reader, data: dict[str, Any], name: str) -> dict[str, Any]:
         )
         return {}
     values = reader.table(name, table, keys.SECTIONS[name])
-    if name == "sheet" and not (table.get("set") is None or isinstance(table["set"], dict)):
-        reader.refused("sheet.set", Refusal("CL104", not_this(table["set"], "a table"), table["set"],
-                                            keys.SHEET["set"].kind.allowed(reader.unit)))  # fmt: skip
+    if name == "sheet":
+        _refuse_set(reader, table, name)
     return values
+
+
+def _refuse_set(reader: Reader, table: dict[str, Any], where: str) -> None:
+    """Changes of a sheet's design are a table."""
+    if not (table.get("set") is None or isinstance(table["set"], dict)):
+        reader.refused(f"{where}.set", Refusal("CL104", not_this(table["set"], "a table"), table["set"],
+                                               keys.SHEET["set"].kind.allowed(reader.unit)))  # fmt: skip
+
+
+def _sheets(reader: Reader, listed: list[Any]) -> list[dict[str, Any]]:
+    """Values of every [[sheet]]; those that cannot be read are left out."""
+    if not listed or not all(isinstance(one, dict) for one in listed) or len(listed) > MOST_SHEETS:
+        allowed = f"[[sheet]] for each, 1 to {MOST_SHEETS}"
+        reader.mistakes.append(Mistake("CL104", "sheet is not a list of tables", "sheet", allowed=allowed))
+        return []
+    found = []
+    for k, table in enumerate(listed):
+        before = len(reader.mistakes)
+        values = reader.table(f"sheet.{k}", table, keys.STACKED)
+        _refuse_set(reader, table, f"sheet.{k}")
+        if len(reader.mistakes) == before:
+            found.append(values)
+    return found
 
 
 def _flat(table: Mapping[str, Any] | None, prefix: str = "") -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from clacad.config.mistakes import Mistake
 from clacad.config.named_paths import folder_of, outside
+from clacad.scene.named_files import place_of
 from clacad.scene.sections import Camera, EffectsSpec, Light, SceneObject, SheetSpec
 
 
@@ -15,8 +16,8 @@ def broken(fields: Mapping[str, Any]) -> list[Mistake]:
     """Return the rules that the fields of a `Scene` break."""
     objects, folder = fields["objects"], folder_of(fields["path"])
     return [
-        *_camera(fields["camera"]), *_light(fields["light"]), *_ids(objects), *_files(fields["sheet"], objects, folder),
-        *_effects(fields["effects"]),
+        *_camera(fields["camera"]), *_light(fields["light"]), *_ids(objects), *_files(fields, folder),
+        *_effects(fields["effects"]), *_stacked(fields["sheets"], fields["light"]),
     ]  # fmt: skip
 
 
@@ -61,10 +62,31 @@ def _effects(effects: EffectsSpec) -> Iterator[Mistake]:
             yield Mistake("CL113", f'effects.{name} needs mode = "auto"', f"effects.{name}")
 
 
-def _files(sheet: SheetSpec, objects: tuple[SceneObject, ...], folder: str) -> Iterator[Mistake]:
+def _stacked(sheets: tuple[SheetSpec, ...], light: Light) -> Iterator[Mistake]:
+    """What several sheets need: names of their own, the first at z = 0, and light without polarisation."""
+    if len(sheets) == 1 and not sheets[0].id:
+        return
+    names = [one.id for one in sheets]
+    for name in dict.fromkeys(names):
+        if names.count(name) > 1:
+            yield Mistake("CL112", f"{names.count(name)} sheets have the id {name}", "sheet")
+    if sheets[0].z != 0.0:
+        yield Mistake("CL106", f"no sheet stands at z = 0: the first, {sheets[0].id}, stands at {sheets[0].z:g}", "sheet",
+                      allowed="z = 0 for the sheet nearest to the camera")  # fmt: skip
+    if len(sheets) > 1 and (light.polariser is not None or light.analyser is not None):
+        yield Mistake("CL112", "a polariser or analyser is given, and several sheets: polarisation is not followed from one "
+                      "to the next", "light", allowed="one sheet, or neither polariser nor analyser")  # fmt: skip
+
+
+def _files(fields: Mapping[str, Any], folder: str) -> Iterator[Mistake]:
     """Files that are missing from an object, have no use, or lie outside the scene's folder."""
-    named = [("sheet.design", sheet.design, 1), ("sheet.mesh", sheet.mesh, 2)]
-    for key, thing in _walk(objects, "object"):
+    named: list[tuple[str, str | None, int]] = []
+    for sheet in fields["sheets"]:
+        home = place_of(fields["given"], sheet)
+        named += [(f"{home}.design", sheet.design, 1), (f"{home}.mesh", sheet.mesh, 2)]
+        if sheet.mesh is not None and sheet.rung != "mesh":
+            yield Mistake("CL113", f'{home}.mesh needs rung = "mesh"', f"{home}.mesh")
+    for key, thing in _walk(fields["objects"], "object"):
         named.append((f"{key}.file", thing.file, 1))
         needs = thing.kind == "mesh" or (thing.kind == "screen" and thing.pattern == "image")
         if needs and thing.file is None:
@@ -77,8 +99,6 @@ def _files(sheet: SheetSpec, objects: tuple[SceneObject, ...], folder: str) -> I
             yield Mistake(
                 "CL106", f"{key}.size is out of range", f"{key}.size", allowed="height > 0, one diameter > 0"
             )
-    if sheet.mesh is not None and sheet.rung != "mesh":
-        yield Mistake("CL113", 'sheet.mesh needs rung = "mesh"', "sheet.mesh")
     for key, name, levels in named:
         why = outside(folder, name, levels, "scene") if name else ""
         if why:

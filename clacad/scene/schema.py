@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from clacad.design.keys import REQUIRED, Key
-from clacad.scene.keys import ANIMATION, KEYS_OF, MOVE, OBJECT, OPTIONAL, ROOT, SECTIONS
+from clacad.scene.keys import ANIMATION, KEYS_OF, MOVE, OBJECT, OPTIONAL, ROOT, SECTIONS, STACKED
+from clacad.scene.read import MOST_SHEETS
 
 Schema = dict[str, Any]
 
@@ -29,6 +30,14 @@ def scene_schema() -> Schema:
             }  # fmt: skip
         definitions[name] = table
         properties[name] = {"$ref": f"#/$defs/{name}"}
+    definitions["stacked_sheet"] = _table(STACKED)
+    several = {
+        "type": "array",
+        "minItems": 1,
+        "maxItems": MOST_SHEETS,
+        "items": {"$ref": "#/$defs/stacked_sheet"},
+    }
+    properties["sheet"] = {"anyOf": [properties["sheet"], several]}
     properties["object"] = {"type": "array", "items": {"$ref": "#/$defs/object"}}
     needed = _required(ROOT) + [name for name in SECTIONS if name not in OPTIONAL]
     return {

@@ -31,6 +31,10 @@ class SheetSpec:
         Quads a cell side, for rung mesh without a file.
     surround : {"see-through", "opaque"}
         What is seen beside the sheet.
+    id : str
+        Name among several; "" for the only one.
+    z : float, length
+        Where the sheet's own z = 0 stands.
     """
 
     design: str
@@ -39,6 +43,8 @@ class SheetSpec:
     mesh: str | None
     quads: int
     surround: Literal["see-through", "opaque"]
+    id: str = ""
+    z: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +213,8 @@ class Move:
     Parameters
     ----------
     key : str
-        "object.<id>.<key>[.index]", "sheet.set.<design key>[.index]" or "camera.<key>[.index]".
+        "object.<id>.<key>[.index]", "sheet.set.<design key>[.index]", of several sheets "sheet.<id>.set.<design key>[.index]"
+        or "sheet.<id>.<key>", or "camera.<key>[.index]".
     times : tuple of float
         0 … 1, rising.
     values : tuple

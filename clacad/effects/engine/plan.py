@@ -12,18 +12,21 @@ from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from clacad.base.types import Rung
 from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.cheapest_rung import choose_rung
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import FOLLOWED, NAMES, module_of
-from clacad.optics.rays import Rays, TraceResult
+from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.effects.engine.light_rays import LightRays
     from clacad.scene import Scene
+    from clacad.sheet.stack import Stack
 
 State = Literal["on", "off", "forced", "without", "unknown"]
 Mode = Literal["auto", "list", "none"]
@@ -197,8 +200,49 @@ def plan_effects(
         An unknown effect or mode, or a wavelength outside a material's data.
     """
     situation, wishes, asked = _look_at(target)
-    wishes = wishes.with_(mode, chosen, force, without)
-    situation = _within(situation, tolerance)
+    return _planned(_within(situation, tolerance), wishes.with_(mode, chosen, force, without), asked, exact)
+
+
+def plan_sheets(
+    scene: Scene, stack: Stack, *, exact: bool = False, force: Sequence[str] = (), without: Sequence[str] = ()
+) -> tuple[Plan, ...]:
+    """Choose the effects of each of the sheets of a scene, by the light that comes to it.
+
+    Parameters
+    ----------
+    scene : Scene
+        A still.
+    stack : Stack
+        Its sheets, as they stand.
+    exact, force, without
+        As of `plan_effects`, for every sheet.
+
+    Raises
+    ------
+    ValueError
+        As of `plan_effects`.
+    """
+    from clacad.effects.engine import probe_rays
+    from clacad.tracing.through_stack import StackTracer, entering
+
+    wishes = _wishes(scene).with_(None, (), force, without)
+    sent = probe_rays.camera_rays(scene, stack.sheets[0].window)
+    plans: list[Plan] = []
+    for number, (one, spec) in enumerate(zip(stack.sheets, scene.sheets, strict=True)):
+        if number:
+            before = StackTracer(replace(stack, sheets=stack.sheets[number - 1 : number]), path="size")
+            found = before(sent)
+            on = np.isin(found.fate, (Fate.ALIVE, Fate.GHOST, Fate.LAND))
+            sent = Rays(found.position[on], found.direction[on])
+        own = entering(one, "surfaces", sent)
+        plans.append(
+            _planned(probe_rays.situation_of_scene(scene, one.window, number, own), wishes, spec.rung, exact)
+        )
+    return tuple(plans)
+
+
+def _planned(situation: Situation, wishes: Wishes, asked: str, exact: bool) -> Plan:
+    """The plan for a situation, the wishes heard."""
     rung, why = choose_rung(situation, asked)
     bounds = _bounds(situation, rung, exact)
     rows = tuple(
@@ -247,9 +291,15 @@ def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wi
 
     if isinstance(target, Design):
         return probe_rays.situation_of_design(target), Wishes(), "surfaces"
-    effects = target.effects
-    wishes = Wishes(effects.mode, tuple(effects.list), tuple(effects.force), tuple(effects.without))
-    return probe_rays.situation_of_scene(target), wishes, target.sheet.rung
+    if len(target.sheets) > 1:
+        raise ValueError("the scene has several sheets: clacad.effects.plan_sheets plans each of them")
+    return probe_rays.situation_of_scene(target), _wishes(target), target.sheet.rung
+
+
+def _wishes(scene: Scene) -> Wishes:
+    """What a scene says about effects."""
+    effects = scene.effects
+    return Wishes(effects.mode, tuple(effects.list), tuple(effects.force), tuple(effects.without))
 
 
 def _within(situation: Situation, tolerance: float | tuple[float, float] | None) -> Situation:

@@ -95,12 +95,25 @@ def design_setting(design: Design) -> Setting:
     return Setting(roughness=design.body.roughness * design.unit_m, slope_rms=design.body.slope_rms)
 
 
-def situation_of_scene(scene: Scene, window: Window | None = None) -> Situation:
-    """The camera's own rays on the sheet."""
+def situation_of_scene(
+    scene: Scene, window: Window | None = None, number: int = 0, rays: Rays | None = None
+) -> Situation:
+    """The camera's own rays on the sheet.
+
+    Parameters
+    ----------
+    scene : Scene
+    window : Window or None
+        Prescribed already.
+    number : int
+        Of the sheet, where the scene has several.
+    rays : Rays or None
+        What comes to that sheet, in its frame and unit; None: what the camera sends.
+    """
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.need_window import equal_cells
 
-    design = scene.design()
+    design = scene.designs()[number]
     window = equal_cells(prescribe(design), "a plan of effects") if window is None else window
     scale = scene.unit_m / window.unit
     camera, effects = scene.camera, scene.effects
@@ -110,8 +123,8 @@ def situation_of_scene(scene: Scene, window: Window | None = None) -> Situation:
     near, far = depths(scene)
     return Situation(
         window=window,
-        setting=scene_setting(scene, design, scale),
-        rays=camera_rays(scene, window),
+        setting=replace(scene_setting(scene, design, scale), quads=scene.sheets[number].quads),
+        rays=camera_rays(scene, window) if rays is None else rays,
         angle=max(FINEST, 0.5 * pixel) if effects.angle is None else effects.angle,
         radiance=effects.radiance,
         contrast=contrast,

@@ -57,13 +57,7 @@ def write_glb(
         A value is not finite, or a piece has no normals.
     """
     binary = bytearray()
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "clacad"},
-        "extensionsUsed": ["KHR_materials_ior", "KHR_materials_transmission"],
-        "scene": 0, "scenes": [{"name": name, "nodes": [0]}],
-        "nodes": [{"name": name, "scale": [MILLIMETRE] * 3, "children": []}],
-        "meshes": [], "materials": [], "accessors": [], "bufferViews": [],
-    }  # fmt: skip
+    document = _begun(name)
     for piece in pieces:
         _add_mesh(document, binary, piece, scale)
         mesh = len(document["meshes"]) - 1
@@ -73,6 +67,70 @@ def write_glb(
             _add_nodes(document, piece, mesh, scale)
     document["buffers"] = [{"byteLength": len(binary)}]
     _write_chunks(path, document, binary)
+
+
+def write_glb_stack(placed: Sequence[PlacedPieces], path: Path, name: str) -> None:
+    """Write several sheets as one GLB file, each a node of its own that stands where it is put.
+
+    Parameters
+    ----------
+    placed : sequence of PlacedPieces
+        The meshes of a sheet that stands twice are written once.
+    path : Path
+    name : str
+
+    Raises
+    ------
+    OSError, FileDisagrees
+        As of `write_glb`.
+    """
+    binary = bytearray()
+    document = _begun(name)
+    made: dict[int, list[int]] = {}
+    for one in placed:
+        if id(one.pieces) not in made:
+            made[id(one.pieces)] = []
+            for piece in one.pieces:
+                _add_mesh(document, binary, piece, one.scale)
+                made[id(one.pieces)].append(len(document["meshes"]) - 1)
+        nodes = document["nodes"]
+        document["nodes"][0]["children"].append(len(nodes))
+        sheet = {"name": one.name, "translation": [0.0, 0.0, one.z + 0.0], "children": []}
+        nodes.append(sheet)
+        for piece, mesh in zip(one.pieces, made[id(one.pieces)], strict=True):
+            _add_nodes(document, piece, mesh, one.scale, sheet)
+    document["buffers"] = [{"byteLength": len(binary)}]
+    _write_chunks(path, document, binary)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPieces:
+    """The meshes of one sheet of several in a file.
+
+    name : str
+    pieces : sequence of Piece
+        Each with `normals`.
+    scale : float
+        Millimetres per unit of the sheet.
+    z : float, mm
+        Where the sheet's own z = 0 stands.
+    """
+
+    name: str
+    pieces: Sequence[Piece]
+    scale: float
+    z: float
+
+
+def _begun(name: str) -> dict[str, Any]:
+    """A document whose one root scales millimetres to the metres of glTF."""
+    return {
+        "asset": {"version": "2.0", "generator": "clacad"},
+        "extensionsUsed": ["KHR_materials_ior", "KHR_materials_transmission"],
+        "scene": 0, "scenes": [{"name": name, "nodes": [0]}],
+        "nodes": [{"name": name, "scale": [MILLIMETRE] * 3, "children": []}],
+        "meshes": [], "materials": [], "accessors": [], "bufferViews": [],
+    }  # fmt: skip
 
 
 def _write_chunks(path: Path, document: dict[str, Any], binary: bytearray) -> None:
@@ -158,8 +216,12 @@ def _add_instances(
     document["extensionsRequired"] = [INSTANCING]
 
 
-def _add_nodes(document: dict[str, Any], piece: Piece, mesh: int, scale: float) -> None:
-    nodes, children = document["nodes"], document["nodes"][0]["children"]
+def _add_nodes(
+    document: dict[str, Any], piece: Piece, mesh: int, scale: float, parent: dict[str, Any] | None = None
+) -> None:
+    """Append the nodes of a piece below a parent; None: the root."""
+    nodes = document["nodes"]
+    children = nodes[0]["children"] if parent is None else parent["children"]
     if piece.places is None:
         children.append(len(nodes))
         nodes.append({"name": piece.name, "mesh": mesh})

@@ -14,6 +14,7 @@ from clacad.base.reading_budgets import BUDGETS
 from clacad.formats.step.lens_placements import lens_facts
 from clacad.formats.step.occ_faces import engraved_in, holes_in, occ_lenses, sampled_lenses
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
+from clacad.formats.step.sheet_of_many import SheetPlace
 from clacad.formats.step.text_health import Scan, patch_points, scan_step
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
@@ -26,7 +27,7 @@ FEW_FACES = 2000
 
 
 def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel: bool | None = None,
-              lens_faces: int = 200, points: int = 24) -> dict[str, Any]:  # fmt: skip
+              lens_faces: int = 200, points: int = 24, place: SheetPlace | None = None) -> dict[str, Any]:  # fmt: skip
     """Read a STEP file and say what is in it.
 
     Parameters
@@ -37,6 +38,8 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
         Whether OCC reads the file too; None: up to 24 MB.
     lens_faces, points : int
         OCC's lens faces are sampled: at most so many of them, so many points on each.
+    place : SheetPlace or None
+        The window is that of one sheet of several in the file; what OCC finds, and lens faces, are of that sheet alone.
 
     Returns
     -------
@@ -55,21 +58,23 @@ def read_step(path: str | os.PathLike[str], window: Window | None = None, kernel
     """
     size = os.stat(path).st_size
     scan = scanned(path)
-    facts = {"bytes": size} | _text_facts(scan, window)
+    facts = {"bytes": size} | _text_facts(scan, window, place)
     facts["kernel"] = kernel if kernel is not None else size <= OCC_BYTES
     if facts["kernel"]:
         holds = facts["holds"]
-        facts |= _occ_facts(path, window, lens_faces, points)
+        facts |= _occ_facts(path, window, lens_faces, points, place)
         if holds["solids"] == facts["kernel_solids"]:  # the text knows the names as well
             facts["holds"] = holds
         if window is not None and (not facts["patches"] or scan.uneven):
-            facts |= {"placement": _occ_placement(path, window)}
+            facts |= {"placement": _occ_placement(path, window, place)}
     return facts
 
 
-def _occ_placement(path: str | os.PathLike[str], window: Window) -> dict[str, Any] | None:
+def _occ_placement(
+    path: str | os.PathLike[str], window: Window, place: SheetPlace | None = None
+) -> dict[str, Any] | None:
     """Where the lenses stand, as OCC finds them."""
-    several = loaded(path).pieces
+    several = loaded(path).pieces if place is None else place.of_pieces(loaded(path).pieces)
     many = sum(len(piece.faces) for piece in several)
     lenses = occ_lenses(several, 3 if many < FEW_FACES else 1)
     found = lens_facts(window, lenses, [piece.placements for piece in several])
@@ -100,7 +105,7 @@ def read_brep(path: str | os.PathLike[str], window: Window | None = None, lens_f
     return {"bytes": size, "schema": "BREP", "kernel": True} | counts | facts | placement
 
 
-def _text_facts(scan: Scan, window: Window | None) -> dict[str, Any]:
+def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = None) -> dict[str, Any]:
     """What the text says; with a window every lens patch of it, in all its placements, against that."""
     facts: dict[str, Any] = {
         "schema": scan.schema, "name": scan.name, "names": scan.names, "colours": scan.colours,
@@ -116,7 +121,8 @@ def _text_facts(scan: Scan, window: Window | None) -> dict[str, Any]:
     }  # fmt: skip
     if window is None:
         return facts
-    found = lens_facts(window, patch_points(scan), [part.placements for part in scan.parts])
+    lenses, parts = patch_points(scan), [part.placements for part in scan.parts]
+    found = lens_facts(window, lenses, parts if place is None else place.of_parts(lenses, parts))
     return facts | found | {"uneven": scan.uneven}
 
 
@@ -134,20 +140,22 @@ def _held(
 
 
 def _occ_facts(
-    path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int
-) -> dict[str, Any]:
+    path: str | os.PathLike[str], window: Window | None, lens_faces: int, points: int,
+    place: SheetPlace | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """What OCC finds in a file; with a window its sampled lens faces against that. Lengths in mm."""
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
     from clacad.solid.occ_writer import engraved_volume, is_valid, surface_area, volume
 
-    found = loaded(path)
-    several = found.pieces
+    several = loaded(path).pieces if place is None else place.of_pieces(loaded(path).pieces)
     solids = [piece for piece in several if piece.solid]
     many = [len(piece.placements) for piece in several]
     faces = sum(len(piece.faces) * k for piece, k in zip(several, many, strict=True))
     if not faces:
-        raise UnreadableFile(f"{os.fspath(path)}: the CAD kernel finds no face in it; the file is damaged")
+        raise UnreadableFile(
+            f"{os.fspath(path)}: the CAD kernel finds no face in it{'' if place is None else ' where the sheet should stand'}; the file is damaged"
+        )
     engraved = 0.0 if window is None else engraved_in(several, window)
     measured = engraved_volume if engraved else volume
     tolerance = ShapeAnalysis_ShapeTolerance()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -32,7 +32,7 @@ from clacad.solid.describe_body import (
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.tiling_borders import Layer
 
-__all__ = ["StepBodyFacts", "read_step", "step_text_length", "write_step"]
+__all__ = ["StepBodyFacts", "read_step", "step_text_length", "write_step", "write_step_stack"]
 
 Schema = Literal["AP242", "AP214"]
 Part = tuple[int, int]
@@ -114,9 +114,74 @@ def _write(
 ) -> dict[str, Any]:
     pitch = min(window.lattice.pitch) * millimetres(window.unit)
     part = Part21(stream, schema, window.name, PROGRAM, pitch)
-    bodies = (_write_fused if mode == "fused" else _write_instanced)(window, part, pcurves, merge)
+    sheet = _SHEET[mode](window, part, pcurves, merge)
+    part.presentation(sheet.styles)
     part.close()
-    return {"merge": merge, **_total(bodies)}
+    return {"merge": merge, **_total(sheet.bodies)}
+
+
+def write_step_stack(placed: Sequence[tuple[str, Window, float]], name: str, path: str | os.PathLike[str],
+                     mode: Mode = "auto", schema: Schema = "AP242", pcurves: bool = True, merge: float = MERGE
+                     ) -> dict[str, Any]:  # fmt: skip
+    """Write several windows as one assembly, each moved along z; a window that stands twice is written once.
+
+    Parameters
+    ----------
+    placed : sequence of (name, window, z)
+        z in mm, of the window's own z = 0.
+    name : str
+        Of the assembly.
+    path, mode, schema, pcurves, merge
+        As of `write_step`; "auto" decides for each window.
+
+    Returns
+    -------
+    dict
+        schema, pcurves, unit, bytes, merge and the totals of `write_step`; sheets: for each the facts of `write_step`,
+        with its name and z.
+
+    Raises
+    ------
+    ValueError, OSError
+        As of `write_step`.
+    """
+    pitch = min(min(window.lattice.pitch) * millimetres(window.unit) for _, window, _ in placed)
+    made: dict[int, tuple[_Sheet, str]] = {}
+    with open(path, "w", encoding="ascii", newline="\n") as stream:
+        part = Part21(stream, schema, name, PROGRAM, pitch)
+        for _, window, _ in placed:
+            if id(window) not in made:
+                chosen = chosen_mode(window, mode)
+                made[id(window)] = (_SHEET[chosen](window, part, pcurves, merge), chosen)
+        spots = [part.placement(np.array([0.0, 0.0, z])) for *_, z in placed]
+        whole = part.product(name, [part.origin, *spots], "SHAPE_REPRESENTATION")
+        for (title, window, _), spot in zip(placed, spots, strict=True):
+            part.component(whole, made[id(window)][0].product, title, spot)
+        part.presentation([style for sheet, _ in made.values() for style in sheet.styles])
+        part.close()
+    sheets = [
+        {
+            "name": title,
+            "z": z,
+            "mode": made[id(window)][1],
+            "pcurves": pcurves,
+            **_total(made[id(window)][0].bodies),
+        }
+        for title, window, z in placed
+    ]
+    bodies = [body for _, window, _ in placed for body in made[id(window)][0].bodies]
+    size = Path(path).stat().st_size
+    facts = {"schema": schema, "pcurves": pcurves, "unit": "mm", "bytes": size, "merge": merge}
+    return {**facts, **_total(bodies), "sheets": sheets}
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """One window in a file: the part it is, what each of its bodies holds, and its colours."""
+
+    product: Part
+    bodies: list[StepBodyFacts]
+    styles: list[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +226,7 @@ def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) 
 # -- fused ------------------------------------------------------------------------------------------
 
 
-def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> list[StepBodyFacts]:
+def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> _Sheet:
     facts, items, styles = [], [part.origin], []
     for n, body in enumerate(window.bodies):
         writer = TextWriter(part, pcurves)
@@ -170,9 +235,7 @@ def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> l
         items += numbers
         styles += _coloured(part, writer, shells, numbers, BODY_COLOURS[n % 2])
         facts.append(_facts(body.name, len(numbers), shells.counts, layers(window, body)))
-    part.product(window.name, items, "ADVANCED_BREP_SHAPE_REPRESENTATION")
-    part.presentation(styles)
-    return facts
+    return _Sheet(part.product(window.name, items, "ADVANCED_BREP_SHAPE_REPRESENTATION"), facts, styles)
 
 
 def _solids(writer: TextWriter, shells: Shells, name: str) -> list[int]:
@@ -203,7 +266,7 @@ def _coloured(
 # -- instanced --------------------------------------------------------------------------------------
 
 
-def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) -> list[StepBodyFacts]:
+def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) -> _Sheet:
     facts, styles, children = [], [], []
     for n, body in enumerate(window.bodies):
         fact, child, style = _instanced_body(window, body, part, pcurves, merge, BODY_COLOURS[n % 2])
@@ -213,8 +276,12 @@ def _write_instanced(window: Window, part: Part21, pcurves: bool, merge: float) 
     sheet = part.product(window.name, [part.origin], "SHAPE_REPRESENTATION")
     for child, name in children:
         part.component(sheet, child, name, part.origin)
-    part.presentation(styles)
-    return facts
+    return _Sheet(sheet, facts, styles)
+
+
+_SHEET: dict[str, Callable[[Window, Part21, bool, float], _Sheet]] = {
+    "fused": _write_fused, "instanced": _write_instanced,
+}  # fmt: skip
 
 
 def _instanced_body(window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour

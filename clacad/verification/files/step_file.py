@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from clacad.design import Design
+    from clacad.formats.step.sheet_of_many import SheetPlace
     from clacad.storage.worker import Worker
 
 SHAPE_LIMIT = 1e-7
@@ -98,7 +99,9 @@ def gain(window: Window) -> float:
     return float(total**0.5)
 
 
-def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Check], Mapping[str, Any]]:
+def judge_solid(
+    asked: Inspection, window: Window, path: Path, place: SheetPlace | None = None
+) -> tuple[list[Check], Mapping[str, Any]]:
     """Read a STEP or BREP file in a worker and judge what is found, and the light through its faces.
 
     Parameters
@@ -107,6 +110,8 @@ def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Che
         No more than `FACE_RAYS` of its rays are sent.
     window : Window
     path : Path
+    place : SheetPlace or None
+        The window is one sheet of several in the file.
 
     Returns
     -------
@@ -123,7 +128,7 @@ def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Che
     with worker:
         try:
             found = worker.run(
-                "clacad.exporting.step_record:read", str(path), window, timeout=longest_wait(path),
+                "clacad.exporting.step_record:read", str(path), window, place, timeout=longest_wait(path),
                 progress=asked.progress,
             )  # fmt: skip
         except (ExportError, OSError) as error:
@@ -131,7 +136,7 @@ def judge_solid(asked: Inspection, window: Window, path: Path) -> tuple[list[Che
         found["holds_words"] = holds_words(found["holds"])
         checks = _checks_of_shape(asked, window, found)
         asked.progress("tracing through the faces", 0.0)
-        checks += _light(asked, window, worker, path, found)
+        checks += _light(asked, window, worker, path, found, 0.0 if place is None else place.z)
     return checks, found
 
 
@@ -217,14 +222,14 @@ def _unit_words(found: Mapping[str, Any]) -> str:
 
 
 def _light(
-    asked: Inspection, window: Window, worker: Worker, path: Path, found: Mapping[str, Any]
+    asked: Inspection, window: Window, worker: Worker, path: Path, found: Mapping[str, Any], z: float
 ) -> list[Check]:
-    """Light through the faces, against the law."""
+    """Light through the faces, against the law; the sheet stands so high in the file (mm)."""
     if not found["kernel"] and (found.get("uneven") or not found.get("patches")):
         why = "too large for the kernel, and its lens faces are of several spans; the slope error of the text is all there is"
         return [not_run(name, why, required=False, **asked.common) for name in IDS]
     held = [body.name for body in _held(window, found)]
-    send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]))
+    send = FaceTracer(worker, str(path), window, held, bool(found["kernel"]), z)
     try:
         light, rms, cells = light_of_cells(asked.design, window, send, min(asked.rays, FACE_RAYS))
     except (ExportError, OSError) as error:

@@ -7,7 +7,7 @@ lens patches of its text. A body the file lacks is taken from the design.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.light_against_law import law_errors
 from clacad.sheet.vignetting import share, thin_cells
-from clacad.sheet.window import Body, Window, optical_tile
+from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
 from clacad.verification.files.law_through_file import FileLight, measure_light
 from clacad.verification.light.law_checks import Tracer
@@ -105,6 +105,8 @@ class FaceTracer:
     held : names of the bodies the file holds
     by_occ : bool
         Whether the faces are used as OCC reads them, else the patches of the text.
+    z : float, mm
+        Height of the sheet's own z = 0 in the file.
     """
 
     worker: Worker
@@ -112,6 +114,7 @@ class FaceTracer:
     window: Window
     held: Sequence[str]
     by_occ: bool
+    z: float = 0.0
 
     def __call__(self, lit: Bundle) -> TraceResult:
         """ALIVE: in and out of every body through lens faces of one telescopelet, and on forwards. GHOST: through lenses of
@@ -133,15 +136,18 @@ class FaceTracer:
         numbers = [
             2 * k + side for k, body in enumerate(self.window.bodies) if body in bodies for side in (0, 1)
         ]
-        function, more = (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (self.window, numbers))
+        up = np.array([0.0, 0.0, self.z])
+        function, more = (
+            (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (raised(self.window, self.z / scale), numbers))
+        )
         found = self.worker.run(
-            function, self.path, state.position[live] * scale, state.direction[live], [body.index for body in bodies],
+            function, self.path, state.position[live] * scale + up, state.direction[live], [body.index for body in bodies],
             (low * scale).tolist(), (high * scale).tolist(), *more, timeout=SECONDS,
         )  # fmt: skip
-        hits = np.array(found["hits"]).reshape(len(live), -1, 3) / scale
+        hits = (np.array(found["hits"]).reshape(len(live), -1, 3) - up) / scale
         end, many = np.array(found["end"], dtype=int), np.array(found["crossings"], dtype=int)
         lens = np.array(found["curved"], dtype=bool).reshape(len(live), -1)
-        state.position[live] = np.array(found["position"]).reshape(-1, 3) / scale
+        state.position[live] = (np.array(found["position"]).reshape(-1, 3) - up) / scale
         state.direction[live] = np.array(found["direction"]).reshape(-1, 3)
         state.surface[live] += many.astype(np.int32)
         state.fate[live] = np.choose(end, [Fate.ALIVE, Fate.WALL, Fate.WALL, Fate.TIR]).astype(np.uint8)
@@ -153,6 +159,20 @@ class FaceTracer:
             aside = ~lens[:, step] if self.by_occ else ~on_lens(self.window, face, hits[:, step])
             state.aside[live[met & aside]] = True
             state.see(live[met], face.array, self.window, hits[met, step])
+
+
+def raised(window: Window, z: float) -> Window:
+    """The same faces so much higher (length)."""
+
+    def up(face: Face) -> Face:
+        x, y, height = face.vertex
+        return replace(face, vertex=(x, y, height + z), land=None if face.land is None else face.land + z)
+
+    if z == 0.0:
+        return window
+    return replace(
+        window, bodies=tuple(replace(b, front=up(b.front), back=up(b.back)) for b in window.bodies)
+    )
 
 
 def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:

@@ -1,0 +1,103 @@
+"""Chief rays through sheets and spaces in a row, one meridian at a time: matrices of position and slope.
+
+The chief ray of a cell goes through the middle of its lens 1. Over many cells chief rays are the light, as far as cells
+are small: a sheet maps position and slope (x, t) to (x + s t, (t − δ − κ x)/η) from array 1 to array 2. Its determinant is
+1/η: such a sheet is no lens, and nothing asks that it were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from clacad.base.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ChiefRays:
+    """What becomes of position and slope in one meridian: (x, t) ↦ matrix (x, t) + shift.
+
+    Parameters
+    ----------
+    matrix : (2, 2)
+        ((A, B), (C, D)): A and D are numbers, B a length, C one over a length.
+    shift : (2,)
+        A length and a slope.
+    """
+
+    matrix: Floats
+    shift: Floats
+
+    def then(self, after: ChiefRays) -> ChiefRays:
+        """Give this with another one behind it."""
+        return ChiefRays(after.matrix @ self.matrix, after.matrix @ self.shift + after.shift)
+
+    @property
+    def determinant(self) -> float:
+        """A D − B C; a product of 1/η."""
+        (a, b), (c, d) = self.matrix
+        return float(a * d - b * c)
+
+    def image(self, distance: float) -> tuple[float, float, float]:
+        """Where a point on the axis, so far before array 1, is imaged.
+
+        Parameters
+        ----------
+        distance : float, length
+
+        Returns
+        -------
+        beyond : float, length
+            Distance of the image behind the last array, < 0 before it; infinite where light leaves parallel.
+        across : float, length
+            How far off the axis it lies.
+        magnification : float
+            Lateral.
+        """
+        seen = space(distance).then(self)
+        (a, b), (c, d) = seen.matrix
+        if d == 0.0:
+            return inf, inf, inf
+        beyond = float(-b / d) + 0.0  # no −0
+        return beyond, float(seen.shift[0] + beyond * seen.shift[1]), float(a + beyond * c)
+
+
+def sheet(eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0) -> ChiefRays:
+    """A sheet from array 1 to array 2.
+
+    Parameters
+    ----------
+    eta : float
+        Not 0; |η| ≤ 1, else the light is not spread about chief rays: see `of_beams`.
+    separation : float, length
+    delta : float
+        Offset in the middle of the sheet.
+    kappa : float, one over a length
+        Growth of the offset across the sheet, dδ/dx.
+    """
+    return ChiefRays(np.array([[1.0, separation], [-kappa / eta, 1.0 / eta]]), np.array([0.0, -delta / eta]))
+
+
+def of_beams(eta: float, separation: float, delta: float = 0.0) -> ChiefRays:
+    """The same for the middle of the light that gets through, which for |η| > 1 is no chief ray.
+
+    Lens 1 arrives at lens 2 as a copy η times as large, moved by s t: of a copy that is larger than lens 2 the part
+    gets through whose middle is lens 2's own, which entered s t/η from the middle of lens 1.
+    """
+    return sheet(eta, separation if abs(eta) <= 1.0 else separation / eta, delta)
+
+
+def space(length: float) -> ChiefRays:
+    """Empty space of a length, which may be negative."""
+    return ChiefRays(np.array([[1.0, length], [0.0, 1.0]]), np.zeros(2))
+
+
+def in_a_row(elements: Iterable[ChiefRays]) -> ChiefRays:
+    """Elements in the order light meets them, as one."""
+    whole = space(0.0)
+    for element in elements:
+        whole = whole.then(element)
+    return whole

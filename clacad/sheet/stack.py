@@ -1,0 +1,178 @@
+"""Sheets behind one another: which window stands where, and the planes between which each acts.
+
+The stack's frame is that of its first sheet: z = 0 is that sheet's own plane, and lengths are in that sheet's unit.
+Other sheets are moved along z alone; sheets of other units are told in their own, and converted where rays pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from clacad.sheet.window import Body, Face, Window
+
+MOST = 26
+"""Sheets in a stack: as many as there are letters to name them by."""
+
+
+class BadStack(ValueError):
+    """Sheets that cannot stand as asked; exit status 2."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True, eq=False)
+class StackedSheet:
+    """One sheet of a stack.
+
+    Parameters
+    ----------
+    id : str
+        Name within the stack.
+    window : Window
+    z : float, length of the stack
+        Where the sheet's own z = 0 lies.
+    scale : float
+        Lengths of the stack in one of the window.
+    """
+
+    id: str
+    window: Window
+    z: float
+    scale: float = 1.0
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest point of the material, lengths of the stack."""
+        low, high = self.window.z_range
+        return self.z + self.scale * low, self.z + self.scale * high
+
+    @property
+    def lens_planes(self) -> tuple[float, float]:
+        """Planes at which lens 1 takes light in and lens 2 lets it go, the mean of both meridians, lengths of the stack."""
+        first, last = (self.z + self.scale * sum(two) / 2.0 for two in lens_planes(self.window))
+        return first, last
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Sheets in the order light meets them.
+
+    Parameters
+    ----------
+    sheets : tuple of StackedSheet
+        Apart from one another, towards +z.
+    unit : float, metres
+        Of all lengths of the stack.
+    """
+
+    sheets: tuple[StackedSheet, ...]
+    unit: float
+
+    def __repr__(self) -> str:
+        return f"Stack({', '.join(f'{one.id}: {one.window.name!r} at {one.z:g}' for one in self.sheets)})"
+
+    @property
+    def gaps(self) -> tuple[float, ...]:
+        """Clear distances between neighbours, from material to material, lengths."""
+        return tuple(b.span[0] - a.span[1] for a, b in zip(self.sheets, self.sheets[1:]))
+
+
+def stacked(windows: Sequence[Window], gaps: Sequence[float], ids: Sequence[str] | None = None) -> Stack:
+    """Put windows behind one another.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+        In the order light meets them; the same one may stand several times.
+    gaps : sequence of float
+        Clear distances between neighbours, ≥ 0, in the unit of the first window; one less than windows.
+    ids : sequence of str or None
+        Names; None: a, b, c, …
+
+    Raises
+    ------
+    BadStack
+        No windows or too many, gaps of another number, or a gap that is negative or no number.
+    """
+    names = [chr(ord("a") + k) for k in range(len(windows))] if ids is None else list(ids)
+    if not 1 <= len(windows) <= MOST:
+        raise BadStack(f"a stack of {len(windows)} sheets: it has 1 to {MOST}")
+    if len(gaps) != len(windows) - 1:
+        raise BadStack(
+            f"{len(gaps)} gaps for {len(windows)} sheets: give one for all of them, or {len(windows) - 1}"
+        )
+    for gap, name in zip(gaps, names[1:]):
+        if not (isfinite(gap) and gap >= 0.0):
+            raise BadStack(
+                f"the gap before sheet {name} is {gap:g}: it is a length from 0 on, between what is solid of both sheets"
+            )
+    unit = windows[0].unit
+    sheets = [StackedSheet(names[0], windows[0], 0.0)]
+    for window, name, gap in zip(windows[1:], names[1:], gaps):
+        scale = window.unit / unit
+        low = sheets[-1].span[1] + gap
+        sheets.append(StackedSheet(name, window, low - scale * window.z_range[0], scale))
+    return Stack(tuple(sheets), unit)
+
+
+def standing(sheets: Sequence[StackedSheet], unit: float, unit_name: str) -> Stack:
+    """Sheets whose places are given, as a stack; in any order.
+
+    Parameters
+    ----------
+    sheets : sequence of StackedSheet
+    unit : float, metres
+    unit_name : str
+        For the message.
+
+    Raises
+    ------
+    BadStack
+        Two of them overlap; the message says which, by how much, and where the second one may stand.
+    """
+    order = sorted(sheets, key=lambda one: one.span)
+    for before, after in zip(order, order[1:]):
+        high, low = before.span[1], after.span[0]
+        if low < high:
+            raise BadStack(
+                f"sheet {after.id} (z from {low:.6g} to {after.span[1]:.6g} {unit_name}) overlaps sheet {before.id} "
+                f"(to {high:.6g} {unit_name}): sheet.{after.id}.z >= {after.z + high - low:.9g} keeps them apart"
+            )
+    return Stack(tuple(order), unit)
+
+
+def lens_planes(window: Window) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Principal planes at which lens 1 takes light in and lens 2 lets it go, ((x, y), (x, y)), z in the sheet frame.
+
+    Between them the sheet acts as its ideal pair of thin lenses does over the separation; what is solid is more or less
+    deep than that. A single face, as a slab has two, bends at its vertex. Meridians are the sheet's: lenses turned about z
+    by less than 45° count as not turned.
+    """
+    first, last = window.bodies[0], window.bodies[-1]
+    if first is last:
+        return (first.front.vertex[2],) * 2, (first.back.vertex[2],) * 2
+    turn = window.thin.rotation
+    swapped = abs(turn[0, 0]) < abs(turn[0, 1])
+    axes = ("y", "x") if swapped else ("x", "y")
+    (x1, _), (y1, _) = (_principal(first, axis) for axis in axes)
+    (_, x2), (_, y2) = (_principal(last, axis) for axis in axes)
+    return (x1, y1), (x2, y2)
+
+
+def _principal(body: Body, axis: str) -> tuple[float, float]:
+    """Front and back principal plane of a lens in a meridian, z; those of a plate without power lie as those of a weak lens."""
+    low, high, n = body.front.vertex[2], body.back.vertex[2], body.index
+    thick = (high - low) / n
+    front, back = ((n - 1.0) * _curvature(face, axis) for face in (body.front, body.back))
+    power = front + back - thick * front * back
+    total = abs(front) + abs(back)
+    if total * thick < 1e-12 or abs(power) < 1e-9 * total:
+        return low + 0.5 * thick, high - 0.5 * thick
+    return low + thick * back / power, high - thick * front / power
+
+
+def _curvature(face: Face, axis: str) -> float:
+    """Curvature of a face at its apex in a meridian, > 0 convex, one over a length."""
+    return float(face.surface.curvature_x if axis == "x" else face.surface.curvature_y)

@@ -1,0 +1,232 @@
+"""Sheets behind one another made, measured and written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.types import Progress, Rung, silent
+from clacad.base.units import millimetres
+from clacad.exporting.limits import refuse_uncountable, worker_memory
+from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
+from clacad.sheet.stack import BadStack, Stack, stacked
+from clacad.stacking.assembly import NAME, Assembly, sheet_facts
+from clacad.stacking.stack_cost import refuse
+from clacad.stacking.stack_image import StackImage, measure_image
+from clacad.stacking.stack_light import StackLight, measure_light
+from clacad.stacking.stack_request import FORMATS, StackRequest
+from clacad.storage.atomic import MANIFEST, Stage, canonical_json, file_hash, require_folder
+from clacad.storage.errors import UnknownFormat
+from clacad.storage.staging import flush
+from clacad.storage.worker import Worker, ended_by_signals
+from clacad.tracing.through_stack import StackTracer
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.sheet.window import Window
+
+RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
+"""Rungs on which the light of a stack is measured; facets are asked for, since they take longer than all of these."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """A stack, what light does in it, and what was written.
+
+    Attributes
+    ----------
+    stack : Stack
+    designs : tuple of Design
+        Of the sheets, with the cells that stand there.
+    light : tuple of StackLight
+        One a rung, the exact surfaces last but for facets.
+    image : StackImage
+        By the exact surfaces.
+    unit : str
+        Of the stack's lengths, as the first design writes it.
+    manifest : Manifest or None
+        None where nothing was written.
+    """
+
+    stack: Stack
+    designs: tuple[Design, ...]
+    light: tuple[StackLight, ...]
+    image: StackImage
+    unit: str
+    manifest: Manifest | None = None
+
+    def __repr__(self) -> str:
+        return f"Stacked({self.stack!r}, share {self.share:.3g})"
+
+    @property
+    def exact(self) -> StackLight:
+        """Light through the exact surfaces."""
+        return next(one for one in self.light if one.rung == "surfaces")
+
+    @property
+    def share(self) -> float:
+        """Share of the light that obeys the law of every sheet, through the exact surfaces."""
+        return self.exact.share
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; lengths in the stack's unit, but for the sheets' places (mm)."""
+        mm = millimetres(self.stack.unit)
+        return {
+            "format": FORMAT, "unit": self.unit, "share": self.share,
+            "sheets": [
+                sheet_facts(one, mm) | {"sha256": design.sha256}
+                for one, design in zip(self.stack.sheets, self.designs, strict=True)
+            ],
+            "gaps": list(self.stack.gaps), "light": [one.to_dict() for one in self.light], "image": self.image.to_dict(),
+        }  # fmt: skip
+
+
+def stack(
+    designs: Sequence[Design], gaps: float | Sequence[float] = (), out: str | os.PathLike[str] | None = None,
+    request: StackRequest | None = None, progress: Progress | None = None, **options: Any,
+) -> Stacked:  # fmt: skip
+    """Put sheets behind one another, measure the light through all of them, and write the assembly.
+
+    Parameters
+    ----------
+    designs : sequence of Design
+        In the order light meets them; one may stand several times.
+    gaps : float or sequence of float
+        Clear distances between neighbours, what is solid of both sheets, in the unit of the first design.
+    out : path or None
+        Folder for stack.step, stack.glb, stack.json and manifest.json; None: nothing is written.
+    request : StackRequest or None
+        Everything else, instead of `gaps` and `options`.
+    progress : callable or None
+        Called with a stage's name and the part done.
+    options
+        The other fields of `StackRequest`, by name.
+
+    Raises
+    ------
+    BadStack
+        No designs or too many, a gap that is negative or no number, or gaps of another number.
+    DesignError, LimitRefused, UnknownFormat, ExportRefused, CannotWrite, FileDisagrees, WorkerDied
+        Nothing was published; the message says why.
+    """
+    many = (gaps,) if isinstance(gaps, int | float) else tuple(gaps)
+    asked = StackRequest(gaps=tuple(float(gap) for gap in many), **options) if request is None else request
+    report = progress or silent
+    made, standing = prepared(designs, asked)
+    if out is not None:
+        require_folder(out)
+        refuse(standing, asked, Path(out))
+    lights, image = measured(made, standing, asked, report)
+    found = Stacked(standing, made, lights, image, made[0].unit)
+    if out is None:
+        return found
+    return _written(found, asked, Path(out), report)
+
+
+def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Design, ...], Stack]:
+    """The designs with the cells that are asked for, and the stack of their windows; equal designs are one window.
+
+    Raises
+    ------
+    BadStack, DesignError, LimitRefused, UnknownFormat
+    """
+    from clacad.prescription.prescribe import prescribe
+
+    for name in asked.formats:
+        if name not in FORMATS:
+            raise UnknownFormat(f"a stack is not written as {name!r}; its formats are {', '.join(FORMATS)}")
+    made = tuple(one if asked.cells is None else one.with_cells(asked.cells) for one in designs)
+    for design in made:
+        refuse_uncountable(design)
+    _refuse_numbers(asked)
+    windows: dict[str, Window] = {}
+    for design in made:
+        if design.sha256 not in windows:
+            windows[design.sha256] = prescribe(design)
+    gaps = asked.gaps * (len(made) - 1) if len(asked.gaps) == 1 else asked.gaps
+    return made, stacked([windows[design.sha256] for design in made], gaps, asked.ids)
+
+
+def _refuse_numbers(asked: StackRequest) -> None:
+    """Refuse a field, distance, number of rays or of facets out of range."""
+    if asked.field is not None and not 0.0 < asked.field < 1.5:
+        raise BadStack(f"field is {asked.field:g} rad: it is an angle above 0, below 1.5 rad")
+    distance = asked.object_distance
+    if distance is not None and not (isfinite(distance) and distance > 0.0):
+        raise BadStack(f"the object stands {distance:g} before the stack: it is a length above 0")
+    if asked.rays < 64 or not 1 <= asked.quads <= 1024:
+        raise BadStack(f"{asked.rays} rays, {asked.quads} quads: at least 64 rays, and 1 to 1024 quads")
+
+
+def field_of(designs: Sequence[Design], asked: StackRequest) -> float:
+    """Half width of the field, radians."""
+    return designs[0].check.field if asked.field is None else asked.field
+
+
+def measured(
+    designs: Sequence[Design], standing: Stack, asked: StackRequest, report: Progress
+) -> tuple[tuple[StackLight, ...], StackImage]:
+    """Light through a stack on every rung, and the image of a point by the exact surfaces."""
+    field, first = field_of(designs, asked), designs[0]
+    distance = asked.object_distance or first.check.object or 10.0 * standing.sheets[0].window.thin.separation
+    tracers = [StackTracer(standing, rung, path="size") for rung in RUNGS]
+    image = measure_image(tracers[-1], asked.rays, field, distance)
+    if asked.mesh_light:
+        tracers.append(StackTracer(standing, "mesh", asked.quads, path="size"))
+    return measure_light(tracers, asked.rays, field, report), image
+
+
+def _written(found: Stacked, asked: StackRequest, out: Path, report: Progress) -> Stacked:
+    """Write the files, read them back, publish them."""
+    with (
+        ended_by_signals(), Worker(memory=worker_memory()) as worker,
+        Stage(out, overwrite=asked.overwrite) as stage,
+    ):  # fmt: skip
+        stage.path(MANIFEST)  # a foreign manifest is refused before any work
+        job = Assembly(found.stack, stage, worker, asked.quads, asked.step, report)
+        records = [*job.records(asked.formats), _numbers(found, stage)]
+        content = _content(found, records, asked)
+        report("publish", 1.0)
+        stage.publish(content)
+        folder = stage.folder
+    return Stacked(
+        found.stack, found.designs, found.light, found.image, found.unit, Manifest(folder, content)
+    )
+
+
+def _numbers(found: Stacked, stage: Stage) -> FileRecord:
+    """The numbers of a stack as a file."""
+    from clacad.base.text import plain
+
+    path = stage.path(f"{NAME}.json")
+    path.write_text(canonical_json(plain(found.to_dict())), encoding="utf-8", newline="\n")
+    flush(path)
+    return FileRecord(path.name, file_hash(path), path.stat().st_size, "stack-light", found.unit, ())
+
+
+def _content(found: Stacked, records: Sequence[FileRecord], asked: StackRequest) -> Mapping[str, Any]:
+    """What manifest.json says."""
+    from clacad import __version__
+
+    mm = millimetres(found.stack.unit)
+    return {
+        "format": FORMAT,
+        "stack": {
+            "unit": found.unit, "gaps_mm": [gap * mm for gap in found.stack.gaps],
+            "sheets": [
+                sheet_facts(one, mm) | {"sha256": design.sha256, "toml": design.toml}
+                for one, design in zip(found.stack.sheets, found.designs, strict=True)
+            ],
+        },
+        "files": sorted((record.to_dict() for record in records), key=lambda entry: str(entry["name"])),
+        "versions": {"clacad": __version__},
+        "options": {
+            "gaps": list(asked.gaps), "formats": list(asked.formats), "field": field_of(found.designs, asked),
+            "rays": asked.rays, "cells": None if asked.cells is None else list(asked.cells), "quads": asked.quads,
+            "step": asked.step, "object_distance": found.image.object_distance,
+        },
+    }  # fmt: skip

@@ -1,0 +1,267 @@
+"""What light does in a stack: the share that obeys every law, and how space behaves.
+
+Rays fill one cell of the first sheet and a square of slopes. They are counted per meridian, too: where the cells are
+rectangles along the sheet, a ray keeps to its telescopelets in x whatever it does in y.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Bools, Floats, Progress, Rung
+from clacad.optics.law import angle_between
+from clacad.optics.rays import Fate, TraceResult
+from clacad.sheet.stack import Stack, StackedSheet
+from clacad.stacking.chief_matrices import COUPLED, expected_share, length, meridian
+from clacad.stacking.stack_rays import launch, started
+from clacad.tracing.through_stack import StackTrace, StackTracer
+
+FEWEST = 64
+"""Rays below which a number is not given."""
+
+SHARE_RAYS = 1024
+"""Directions over which shares in closed form are averaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Meridian:
+    """What a stack does in one meridian.
+
+    Attributes
+    ----------
+    matrix : ((A, B), (C, D))
+        Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack.
+    determinant : float
+    length : float, length
+        From the first of these arrays to the last, what is solid reduced to air.
+    acts_as_space : float or None, length
+        Where slopes leave as they came: the length of empty space the stack stands for, B.
+    moves_image : float or None, length
+        By how much it then brings the world nearer: length − B.
+    beams : float, length
+        B for the middle of the light that gets through, which for |η| > 1 is no chief ray.
+    share : float or None
+        Light that keeps to its telescopelets in this meridian, in every sheet, of what does in the other; None where cells or
+        lenses do not lie along x and y.
+    measured_space : float or None, length
+        B fitted to rays that keep to their telescopelets in this meridian.
+    measured_slope : float or None
+        D fitted to these rays.
+    scatter : float or None
+        Rms distance of these rays from the fit, over the pitch of the first sheet.
+    """
+
+    matrix: tuple[tuple[float, float], tuple[float, float]] | None
+    determinant: float | None
+    length: float
+    acts_as_space: float | None
+    moves_image: float | None
+    beams: float | None
+    share: float | None
+    measured_space: float | None
+    measured_slope: float | None
+    scatter: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class StackLight:
+    """Light through a stack.
+
+    Attributes
+    ----------
+    rung : "law", "thin", "surfaces" or "mesh"
+    rays : int
+    field : float, radians
+        Slopes up to its tangent, either way in x and in y, about the middle of the first sheet's field.
+    share : float
+        Rays that leave through corresponding lenslets of every sheet: ALIVE in all.
+    expected_share : float
+        The same in closed form for thin lenses, the cells of neighbours taken for unrelated.
+    fates : mapping
+        Number of rays of each fate.
+    sheets : tuple of float
+        Share that each sheet passes ALIVE of the light that came to it so.
+    meridians : (x, y)
+    error : float, radians
+        Rms angle to the exact surfaces, over rays ALIVE on both rungs; NaN where there are none.
+    strays : float
+        Share of the rays whose fate is another one than through the exact surfaces.
+    seconds : float
+        Processor seconds of this trace; told, and never written.
+    """
+
+    rung: Rung
+    rays: int
+    field: float
+    share: float
+    expected_share: float
+    fates: dict[str, int]
+    sheets: tuple[float, ...]
+    meridians: tuple[Meridian, Meridian]
+    error: float
+    strays: float
+    seconds: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, the same every time."""
+        return {name: value for name, value in asdict(self).items() if name != "seconds"}
+
+
+def measure_light(
+    tracers: Sequence[StackTracer], rays: int, field: float, progress: Progress
+) -> tuple[StackLight, ...]:
+    """Send the same rays over one cell of the first sheet and a square of slopes up several rungs, and tell what they do.
+
+    Parameters
+    ----------
+    tracers : sequence of StackTracer
+        Of one stack; one of them of rung "surfaces", which the others are held against.
+    rays : int
+    field : float, radians
+        Slopes reach to its tangent.
+    progress : callable
+    """
+    found = {}
+    for number, tracer in enumerate(sorted(tracers, key=lambda one: one.rung != "surfaces")):
+        progress(f"light on rung {tracer.rung}", number / len(tracers))
+        began = time.process_time()
+        trace, light = _measured(tracer, rays, field)
+        if tracer.rung == "surfaces":
+            truth = trace
+        both = (trace.fate == Fate.ALIVE) & (truth.fate == Fate.ALIVE)
+        apart = angle_between(trace.direction[both], truth.direction[both])
+        found[tracer.rung] = replace(
+            light, error=float(np.sqrt(np.mean(apart**2))) if both.any() else float("nan"),
+            strays=float((trace.fate != truth.fate).mean()), seconds=time.process_time() - began,
+        )  # fmt: skip
+    return tuple(found[tracer.rung] for tracer in tracers)
+
+
+def _measured(tracer: StackTracer, rays: int, field: float) -> tuple[StackTrace, StackLight]:
+    """Rays on one rung, and what they do."""
+    stack = tracer.stack
+    points = sobol(rays, 4)
+    place, slope = launch(stack, points, field)
+    found = tracer(started(stack, place, slope))
+    direction = np.column_stack([slope, np.ones(rays)])
+    alive = found.fate == Fate.ALIVE
+    strayed = _strayed(stack, found)
+    exit_place = _at_last_plane(stack, found)
+    meridians = tuple(
+        _meridian(stack, axis, (place[:, axis], slope[:, axis]), exit_place[:, axis], found, strayed)
+        for axis in (0, 1)
+    )
+    return found, StackLight(
+        tracer.rung, rays, field, float(alive.mean()), expected_share(stack, direction[:SHARE_RAYS]), found.counts(),
+        tuple(_passed_on(found)), (meridians[0], meridians[1]), 0.0, 0.0,
+    )  # fmt: skip
+
+
+def _at_last_plane(stack: Stack, found: StackTrace) -> Floats:
+    """Where rays (n, 3) cross the last lens plane, carried straight on or back."""
+    level = stack.sheets[-1].lens_planes[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = found.direction[:, :2] / found.direction[:, 2:]
+    return np.asarray(found.position[:, :2] + slope * (level - found.position[:, 2:]))
+
+
+def _strayed(stack: Stack, found: StackTrace) -> Bools | None:
+    """Which rays are known to have left their telescopelet in some sheet, in x and in y (n, 2); None where x and y mix."""
+    if not all(_parted(one) for one in stack.sheets):
+        return None
+    strayed = np.zeros((len(found), 2), dtype=bool)
+    for rows, result in found.passed:
+        strayed[rows] |= _orders(result)
+    return strayed
+
+
+def _orders(result: TraceResult) -> Bools:
+    """Which rays (k,) a sheet sent through another column of cells, and another row (k, 2)."""
+    return np.asarray((result.fate == Fate.GHOST)[:, None] & (result.order != 0))
+
+
+def _shares(found: StackTrace) -> tuple[float, float]:
+    """Light that keeps to its telescopelets in x, of what does in y, and the other way about.
+
+    Sheet by sheet, of what came to it ALIVE: where light goes that strayed before says nothing of either meridian.
+    """
+    so_far, shares = np.ones(len(found), dtype=bool), np.ones(2)
+    for rows, result in found.passed:
+        here, lost = so_far[rows], _orders(result)
+        alive = here & (result.fate == Fate.ALIVE)
+        for axis in (0, 1):
+            shares[axis] *= alive.sum() / max(1, int((here & ~lost[:, 1 - axis]).sum()))
+        so_far[:] = False
+        so_far[rows[alive]] = True
+    return float(shares[0]), float(shares[1])
+
+
+def _parted(one: StackedSheet) -> bool:
+    """Whether cells and lenses lie along x and y, so that each meridian is a sheet of its own."""
+    turn = one.window.thin.rotation
+    along = np.abs(turn[:2, :2]).max(axis=1).min() > 1.0 - COUPLED
+    return bool(along) and not one.window.lattice.hexagonal
+
+
+def _passed_on(found: StackTrace) -> list[float]:
+    """Share that each sheet passes ALIVE of the rays that came to it so."""
+    so_far, shares = np.ones(len(found), dtype=bool), []
+    for rows, result in found.passed:
+        before = int(so_far.sum())
+        here = np.zeros(len(found), dtype=bool)
+        here[rows] = result.fate == Fate.ALIVE
+        so_far &= here
+        shares.append(float(so_far.sum() / before) if before else 0.0)
+    return shares
+
+
+def _meridian(
+    stack: Stack,
+    axis: int,
+    entered: tuple[Floats, Floats],
+    left: Floats,
+    found: StackTrace,
+    strayed: Bools | None,
+) -> Meridian:
+    """One meridian: in closed form, and fitted to the rays that kept to it; ghosts that strayed across it alone are among them.
+
+    entered : place and slope (n,) on the first lens plane; left : place (n,) on the last
+    """
+    chief, middle = meridian(stack, axis), meridian(stack, axis, beams=True)
+    long = length(stack, axis)
+    straight = chief is not None and abs(chief.matrix[1, 1] - 1.0) < 1e-9 and abs(chief.matrix[1, 0]) < 1e-12
+    acts = float(chief.matrix[0, 1]) if chief is not None and straight else None
+    space = slope = scatter = share = None
+    kept = found.fate == Fate.ALIVE
+    if strayed is not None:
+        share = _shares(found)[axis]
+        kept = np.isin(found.fate, (Fate.ALIVE, Fate.GHOST)) & ~strayed[:, axis]
+    if kept.sum() >= FEWEST:
+        place, way = (one[kept] for one in entered)
+        out = found.direction[kept, axis] / found.direction[kept, 2]
+        (space, slope), rest = _fitted(way, np.column_stack([left[kept] - place, out]))
+        scatter = rest / stack.sheets[0].window.lattice.pitch[axis]
+    return Meridian(
+        None if chief is None else _pairs(chief.matrix), None if chief is None else chief.determinant, long, acts,
+        None if acts is None else long - acts, None if middle is None else float(middle.matrix[0, 1]),
+        share, space, slope, scatter,
+    )  # fmt: skip
+
+
+def _pairs(matrix: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    (a, b), (c, d) = matrix.tolist()
+    return (a, b), (c, d)
+
+
+def _fitted(slope: Floats, values: Floats) -> tuple[tuple[float, float], float]:
+    """Slopes of straight lines through two columns of values (n, 2) over slopes (n,), and rms rest of the first."""
+    away = slope - slope.mean()
+    about = values - values.mean(axis=0)
+    first, second = (away @ about) / (away @ away)
+    return (float(first), float(second)), float(np.sqrt(np.mean((about[:, 0] - first * away) ** 2)))

@@ -1,0 +1,393 @@
+"""Sheets behind one another: where they stand, rays through all of them, what space and images become."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import atan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+from oracle import trace as oracle
+
+import clacad
+from clacad import Fate, Rays
+from clacad.base.sobol import sobol
+from clacad.optics import chief_rays
+from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, standing
+from clacad.stacking import StackRequest, stack
+from clacad.stacking.chief_matrices import meridian
+from clacad.stacking.stack_image import measure_image, nearest_point
+from clacad.stacking.stack_light import measure_light
+from clacad.stacking.stack_rays import launched
+from clacad.tracing.through_stack import StackTracer, trace_stack
+
+ROOT = Path(__file__).parents[2]
+GOLDEN = json.loads((ROOT / "tests" / "data" / "stack.json").read_text(encoding="utf-8"))
+DESIGN = clacad.load(ROOT / "designs" / "window-100mm.toml")
+WINDOW = clacad.prescribe(DESIGN)
+FIELD = atan(0.02)
+"""Slopes of ± .02, as of the independent prototype whose numbers are cited below."""
+
+
+def silent(*_: object) -> None:
+    """Say nothing."""
+
+
+def windows(*etas: float) -> list[clacad.Window]:
+    """The 100 mm window with other eta, isotropic; equal ones are one."""
+    made = {
+        eta: WINDOW if eta == -1.0 else clacad.prescribe(DESIGN.replace("law.eta", [eta, eta]))
+        for eta in etas
+    }
+    return [made[eta] for eta in etas]
+
+
+def alive_by_hand(etas, gap, place, slope, s=10.0, pitch=0.5):
+    """Thin lenses with cells in one meridian, written from t' = t − x/f: who meets the partner in every sheet, and B."""
+    good = np.ones(len(place), dtype=bool)
+    x, t = place.copy(), slope.copy()
+    for number, eta in enumerate(etas):
+        f1, f2 = s / (1.0 - eta), -eta * s / (1.0 - eta)
+        cell = np.floor(x / pitch + 0.5)
+        t = t - (x - cell * pitch) / f1
+        x = x + s * t
+        good &= np.floor(x / pitch + 0.5) == cell
+        t = t - (x - np.floor(x / pitch + 0.5) * pitch) / f2
+        if number < len(etas) - 1:
+            x = x + gap * t
+    return good, x, t
+
+
+# --- chief rays -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", GOLDEN["cases"], ids=lambda c: "+".join(s["eta"] for s in c["sheets"]))
+def test_matrices_and_images_are_those_of_the_reference(case):
+    sheets = [
+        chief_rays.sheet(float(s["eta"]), float(s["separation"]), kappa=float(s["kappa"]))
+        for s in case["sheets"]
+    ]
+    row = [sheets[0]]
+    for gap, sheet in zip(case["gaps"], sheets[1:], strict=True):
+        row += [chief_rays.space(float(gap)), sheet]
+    found, tolerance = chief_rays.in_a_row(row), GOLDEN["tolerance"]
+    expected = np.array([[float(v) for v in line] for line in case["matrix"]])
+    np.testing.assert_allclose(found.matrix, expected, rtol=tolerance, atol=tolerance)
+    assert found.determinant == pytest.approx(float(case["determinant"]), rel=tolerance)
+    beyond, _, size = found.image(-float(case["object_z"]))
+    assert beyond == pytest.approx(float(case["image_distance_from_last_array"]), rel=tolerance)
+    assert size == pytest.approx(float(case["magnification"]), rel=tolerance)
+    if "acts_as_space_of_length" in case:
+        assert found.matrix[0, 1] == pytest.approx(float(case["acts_as_space_of_length"]), rel=tolerance)
+        nearer = float(case["length"]) - found.matrix[0, 1]
+        assert nearer == pytest.approx(float(case["image_moves_towards_viewer_by"]), rel=tolerance)
+
+
+def test_a_growing_offset_makes_a_lens_of_a_sheet_whose_focus_is_that_of_the_smooth_law():
+    """T' = (t − κ x)/η sends parallel light to the axis at x = s t' below array 2: by hand, with exact fractions."""
+    sheet = chief_rays.sheet(-0.5, 10.0, kappa=0.01)
+    np.testing.assert_array_equal(sheet.matrix, [[1.0, 10.0], [0.02, -2.0]])
+    assert sheet.determinant == pytest.approx(-2.0 - 0.2)
+
+
+@pytest.mark.parametrize(("etas", "gap"), [((-1.0, -1.0), 100.0), ((0.5, -0.25), 37.0)])
+def test_slabs_have_the_matrices_of_their_air_equivalents(etas, gap):
+    """A gap is what is clear between vertices: a slab of thickness n s acts over s."""
+    made = meridian(stacked(windows(*etas), [gap]), 0)
+    assert made is not None
+    first, second = windows(*etas)
+    sink = (
+        first.z_range[1]
+        - first.bodies[0].back.vertex[2]
+        + second.bodies[0].front.vertex[2]
+        - second.z_range[0]
+    )
+    expected = 10.0 + (gap + sink) / etas[0] + 10.0 / etas[0]
+    assert made.matrix[0, 1] == pytest.approx(expected, rel=1e-12)
+
+
+def test_tilted_sheets_have_no_meridians_and_are_measured_all_the_same():
+    tilted = clacad.prescribe(clacad.load(ROOT / "designs" / "tilted.toml"))
+    light = measure_light([StackTracer(stacked([tilted, tilted], [1.0]), "surfaces")], 512, 0.005, silent)[0]
+    assert light.meridians[0].matrix is None
+    assert 0.0 <= light.share <= 1.0
+
+
+def test_lens_planes_are_where_a_thick_lens_seems_to_bend():
+    """Parallel light through lens 2 alone, nearly on the axis: where its straight continuations cross."""
+    window = clacad.prescribe(clacad.load(ROOT / "designs" / "paper-a-covered.toml"))
+    body = window.bodies[1]
+    h = 1e-7
+    faces = [
+        clacad.Interface(body.front.surface, body.front.vertex, 1.0, body.index),
+        clacad.Interface(body.back.surface, body.back.vertex, body.index, 1.0),
+    ]
+    for axis in (0, 1):
+        start = np.zeros(3)
+        start[axis], start[2] = h, body.front.vertex[2] - 1e-3
+        out = clacad.trace_sequence(faces, Rays(start[None], [[0.0, 0.0, 1.0]]))
+        slope = out.direction[0, axis] / out.direction[0, 2]
+        bends_at = out.position[0, 2] + (h - out.position[0, axis]) / slope
+        assert lens_planes(window)[1][axis] == pytest.approx(bends_at, abs=1e-9)
+
+
+# --- where sheets stand -----------------------------------------------------------------------------------
+
+
+def test_gaps_are_clear_distances_whatever_the_units():
+    small = clacad.prescribe(clacad.load(ROOT / "designs" / "paper-a-covered.toml"))  # in metres
+    made = stacked([WINDOW, small, WINDOW], [3.0, 4.0])
+    assert made.gaps == pytest.approx((3.0, 4.0), rel=1e-12)
+    assert made.sheets[1].scale == pytest.approx(1000.0)
+    assert made.sheets[1].span[0] == pytest.approx(WINDOW.z_range[1] + 3.0)
+
+
+@pytest.mark.parametrize(
+    ("gaps", "message"),
+    [([-1.0], "the gap before sheet b is -1"), ([float("nan")], "is nan"), ([float("inf")], "is inf"), ([], "0 gaps for 2 sheets"),
+     ([1.0, 2.0], "2 gaps for 2 sheets")],
+)  # fmt: skip
+def test_gaps_that_are_none_are_refused(gaps, message):
+    with pytest.raises(BadStack, match=message):
+        stacked([WINDOW, WINDOW], gaps)
+
+
+def test_sheets_that_overlap_are_refused_with_the_place_that_would_do():
+    sheets = [StackedSheet("front", WINDOW, 0.0), StackedSheet("back", WINDOW, 10.0)]
+    with pytest.raises(BadStack, match=r"sheet back .* overlaps sheet front .* sheet\.back\.z >= ") as caught:
+        standing(sheets, 1e-3, "mm")
+    z = float(str(caught.value).split(">= ")[1].split()[0])
+    made = standing([replace(sheets[1], z=z + 1e-6), sheets[0]], 1e-3, "mm")
+    assert [one.id for one in made.sheets] == ["front", "back"]
+
+
+# --- rays -------------------------------------------------------------------------------------------------
+
+
+def test_a_stack_of_one_sheet_is_that_sheet():
+    rays = launched(stacked([WINDOW], []), 2000, 0.05)
+    one, alone = (
+        trace_stack(stacked([WINDOW], []), rays, path="numpy"),
+        clacad.trace(WINDOW, rays, path="numpy"),
+    )
+    for name in ("position", "direction", "fate", "optical_path"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(alone, name))
+
+
+def test_touching_sheets_obey_the_laws_one_after_the_other():
+    first, second = windows(-0.5, 0.25)
+    made = stacked([first, second], [0.0])
+    rays = launched(made, 500, 0.02)
+    found = trace_stack(made, rays, "law")
+    asked = first.law.then(second.law).refract(rays.direction)
+    np.testing.assert_allclose(found.direction, asked, atol=4e-16)
+
+
+@pytest.mark.parametrize("etas", [(-1.0, -1.0), (0.5, -0.25), (0.2, 5.0)])
+def test_ideal_lenslets_pass_what_a_few_lines_by_hand_pass(etas):
+    """Fates, places and slopes of rays in the x–z plane against thin lenses written anew."""
+    made = stacked(windows(*etas), [100.0])
+    first, last = made.sheets[0].lens_planes[0], made.sheets[-1].lens_planes[1]
+    air = made.sheets[1].lens_planes[0] - made.sheets[0].lens_planes[1]
+    u = sobol(4000, 2)
+    place, slope = 0.25 + (u[:, 0] - 0.5) * 0.5, (2.0 * u[:, 1] - 1.0) * 0.02
+    start = np.column_stack([place - slope, np.full(len(u), 0.25), np.full(len(u), first - 1.0)])
+    found = trace_stack(
+        made, Rays(start, np.column_stack([slope, np.zeros(len(u)), np.ones(len(u))])), "thin"
+    )
+    good, x, t = alive_by_hand(etas, air, place - 0.25, slope)
+    edge = np.abs(np.abs((x / 0.5) % 1.0 - 0.5)) < 1e-9
+    np.testing.assert_array_equal((found.fate == Fate.ALIVE)[~edge], good[~edge])
+    out = found.direction[:, 0] / found.direction[:, 2]
+    at = found.position[:, 0] + out * (last - found.position[:, 2])
+    np.testing.assert_allclose(out[good & ~edge], t[good & ~edge], atol=1e-12)
+    np.testing.assert_allclose(at[good & ~edge] - 0.25, x[good & ~edge], atol=1e-10)
+
+
+def exactly(made, found, row):
+    """Direction of a ray through the very surfaces it met, in 50 digits."""
+    faces = []
+    for one, (rows, result) in zip(made.sheets, found.passed, strict=True):
+        k = int(np.flatnonzero(rows == row)[0])
+        for body in one.window.bodies:
+            for face, before, after in ((body.front, 1.0, body.index), (body.back, body.index, 1.0)):
+                x, y, z = (mpf(v) for v in face.vertex)
+                if face.array is not None:
+                    index = result.cell[k].astype(np.int64) + (result.order[k] if face.array else 0)
+                    centre = one.window.lattice.centres(index[None])[0] + np.asarray(
+                        one.window.shifts[face.array]
+                    )
+                    x, y = x + mpf(float(centre[0])), y + mpf(float(centre[1]))
+                s = face.surface
+                faces.append(oracle.quadric(s.curvature_x, s.curvature_y, s.kappa, s.side, vertex=(x, y, z + mpf(one.z)),
+                                            before=before, after=after))  # fmt: skip
+    return faces
+
+
+@pytest.mark.parametrize("gap", [0.0, 100.0, 2500.0], ids=["touching", "100 mm", "5000 pitches"])
+def test_exact_rays_through_two_sheets_keep_to_fifty_digits(gap):
+    """Handed on with coordinates of the size of the gap's sideways step: so many ulp of them, over a radius."""
+    made = stacked([WINDOW, WINDOW], [gap])
+    rays = launched(made, 4096, 0.004)
+    found = trace_stack(made, rays)
+    rows = np.flatnonzero(found.fate == Fate.ALIVE)[:20]
+    assert len(rows) == 20
+    with mp.workdps(50):
+        for row in rows:
+            path = oracle.trace(exactly(made, found, row), rays.position[row], rays.direction[row], digits=50)
+            assert path.status == "ok"
+            away = max(
+                abs(mpf(float(a)) - b) for a, b in zip(found.direction[row], path.directions[-1], strict=True)
+            )
+            assert away < 1e-15 * (8.0 + gap)
+
+
+def test_a_ray_is_what_the_worst_of_its_sheets_made_of_it():
+    made = stacked([WINDOW, WINDOW.with_cells((8, 8))], [100.0])
+    rays = launched(made, 20_000, 0.03)
+    found = trace_stack(made, rays)
+    (_, first), (rows, second) = found.passed
+    assert sum(found.counts().values()) == len(rays)
+    np.testing.assert_array_equal(found.fate == Fate.ALIVE, _both(len(rays), first, rows, second))
+    missed = found.fate == Fate.MISSED
+    assert missed.any()
+    assert (found.ended[missed] == 1).all()
+    # where a ray leaves the first sheet is where it ended
+    np.testing.assert_allclose(found.position[missed], first.position[missed], atol=1e-12)
+    ghost = np.flatnonzero(first.fate == Fate.GHOST)
+    assert not (found.fate[ghost] == Fate.ALIVE).any()
+
+
+def _both(many, first, rows, second):
+    alive = np.zeros(many, dtype=bool)
+    alive[rows] = second.fate == Fate.ALIVE
+    return alive & (first.fate == Fate.ALIVE)
+
+
+def test_the_same_stack_in_other_units_sends_light_the_same_way():
+    metres = clacad.prescribe(_in_metres())
+    mixed, plain = stacked([WINDOW, metres], [50.0]), stacked([WINDOW, WINDOW], [50.0])
+    rays = launched(plain, 2000, 0.02)
+    one, other = trace_stack(mixed, rays), trace_stack(plain, rays)
+    same = one.fate == other.fate
+    assert same.mean() > 0.999
+    np.testing.assert_allclose(one.direction[same], other.direction[same], atol=1e-11)
+    np.testing.assert_allclose(one.position[same], other.position[same], atol=1e-9)
+    np.testing.assert_allclose(one.optical_path[same], other.optical_path[same], rtol=1e-12)
+
+
+def _in_metres():
+    """The window with its lengths in metres."""
+    text = (ROOT / "designs" / "window-100mm.toml").read_text(encoding="utf-8")
+    for mm, metres in (
+        ('unit = "mm"', 'unit = "m"'),
+        ("separation = 10.0 ", 'separation = "10 mm" '),
+        ("pitch = 0.5", 'pitch = "0.5 mm"'),
+    ):
+        assert mm in text
+        text = text.replace(mm, metres)
+    import tomllib
+
+    return clacad.Design.from_dict(tomllib.loads(text))
+
+
+@pytest.mark.parametrize(("rung", "most"), [("thin", 3e-4), ("surfaces", 0.0), ("law", 3e-3)])
+def test_every_rung_goes_through_all_sheets(rung, most):
+    made = stacked([WINDOW, WINDOW], [100.0])
+    rays = launched(made, 4000, 0.004)
+    found, truth = trace_stack(made, rays, rung), trace_stack(made, rays)
+    both = (found.fate == Fate.ALIVE) & (truth.fate == Fate.ALIVE)
+    assert both.any()
+    assert np.sqrt(np.mean((found.direction - truth.direction)[both] ** 2)) <= most
+
+
+def test_facets_of_every_sheet_are_traced_in_a_row():
+    few = WINDOW.with_cells((6, 6))
+    made = stacked([few, few], [5.0])
+    rays = launched(made, 400, 0.004)
+    found, truth = trace_stack(made, rays, "mesh", mesh=32), trace_stack(made, rays)
+    both = (found.fate == Fate.ALIVE) & (truth.fate == Fate.ALIVE)
+    assert both.mean() > 0.8
+    assert np.abs((found.direction - truth.direction)[both]).max() < 0.02
+
+
+def test_lens_planes_within_one_another_are_refused_on_ideal_rungs_alone():
+    plate = clacad.prescribe(clacad.load(ROOT / "designs" / "plano.toml"))
+    made = stacked([plate, plate], [0.0])
+    crossed = replace(made, sheets=(made.sheets[0], replace(made.sheets[1], z=made.sheets[1].z - 5.0)))
+    with pytest.raises(BadStack, match="rung thin cannot tell them apart"):
+        StackTracer(crossed, "thin")
+    StackTracer(crossed, "surfaces")
+
+
+# --- the two worked examples ------------------------------------------------------------------------------
+
+
+def test_two_sheets_of_minus_one_are_negative_space():
+    """An independent prototype of thin cells: share .65 an axis, B = −99.0, position scatter .69 p."""
+    made = stacked(windows(-1.0, -1.0), [100.0])
+    thin, exact = measure_light(
+        [StackTracer(made, rung) for rung in ("thin", "surfaces")], 1 << 15, FIELD, silent
+    )
+    for one in thin.meridians:
+        assert one.acts_as_space == pytest.approx(-100.0, rel=1e-12)
+        assert one.moves_image == pytest.approx(220.0, rel=1e-12)
+        assert one.share == pytest.approx(0.65, abs=0.005)
+        assert one.measured_space == pytest.approx(-99.0, abs=0.2)
+        assert one.scatter == pytest.approx(0.69, abs=0.01)
+    assert thin.expected_share == pytest.approx(
+        (1 - 0.4 + 0.16 / 3) ** 2, abs=0.002
+    )  # (1 − 20|t|)², the mean over ± .02
+    assert thin.share == pytest.approx(0.42, abs=0.01)
+    assert exact.share == pytest.approx(thin.share, abs=0.01)
+    assert exact.meridians[0].measured_space == pytest.approx(-99.2, abs=0.3)
+    assert thin.error < 1e-3
+
+
+def test_a_fifth_and_five_compress_space_as_far_as_the_second_sheet_chooses_rays():
+    """B = s + G/η + s/(η η') in the middle of the light that the second sheet passes, a fifth of it an axis."""
+    made = stacked(windows(0.2, 5.0), [100.0])
+    thin, _ = measure_light(
+        [StackTracer(made, rung) for rung in ("thin", "surfaces")], 1 << 15, FIELD, silent
+    )
+    sunk = made.sheets[1].lens_planes[0] - made.sheets[0].lens_planes[1] - 100.0
+    for one in thin.meridians:
+        assert one.acts_as_space == pytest.approx(10.0 + (100.0 + sunk) / 0.2 + 50.0, rel=1e-12)
+        assert one.beams == pytest.approx(10.0 + (100.0 + sunk) / 0.2 + 10.0, rel=1e-12)
+        assert one.measured_space == pytest.approx(one.beams, rel=0.005)
+        assert one.share == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_point_is_imaged_where_chief_rays_say():
+    made = stacked(windows(-1.0, -1.0), [100.0])
+    seen = measure_image(StackTracer(made, "surfaces"), 1 << 14, FIELD, 300.0)
+    assert seen.predicted == pytest.approx((-200.0, -200.0), rel=1e-12)
+    assert seen.magnification == pytest.approx((1.0, 1.0), rel=1e-12)
+    assert seen.point is not None
+    assert seen.point[2] == pytest.approx(-200.0, abs=3.0)
+    assert np.hypot(*seen.point[:2]) < 1e-3
+    assert seen.by_rays[0] == pytest.approx(seen.point[2], abs=0.1)
+
+
+def test_the_nearest_point_of_lines_is_theirs_and_parallel_ones_have_none():
+    rng = np.random.default_rng(1)
+    direction = rng.normal(size=(50, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    point = np.array([3.0, -2.0, 700.0])
+    found, spread = nearest_point(point + rng.uniform(-9.0, 9.0, (50, 1)) * direction, direction)
+    np.testing.assert_allclose(found, point, atol=1e-11)
+    assert spread < 1e-11
+    assert nearest_point(rng.normal(size=(5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)))[0] is None
+
+
+def test_equal_designs_are_one_window_and_numbers_are_the_same_every_time():
+    request = StackRequest(gaps=(100.0,), rays=512, cells=(20, 20))
+    one, again = stack([DESIGN, DESIGN], request=request), stack([DESIGN, DESIGN], request=request)
+    assert one.stack.sheets[0].window is one.stack.sheets[1].window
+    assert json.dumps(one.to_dict(), sort_keys=True, default=str) == json.dumps(
+        again.to_dict(), sort_keys=True, default=str
+    )
+    assert one.share == one.exact.share
