@@ -26,6 +26,7 @@ from clacad.config.value_kinds import (
     not_this,
 )
 from clacad.design.given_faces import FACES
+from clacad.design.search_record import SEARCH
 
 FORMAT: Final = 1
 REQUIRED: Final = object()
@@ -162,6 +163,9 @@ PAIR: Final[dict[str, Key]] = {
     ),
     "face": Key(FACES, "given: the faces in the order light meets them, in their own lens frames", ()),
     "vertex": Key(Several(_LATERAL, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1"),
+    "search": Key(
+        SEARCH, "given: where the faces come from; clacad optimise writes it, nothing is built from it"
+    ),
 }
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),

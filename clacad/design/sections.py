@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from clacad.design.given_faces import FaceSpec
+from clacad.design.search_record import SearchRecord
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
@@ -78,6 +79,8 @@ class PairSpec:
         The given faces in the order light meets them: 2 of a slab, else 4.
     vertex : (2,) tuple of float or None, length
         Given offset of lens 2 in the lens frame; None: δ f1.
+    search : SearchRecord or None
+        Where given faces come from.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -95,6 +98,7 @@ class PairSpec:
     prescription: Literal["derived", "given"] = "derived"
     face: tuple[FaceSpec, ...] = ()
     vertex: Pair2 | None = None
+    search: SearchRecord | None = None
 
     @property
     def given(self) -> bool:
