@@ -8,6 +8,7 @@ micrometre, so nothing has to be searched or paid for.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
 from typing import Any, Final
 
 from clacad.advice.judged import Judged
@@ -61,7 +62,10 @@ def sharper(judged: Judged, trials: Trials) -> Sharper | None:
         return None
     if after is None or len(after.failing) > len(judged.failing):
         return None
-    rms = [next((c.value for c in one.checks if c.id == "law_rms"), None) for one in (judged, after)]
-    if not all(isinstance(value, float) for value in rms) or not rms[1] <= WORTH * rms[0]:
-        return None
-    return Sharper(CHANGES, rms[0], rms[1])
+    before, least = _law_rms(judged), _law_rms(after)
+    return Sharper(CHANGES, before, least) if least <= WORTH * before else None
+
+
+def _law_rms(judged: Judged) -> float:
+    """Rms error to the law (radians); NaN where too little light says so."""
+    return next((c.value for c in judged.checks if c.id == "law_rms" and isinstance(c.value, float)), nan)
