@@ -17,7 +17,9 @@ def sag(face, x, y):
             return side * (1 / k - np.sqrt(1 / k**2 - (cx * x * x + cy * y * y) / k))
         q = cx * x * x + cy * y * y
         height = q / (1 + np.sqrt(1 - (1 + k) * cx**2 * x * x - (1 + m) * cy**2 * y * y))
-        return side * (height + sum(a * np.float64(x) ** i * np.float64(y) ** j for a, (i, j) in zip(face.terms, POWERS)))
+        return side * (
+            height + sum(a * np.float64(x) ** i * np.float64(y) ** j for a, (i, j) in zip(face.terms, POWERS))
+        )
 
 
 def cell(kind, pitch, count, x, y):

@@ -18,7 +18,7 @@ from clacad.base.units import millimetres
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Biconic, EvenPolynomial, Surface, conic_constants, resized
+from clacad.optics.surface import ULP, Biconic, EvenPolynomial, Surface, conic_constants, resized
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import Face, Window
@@ -83,11 +83,7 @@ class Station:
         same = self.curvature[0] == self.curvature[1] and (
             self.curvature[0] == 0.0 or self.conic[0] == self.conic[1]
         )
-        alike = [
-            all(term == terms[0] * comb(len(terms) - 1, j) for j, term in enumerate(terms))
-            for terms in self.terms
-        ]
-        return same and all(alike)
+        return same and all(map(_rotational, self.terms))
 
     @property
     def surface(self) -> Biconic | EvenPolynomial:
@@ -96,6 +92,12 @@ class Station:
             a4, a6, a8 = self.terms
             return EvenPolynomial(*self.curvature, *self.conic, a4, 1, a6, a8)
         return Biconic(*self.curvature, *self.conic, 1)
+
+
+def _rotational(terms: tuple[float, ...]) -> bool:
+    """Whether terms of one order are a multiple of (x² + y²)^k, to the rounding of numbers written by hand."""
+    wanted = [terms[0] * comb(len(terms) - 1, j) for j in range(len(terms))]
+    return all(abs(a - b) <= 4.0 * ULP * abs(b) for a, b in zip(terms, wanted, strict=True))
 
 
 def stations(window: Window) -> list[Station]:
