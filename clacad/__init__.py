@@ -63,6 +63,7 @@ _HOME = {
     "render_movie": "clacad.rendering",
     "plan_effects": "clacad.effects",
     "optimise": "clacad.optimising",
+    "write_before_and_after": "clacad.report.better_faces",
     "explore": "clacad.explorer",
     "image": "clacad.imaging",
     "stack": "clacad.stacking",

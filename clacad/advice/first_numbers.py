@@ -72,10 +72,11 @@ def balanced_pitch(wish: Wish) -> float:
 
 
 def sharpest_pitch(wish: Wish, behind: float) -> float:
-    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer; of two meridians the lesser."""
-    return MILLIMETRES * min(
-        pitch_for_eye.sharpest_pitch(eta, behind / MILLIMETRES, WAVELENGTH) for eta in powers(wish)
-    )
+    """Pitch (millimetres) at which a point `behind` the sheet is least blurred for the viewer, in the meridian blurred more."""
+    distance, viewer, etas = behind / MILLIMETRES, wish.viewing / MILLIMETRES, powers(wish)
+    pitches = [pitch_for_eye.sharpest_pitch(eta, distance, WAVELENGTH) for eta in etas]
+    blurs = [pitch_for_eye.sharpest_blur(eta, distance, viewer, WAVELENGTH) for eta in etas]
+    return MILLIMETRES * pitch_for_eye.pitch_of_more_blurred(pitches, blurs)
 
 
 def wanted_pitch(wish: Wish) -> PitchBound:

@@ -8,6 +8,7 @@ from typing import Any
 
 from clacad.advice.judged import Judged
 from clacad.advice.levers import Changes, Lever, levers_of, mends, settings, size_of
+from clacad.advice.sharper import Sharper, sharper
 from clacad.advice.trials import NoMoreTrials, Trials, found_in, settled
 from clacad.base.digits import shown
 from clacad.base.text import plain
@@ -78,11 +79,14 @@ class Advice:
         The best first; none where no single key mends the check.
     tried : int
         Designs that were tried.
+    sharper : Sharper or None
+        What would make light sharper and costs nothing, whether or not a check fails.
     """
 
     judged: Judged
     hints: tuple[tuple[Check, tuple[Hint, ...]], ...]
     tried: int
+    sharper: Sharper | None = None
 
     def of(self, check: Check) -> tuple[Hint, ...]:
         """Hints for one check of the design."""
@@ -99,7 +103,8 @@ class Advice:
             }
             for check, hints in self.hints
         ]
-        return {"tried": self.tried, "checks": rows}
+        free = None if self.sharper is None else self.sharper.to_dict()
+        return {"tried": self.tried, "checks": rows, "sharper": free}
 
 
 def advise(design: Design, progress: Progress | None = None, judged: Judged | None = None) -> Advice:
@@ -136,7 +141,8 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     ]
     ranked = sorted(hints, key=lambda hint: (not hint.passes, len(hint.left), size_of(hint.changes, design)))
     told = tuple((check, tuple(h for h in ranked if _names(h, check))[:MOST]) for check in wanted)
-    return Advice(judged, told, len(trials.made))
+    free = sharper(judged, trials)
+    return Advice(judged, told, len(trials.made), free)
 
 
 def _settings_that_mend(

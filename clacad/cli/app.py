@@ -114,17 +114,36 @@ def optimise(
     design: Design,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Better design file to write.")] = None,
     free: Annotated[str, typer.Option("--free", metavar="A,B", help="What may change: radii, conic, bending (own radii a "
-                                      "face), a4, offset.")] = "radii,conic",
+                                      "face), a4, a6, a8, offset.")] = "radii,conic",
     field: Annotated[str | None, typer.Option("--field", metavar="E", help="Half angle of the cone of rays, e.g. '1 deg'; "
                                               "default the design's check.field.")] = None,
+    weights: Annotated[str | None, typer.Option("--weights", metavar="P:W,P:W", help="Parts of the field and how much each "
+                                                "counts, e.g. .5:1,1:1; default the whole field.")] = None,
+    tolerances: Annotated[bool, typer.Option("--tolerances", help="Seek the least expected error of parts made with the design's "
+                                             "[tolerances], not of the perfect part.")] = False,
+    seconds: Annotated[float | None, typer.Option("--seconds", metavar="S", help="End the search after so long with the best so "
+                                                  "far; one that ends before gives the same with any number.")] = None,
+    compare: Annotated[Path | None, typer.Option("--compare", metavar="PAGE", help="Write a page with before and after: spots, "
+                                                 "error maps, sections, thicknesses, and whether the gain survives 1 µm and "
+                                                 "0.1 mrad.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the forecast, write nothing.")] = False,
     overwrite: Replace = False,
     set: Set = None, json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
 ) -> int:  # fmt: skip
     """Search for faces that keep closer to the law; write them as a design with given faces."""
-    from clacad.cli.optimise_command import OptimiseRequest, field_of, optimise_design, words_of
+    from clacad.cli.optimise_command import (
+        OptimiseRequest,
+        field_of,
+        optimise_design,
+        seconds_of,
+        weights_of,
+        words_of,
+    )
 
-    request = OptimiseRequest(out, words_of(free), field_of(field), dry_run, overwrite)
+    request = OptimiseRequest(
+        out, compare, words_of(free), field_of(field), weights_of(weights), tolerances, seconds_of(seconds), dry_run,
+        overwrite,
+    )  # fmt: skip
     return optimise_design(design, set or [], request, json=json, quiet=quiet)
 
 

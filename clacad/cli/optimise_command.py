@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,18 +15,33 @@ from clacad.cli.option_values import BadOption, parse_angle
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.optimising.search import Optimised
+    from clacad.optimising import Optimised
+    from clacad.optimising.gain_as_made import GainAsMade
 
 TASK = "optimise"
 
 
 @dataclass(frozen=True)
 class OptimiseRequest:
-    """What the command line asked: where to write, what is free, over which field (radians; None: the design's)."""
+    """What the command line asked.
+
+    out, compare : path or None
+        The better design, and the page with before and after.
+    free : tuple of str
+    field : float or None, radians
+        None: the design's.
+    weights : tuple of (part of the field, weight)
+    tolerances : bool
+    seconds : float or None
+    """
 
     out: Path | None
+    compare: Path | None
     free: tuple[str, ...]
     field: float | None
+    weights: tuple[tuple[float, float], ...]
+    tolerances: bool
+    seconds: float | None
     dry_run: bool
     overwrite: bool
 
@@ -51,6 +66,37 @@ def field_of(text: str | None) -> float | None:
     return None if text is None else parse_angle("--field", text)
 
 
+def weights_of(text: str | None) -> tuple[tuple[float, float], ...]:
+    """Read ".5:1,1:1" as parts of the field and their weights.
+
+    Raises
+    ------
+    BadOption
+    """
+    if text is None:
+        return ((1.0, 1.0),)
+    found = []
+    for one in text.split(","):
+        part, colon, weight = one.partition(":")
+        try:
+            found.append((float(part), float(weight) if colon else 1.0))
+        except ValueError:
+            raise BadOption(f"--weights {text}: it is part:weight of the field, such as .5:1,1:1") from None
+    return tuple(found)
+
+
+def seconds_of(value: float | None) -> float | None:
+    """Read --seconds.
+
+    Raises
+    ------
+    BadOption
+    """
+    if value is not None and not (0.0 < value < inf):
+        raise BadOption(f"--seconds {value:g}: it is a number of seconds above 0, such as 60")
+    return value
+
+
 def optimise_design(
     path: Path, overrides: list[str], request: OptimiseRequest, *, json: bool, quiet: bool
 ) -> int:
@@ -60,9 +106,12 @@ def optimise_design(
     from clacad.optimising.optimised_text import design_text
     from clacad.storage.atomic import write_file
 
-    ahead = outlook(design, request.free)
+    page = _page(request)
+    ahead = outlook(design, request.free, request.weights, tolerances=request.tolerances)
+    if page is not None:
+        ahead["seconds"] += page_seconds()
     if request.dry_run:
-        return _show_forecast(ahead, json=json, quiet=quiet)
+        return _show_forecast(ahead, page, json=json, quiet=quiet)
     if request.out is None:
         raise BadOption("the better design needs a file: give it with -o better.toml")
     progress, ended = Progress(quiet=quiet), []
@@ -73,8 +122,13 @@ def optimise_design(
     def search(private: Path) -> None:
         with forecast(TASK, ahead["seconds"], quiet=quiet) as span:
             progress.expect(span.middle)
-            ended.append(optimise(design, request.free, request.field, best_so_far))
-        private.write_text(design_text(ended[0]), encoding="utf-8", newline="\n")
+            found = optimise(
+                design, request.free, request.field, best_so_far, weights=request.weights, tolerances=request.tolerances,
+                seconds=request.seconds,
+            )  # fmt: skip
+            made = _compared(found, page, overwrite=request.overwrite)
+        ended.append((found, made))
+        private.write_text(design_text(found), encoding="utf-8", newline="\n")
 
     try:
         write_file(
@@ -82,42 +136,80 @@ def optimise_design(
         )  # a name that is taken is refused before the search
     finally:
         progress.done()
-    return _finished(ended[0], request.out, json=json, quiet=quiet)
+    return _finished(*ended[0], request, json=json, quiet=quiet)
 
 
-def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:
+def page_seconds() -> float:
+    """Processor seconds of a page."""
+    from clacad.report.better_faces import SECONDS
+
+    return SECONDS
+
+
+def _page(request: OptimiseRequest) -> Path | None:
+    """Where the page goes, if one is asked for; a name that is none, or is taken, is refused before the search."""
+    if request.compare is None:
+        return None
+    from clacad.report.better_faces import html_file
+    from clacad.storage.errors import ExportRefused
+
+    page = html_file(request.compare)
+    if page.exists() and not request.overwrite and not request.dry_run:
+        raise ExportRefused(f"{page} exists; choose another name, or ask to overwrite")
+    return page
+
+
+def _compared(found: Optimised, page: Path | None, *, overwrite: bool) -> GainAsMade | None:
+    """Write the page, unless the search was interrupted."""
+    if page is None or found.stopped == "interrupted":
+        return None
+    from clacad.report.better_faces import write_before_and_after
+
+    return write_before_and_after(found, page, overwrite)
+
+
+def _show_forecast(ahead: dict[str, float], page: Path | None, *, json: bool, quiet: bool) -> int:
     """What a search would cost."""
     if json:
         show_json({"forecast": ahead})
     else:
+        files = "one file of about 4 kB" + ("" if page is None else " and a page of about 1.4 MB")
         show_text(
             f"{ahead['unknowns']:.0f} unknowns, about {ahead['evaluations']:.0f} evaluations, about {ahead['seconds']:.2g} s "
-            "of processor time on one core, one file of about 3 kB; nothing is written",
+            f"of processor time on one core, {files}; nothing is written",
             quiet=quiet,
         )
     return 0
 
 
-def _finished(found: Optimised, out: Path, *, json: bool, quiet: bool) -> int:
+def _finished(
+    found: Optimised, made: GainAsMade | None, request: OptimiseRequest, *, json: bool, quiet: bool
+) -> int:
     """Say what was found and written; the exit status."""
-    from clacad.optimising.optimised_text import gains
-
-    failed = broken_rules(found.design) if found.finished else []
+    out, failed = request.out, broken_rules(found.design) if found.stopped != "interrupted" else []
     if json:
-        show_json(found.to_dict() | {"path": str(out), "failed": failed})
-    elif found.finished:
-        about = f"{found.design.name}: {found.unknowns} unknowns ({', '.join(found.free)}), {found.evaluations} evaluations"
-        show_text(
-            "\n".join([f"{about}, field {degrees(found.field):.4g} deg", *(f"  {t}" for t in gains(found))]),
-            quiet=quiet,
-        )
+        more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
+        show_json(found.to_dict() | {"path": str(out), "failed": failed} | more)
+    elif found.after:
+        show_text("\n".join(_told(found, made)), quiet=quiet)
     for sentence in failed:
         say(f"design rule broken: {sentence}", quiet=quiet)
-    say(
-        f"wrote {out}" + (f"\nnext: clacad verify {out}" if found.finished else ", the best so far"),
-        quiet=quiet,
-    )
-    return INTERRUPTED if not found.finished else 1 if failed else 0
+    pages = "" if made is None else f" and {request.compare}"
+    next_step = f"\nnext: clacad verify {out}" if found.stopped != "interrupted" else ""
+    say(f"wrote {out}{pages}{', the best so far' if found.stopped else ''}{next_step}", quiet=quiet)
+    return INTERRUPTED if found.stopped == "interrupted" else 1 if failed else 0
+
+
+def _told(found: Optimised, made: GainAsMade | None) -> list[str]:
+    """What was found, for a person."""
+    from clacad.optimising.optimised_text import expected, gains, left_out
+
+    about = f"{found.design.name}: {found.unknowns} unknowns ({', '.join(found.free)}), {found.evaluations} evaluations"
+    lines = [f"{about}, field {degrees(found.field):.4g} deg", *(f"  {text}" for text in gains(found))]
+    lines += [expected(found)] if found.expected is not None else []
+    lines += [left_out(found)] if found.left_out and not found.stopped else []
+    lines += ["the seconds were over before the search had ended"] if found.stopped == "seconds" else []
+    return lines + ([] if made is None else [made.sentence()])
 
 
 def broken_rules(design: Design) -> list[str]:

@@ -164,7 +164,7 @@ def check_text(
 
 
 def advice_text(advice: Any) -> str:
-    """What would mend each check that failed or warned, the best first; "" where none did."""
+    """What would mend each check that failed or warned, the best first, and what costs nothing; "" where there is neither."""
     lines: list[str] = []
     for check, hints in advice.hints:
         name = f"{check.id} ({check.subject})" if check.subject else check.id
@@ -178,4 +178,6 @@ def advice_text(advice: Any) -> str:
         else:  # the same keys mend several checks: said once
             names, _, _ = lines[said].partition("\n")
             lines[said] = f"{names}, {name}\n{told}"
-    return "\n".join(["what would mend it, each tried", *lines]) if lines else ""
+    told_first = ["what would mend it, each tried", *lines] if lines else []
+    free = [] if advice.sharper is None else [f"what would cost nothing, tried\n    {advice.sharper}"]
+    return "\n".join([*told_first, *free])

@@ -202,7 +202,7 @@ class ListOf:
     """A list of any number of values of one kind, up to 1000."""
 
     kind: Kind
-    what: Literal["texts", "tables"]
+    what: Literal["texts", "tables", "pairs"]
 
     def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
         """Return the values as a tuple."""

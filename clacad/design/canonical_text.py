@@ -12,6 +12,7 @@ from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.search_record import SearchRecord
 from clacad.design.sections import NO_TOLERANCES, AimedAt, Allowed, Frame, Outline, PairSpec
 from clacad.design.varying import VaryingSpec, varying_table
 
@@ -55,6 +56,8 @@ def _left_out(name: str, pair: PairSpec) -> bool:
 
 def _written(value: Any, key: Key, design: Design) -> Any:
     kind = key.kind
+    if isinstance(value, SearchRecord):
+        return value.to_dict()
     if isinstance(value, Outline):
         return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
     if isinstance(value, AimedAt):

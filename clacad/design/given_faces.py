@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from clacad.base.even_orders import A4, A6, A8, MONOMIALS, NO_A4, NO_A6, NO_A8, POWER, RAISED
 from clacad.base.units import LENGTHS, SHOWN, Unit, split
 from clacad.config.compound_kinds import InlineTable, ListOf, Several
 from clacad.config.quantities import Quantity
@@ -30,11 +31,15 @@ class FaceSpec:
         Conic constants.
     a4 : (3,) tuple of float, 1/length³
         Coefficients of x⁴, x² y² and y⁴, positive outwards.
+    a6, a8 : (4,) and (5,) tuple of float, 1/length⁵ and 1/length⁷
+        Coefficients of the next orders, from the highest power of x to the highest of y.
     """
 
     radius: Pair2
     conic: Pair2 = (0.0, 0.0)
-    a4: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    a4: A4 = NO_A4
+    a6: A6 = NO_A6
+    a8: A8 = NO_A8
 
     @property
     def curvature(self) -> Pair2:
@@ -44,7 +49,12 @@ class FaceSpec:
     @property
     def plane(self) -> bool:
         """Whether the face is flat everywhere."""
-        return self.curvature == (0.0, 0.0) and not any(self.a4)
+        return self.curvature == (0.0, 0.0) and not self.polynomial
+
+    @property
+    def polynomial(self) -> bool:
+        """Whether the face has terms on top of its conic."""
+        return any(self.a4) or any(self.a6) or any(self.a8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +84,10 @@ class Radius:
 
 
 @dataclass(frozen=True, slots=True)
-class PerVolume:
-    """A coefficient of fourth order: a bare number in 1/unit³, or a text such as "3.8e3 1/m^3"."""
+class PerPower:
+    """A coefficient of an even term: a bare number in 1/unit^power, or a text such as "3.8e3 1/m^3"."""
+
+    power: int
 
     def read(self, value: object, unit: Unit) -> float:
         """Return the coefficient in 1/design unit³; refuse a text without a unit, or with another one."""
@@ -95,30 +107,31 @@ class PerVolume:
         if parts is None or parts[1]:
             raise Refusal("CL104", "is not a number with a unit", value, self.allowed(unit))
         if not slash:
-            hint = f'write {value.strip()} without quotes, or "{value.strip()} {_cube(unit)}"'
+            hint = f'write {value.strip()} without quotes, or "{value.strip()} {self._unit(unit)}"'
             raise Refusal("CL105", "has no unit", value, self.allowed(unit), hint)
-        word = word.strip().removesuffix("³").removesuffix("^3").removesuffix("3")
+        word = word.strip().removesuffix(RAISED[self.power]).removesuffix(str(self.power)).removesuffix("^")
         if word not in LENGTHS:
-            raise Refusal("CL105", f"has an unknown unit '1/{word}^3'", value, self.allowed(unit))
-        return float(parts[0] * (unit.metres / LENGTHS[word]) ** 3)
+            raise Refusal("CL105", f"has an unknown unit '1/{word}^{self.power}'", value, self.allowed(unit))
+        return float(parts[0] * (unit.metres / LENGTHS[word]) ** self.power)
 
     def allowed(self, unit: Unit) -> str:
         """Return the words of the message."""
-        return f'a number (bare = {_cube(unit)}, or text with a unit such as "1e-3 1/mm^3")'
+        return f'a number (bare = {self._unit(unit)}, or text with a unit such as "1e-3 1/mm^{self.power}")'
 
     def schema(self) -> JsonSchema:
         """Give the JSON Schema of a number or text."""
-        text: JsonSchema = {"type": "string", "pattern": r"^\s*[-+0-9.eE]+\s+1/[a-z]+\^?(3|³)\s*$"}
-        return {"description": "a number, in 1/unit³ where bare", "anyOf": [{"type": "number"}, text]}
+        raised = RAISED[self.power]
+        pattern = rf"^\s*[-+0-9.eE]+\s+1/[a-z]+\^?({self.power}|{raised})\s*$"
+        text: JsonSchema = {"type": "string", "pattern": pattern}
+        return {"description": f"a number, in 1/unit{raised} where bare", "anyOf": [{"type": "number"}, text]}
 
-
-def _cube(unit: Unit) -> str:
-    """The design's 1/unit³ in words."""
-    return "1/unit^3" if unit.name[:1].isdigit() else f"1/{unit.name}^3"
+    def _unit(self, unit: Unit) -> str:
+        """The design's 1/unit^power in words."""
+        return f"1/unit^{self.power}" if unit.name[:1].isdigit() else f"1/{unit.name}^{self.power}"
 
 
 LARGEST_TERM: Final = 1e30
-"""Largest coefficient of fourth order, 1/unit³: beyond it nothing could be computed."""
+"""Largest coefficient of an even term, 1/unit^power: beyond it nothing could be computed."""
 
 _LENGTH: Final = Quantity("length", "a length")
 _CONIC: Final = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
@@ -128,7 +141,7 @@ FACES: Final = ListOf(
         (
             ("radius", Several(Radius(), _XY, single=True)),
             ("conic", Several(_CONIC, _XY, single=True)),
-            ("a4", Several(PerVolume(), ("x⁴", "x² y²", "y⁴"))),
+            *((order, Several(PerPower(POWER[order]), names)) for order, names in MONOMIALS.items()),
         ),
         required=("radius",),
     ),
@@ -147,6 +160,7 @@ def face_table(face: FaceSpec) -> dict[str, Any]:
     made: dict[str, Any] = {"radius": ["inf" if math.isinf(r) else r for r in face.radius]}
     if face.conic != (0.0, 0.0):
         made["conic"] = list(face.conic)
-    if any(face.a4):
-        made["a4"] = list(face.a4)
+    for order in MONOMIALS:
+        if any(getattr(face, order)):
+            made[order] = list(getattr(face, order))
     return made

@@ -26,6 +26,7 @@ from clacad.config.value_kinds import (
     not_this,
 )
 from clacad.design.given_faces import FACES
+from clacad.design.search_record import SEARCH
 from clacad.design.varying import VARYING
 
 FORMAT: Final = 1
@@ -167,6 +168,9 @@ PAIR: Final[dict[str, Key]] = {
     "offset": Key(
         Word(("paraxial", "traced")),
         "where lens 2 stands: by paraxial rays, or where the mean traced light of its cell obeys the law (default where cells differ)",
+    ),
+    "search": Key(
+        SEARCH, "given: where the faces come from; clacad optimise writes it, nothing is built from it"
     ),
 }
 LATTICE: Final[dict[str, Key]] = {

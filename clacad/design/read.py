@@ -20,6 +20,7 @@ from clacad.design.filled_outline import filling_count
 from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
+from clacad.design.search_record import search_read
 from clacad.design.sections import (
     AimedAt,
     Allowed,
@@ -218,6 +219,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
         pair["web"] = 0.0
     pair["face"] = faces_read(pair["face"])
+    pair["search"] = None if pair["search"] is None else search_read(pair["search"])
     law["euler_degrees"] = law.pop("euler")
     law["varying"] = _varying(law["varying"], path, source)
     if lattice["outline"] is not None:

@@ -184,7 +184,7 @@ def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
 def faces_stand_alone(a: Asked) -> Iterator[Mistake]:
     """Given faces need prescription = "given", and nothing of the recipes beside them."""
     given = a("pair.prescription") == "given"
-    for key in ("pair.face", "pair.vertex"):
+    for key in ("pair.face", "pair.vertex", "pair.search"):
         if a.given(key) and a("pair.prescription") == "derived":
             yield Mistake("CL113", f'{key} needs pair.prescription = "given"', key,
                           allowed='prescription = "given", or leave it out')  # fmt: skip

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from clacad.design.given_faces import FaceSpec
+from clacad.design.search_record import SearchRecord
 from clacad.design.varying import VaryingSpec
 
 if TYPE_CHECKING:  # a design is read without numpy
@@ -84,6 +85,8 @@ class PairSpec:
         Given offset of lens 2 in the lens frame; None: δ f1.
     offset : {"paraxial", "traced"} or None
         Where lens 2 stands: by paraxial rays, or where traced light leaves as asked; None: traced where cells differ.
+    search : SearchRecord or None
+        Where given faces come from.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -102,6 +105,7 @@ class PairSpec:
     face: tuple[FaceSpec, ...] = ()
     vertex: Pair2 | None = None
     offset: Literal["paraxial", "traced"] | None = None
+    search: SearchRecord | None = None
 
     @property
     def given(self) -> bool:

@@ -7,6 +7,8 @@ separation would lessen the error for ever, as the cube of pitch over separation
 
 from __future__ import annotations
 
-from clacad.optimising.search import Optimised, Seen, optimise, outlook
+from clacad.optimising.aim import Aim
+from clacad.optimising.measured_light import Seen
+from clacad.optimising.search import Optimised, optimise, outlook
 
-__all__ = ["Optimised", "Seen", "optimise", "outlook"]
+__all__ = ["Aim", "Optimised", "Seen", "optimise", "outlook"]

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from math import degrees
 
 from clacad.design.canonical_text import to_toml
-from clacad.optimising.search import RAYS, Optimised
+from clacad.optimising.aim import RAYS, WHOLE
+from clacad.optimising.search import Optimised
 
 PLACES = {
     2: ("lens 1, front of the slab", "lens 2, back of the slab"),
@@ -18,7 +19,7 @@ def design_text(found: Optimised) -> str:
     """The better design as TOML, with comments; it loads as it stands."""
     data = dict(found.design.given)
     pair = dict(data["pair"])
-    faces = pair.pop("face")
+    faces, record = pair.pop("face"), pair.pop("search")
     head = {key: value for key, value in data.items() if not isinstance(value, Mapping)}
     parts = [_about(found), to_toml(head)]
     for name, section in data.items():
@@ -29,27 +30,51 @@ def design_text(found: Optimised) -> str:
             for face, place in zip(faces, PLACES[len(faces)], strict=True):
                 body = to_toml(face)
                 parts.append(f"\n[[pair.face]]    # {place}\n{body}")
+            parts.append(to_toml({"pair.search": record}))
     return "".join(parts)
 
 
 def _about(found: Optimised) -> str:
     """What the file says of itself before its first key."""
     lines = [
-        f"{found.design.name}: faces found by clacad optimise --free {','.join(found.free)} "
-        f'--field "{degrees(found.field):.4g} deg"',
+        f"{found.design.name}: faces found by clacad optimise {asked(found)}",
         f"from the design {found.start.sha256} with {found.unknowns} unknowns, {RAYS} Sobol rays, "
         f"{found.evaluations} evaluations.",
     ]
-    if not found.finished:
-        lines.append("The search was stopped on the way; this is the best it had found within the walls.")
-    else:
+    lines += [left_out(found)] if found.left_out and found.finished else []
+    if found.stopped:
+        why = "on the way" if found.stopped == "interrupted" else "when its seconds were over"
+        lines.append(f"The search was stopped {why}; this is the best it had found within the walls.")
+    if found.after:
         lines += [
             "",
             "Direction error to the law, rms over fresh rays, and share of light that gets to its partner cell:",
         ]
         lines += [f"  {text}" for text in gains(found)]
         lines += ["What is best over this field need not be over another."]
+    if found.expected is not None:
+        lines.append(expected(found))
     return "".join(f"# {line}".rstrip() + "\n" for line in lines) + "\n"
+
+
+def asked(found: Optimised) -> str:
+    """The options that were asked, as they would be written again."""
+    text = f'--free {",".join(found.free)} --field "{degrees(found.field):.4g} deg"'
+    if found.aim.weights != WHOLE:
+        text += f" --weights {','.join(f'{part:g}:{weight:g}' for part, weight in found.aim.weights)}"
+    return text + (" --tolerances" if found.aim.tolerances else "")
+
+
+def left_out(found: Optimised) -> str:
+    """A sentence on the orders that were not worth it."""
+    return f"Left out, for the error would be less by under a tenth with it: {', '.join(found.left_out)}."
+
+
+def expected(found: Optimised) -> str:
+    """A sentence on the error of made parts."""
+    assert found.expected is not None
+    before, after = (1e3 * error for error in found.expected)
+    return f"To expect of parts made with the [tolerances]: {before:.4g} mrad  ->  {after:.4g} mrad rms."
 
 
 def gains(found: Optimised) -> list[str]:

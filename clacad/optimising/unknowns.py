@@ -1,16 +1,17 @@
 """What may change: words to a vector of unknowns of order 1, and back to faces.
 
 A unit of an unknown changes the slope at the border of a cell by about 1: curvatures times half a cell, coefficients of
-fourth order times 4 (half a cell)³. Conic constants count in tens. Where a lens is not bent, its two faces are alike.
+order 2k times 2k (half a cell)^(2k − 1). Conic constants count in tens. Where a lens is not bent, its two faces are alike.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
 
+from clacad.base.even_orders import MONOMIALS, POWER
 from clacad.base.text import did_you_mean, near
 from clacad.base.types import Floats
 from clacad.config.design_error import DesignError
@@ -21,13 +22,11 @@ from clacad.optics.surface import EvenPolynomial, Quadric, Surface
 from clacad.prescription.given import given_conics
 from clacad.sheet.window import Window
 
-WORDS = ("radii", "conic", "bending", "a4", "offset")
+WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset")
 
 NEVER = {
     "separation": "the error falls as the cube of pitch over separation, for ever",
     "thickness": "the error falls as the cube of pitch over separation, for ever",
-    "a6": "it was found to give nothing on top of a4 at these apertures",
-    "a8": "it was found to give nothing on top of a4 at these apertures",
 }
 
 CONICS = 10.0
@@ -35,7 +34,7 @@ CONICS = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """One number: `kind` "c", "K" or "a" of faces that share it, in a meridian or of a term; "d": offset of lens 2."""
+    """One number: `kind` "c", "K", "a4", "a6" or "a8" of faces that share it, in a meridian or of a term; "d": offset of lens 2."""
 
     kind: str
     faces: tuple[int, ...]
@@ -81,7 +80,7 @@ class Unknowns:
         """Faces, and the offset of lens 2, that unknowns (k,) stand for."""
         curvature = [list(face.curvature) for face in self.start]
         conic = [list(face.conic) for face in self.start]
-        terms = [list(face.a4) for face in self.start]
+        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
         offset = None if self.offset is None else list(self.offset)
         for one, value in zip(self.free, vector.tolist(), strict=True):
             if one.kind == "d":
@@ -93,12 +92,12 @@ class Unknowns:
                 elif one.kind == "K":
                     conic[k][one.part] = value * CONICS
                 else:
-                    terms[k][one.part] = value / (4.0 * self.half**3)
+                    terms[one.kind][k][one.part] = value / self._slope(one.kind)
         if self.ellipsoids:
             conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
         made = tuple(
-            FaceSpec((_radius(c[0]), _radius(c[1])), (k[0], k[1]), (a[0], a[1], a[2]))
-            for c, k, a in zip(curvature, conic, terms, strict=True)
+            FaceSpec((_radius(c[0]), _radius(c[1])), (k[0], k[1]), *map(tuple, a))
+            for c, k, *a in zip(curvature, conic, *terms.values(), strict=True)
         )
         return made, None if offset is None else (offset[0], offset[1])
 
@@ -109,7 +108,14 @@ class Unknowns:
         face = self.start[one.faces[0]]
         if one.kind == "c":
             return face.curvature[one.part] * self.half
-        return face.conic[one.part] / CONICS if one.kind == "K" else face.a4[one.part] * 4.0 * self.half**3
+        if one.kind == "K":
+            return face.conic[one.part] / CONICS
+        return float(getattr(face, one.kind)[one.part]) * self._slope(one.kind)
+
+    def _slope(self, order: str) -> float:
+        """Slope at the border of a cell of a term of this order whose coefficient is 1."""
+        power = POWER[order]
+        return float((power + 1.0) * self.half**power)
 
 
 def _radius(curvature: float) -> float:
@@ -142,17 +148,15 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
         "conic" not in words and "a4" not in words and all(_ellipsoidal(f.surface) for f in window.faces)
     )
     if "a4" in words:  # on paraboloids: polynomials of degree 4, whose patches are exact
-        faces = tuple(
-            FaceSpec(f.radius, (-1.0, -1.0), f.a4) if k in lenses else f for k, f in enumerate(faces)
-        )
+        faces = tuple(replace(f, conic=(-1.0, -1.0)) if k in lenses else f for k, f in enumerate(faces))
     free: list[Unknown] = []
     for group in groups:
         if bent or "radii" in words:
             free += [Unknown("c", group, i) for i in (0, 1) if bent or faces[group[0]].curvature[i] != 0.0]
         if "conic" in words:
             free += [Unknown("K", group, i) for i in (0, 1)]
-        if "a4" in words:
-            free += [Unknown("a", group, i) for i in (0, 1, 2)]
+        for order in MONOMIALS:
+            free += [Unknown(order, group, i) for i in range(len(MONOMIALS[order])) if order in words]
     d, half = window.recipe["d"], 0.5 * min(window.lattice.pitch)
     still = "offset" not in words and d[0] == d[1] == 0.0
     offset = (float(d[0]), float(d[1])) if "offset" in words else None
@@ -169,9 +173,13 @@ def _refuse(window: Window, words: tuple[str, ...]) -> None:
             raise DesignError([Mistake("CL107", f"{shown(word)} is nothing that can be free", "free", found=word, allowed=", ".join(WORDS), hint=hint)])  # fmt: skip
     if not words:
         raise DesignError([Mistake("CL107", "nothing is free", "free", allowed=", ".join(WORDS))])
+    for higher, lower in (("a6", "a4"), ("a8", "a6")):
+        if higher in words and lower not in words:
+            raise DesignError([Mistake("CL113", f"{higher} comes on top of {lower}, where that leaves too much", "free", found=higher,
+                                       allowed=", ".join(WORDS), hint=f"free {lower}, too")])  # fmt: skip
     if "bending" in words and window.form != "biconvex":
         raise DesignError([Mistake("CL114", f"bending needs two faces a lens; a {window.form} pair has one", "free", found="bending",
-                                   allowed="radii, conic, a4, offset", hint='pair.form = "biconvex" can be bent')])  # fmt: skip
+                                   allowed="radii, conic, a4, a6, a8, offset", hint='pair.form = "biconvex" can be bent')])  # fmt: skip
 
 
 def _spec(surface: Surface) -> FaceSpec:
@@ -179,8 +187,8 @@ def _spec(surface: Surface) -> FaceSpec:
     cx, cy = surface.curvature_x, surface.curvature_y
     if cx == cy == 0.0 and not isinstance(surface, EvenPolynomial):
         return FaceSpec((inf, inf))
-    terms = surface.a4 if isinstance(surface, EvenPolynomial) else (0.0, 0.0, 0.0)
-    return FaceSpec((_radius(cx), _radius(cy)), given_conics(surface), terms)
+    terms = (surface.a4, surface.a6, surface.a8) if isinstance(surface, EvenPolynomial) else ()
+    return FaceSpec((_radius(cx), _radius(cy)), given_conics(surface), *terms)
 
 
 def _ellipsoidal(surface: Surface) -> bool:

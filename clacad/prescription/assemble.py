@@ -13,6 +13,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
 from clacad.design.process_profiles import profile
+from clacad.design.search_record import faces_digest
 from clacad.design.sections import AimedAt
 from clacad.optics.law import Law
 from clacad.prescription import poses
@@ -43,6 +44,7 @@ from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outli
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.design.sections import PairSpec
     from clacad.optics.material.material import Material
 
 
@@ -537,7 +539,15 @@ def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float)
         "material": pair.material,
         "curved": pair.curved if pair.form == "plano" else None,
         "warnings": [],
-    }
+    } | _search(pair)  # fmt: skip
+
+
+def _search(pair: PairSpec) -> dict[str, Any]:
+    """Where given faces come from, and whether they are still those that were found; nothing of other faces."""
+    if pair.search is None:
+        return {}
+    unchanged = pair.search.faces_sha256 == faces_digest(pair.face)
+    return {"search": pair.search.to_dict() | {"unchanged": unchanged}}
 
 
 _FORMS = {"biconvex": _biconvex, "plano": _plano, "slab": _slab}

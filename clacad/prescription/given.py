@@ -42,8 +42,8 @@ class GivenFaces:
 def given_surface(face: FaceSpec, side: int) -> Surface:
     """The surface of a given face: a quadric wherever its points are those of one."""
     (cx, cy), (kx, ky) = face.curvature, face.conic
-    if any(face.a4):
-        return EvenPolynomial(cx, cy, kx, ky, face.a4, side)
+    if face.polynomial:
+        return EvenPolynomial(cx, cy, kx, ky, face.a4, side, face.a6, face.a8)
     biconic = Biconic(cx, cy, kx, ky, side)
     try:
         return as_quadric(biconic)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.digits import digits
+from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.units import millimetres
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.sheet.feasibility import FaceShape
@@ -118,9 +119,12 @@ def _shapes(lens: LensFacts, mm: float) -> list[FabricationLine]:
             FabricationLine(about, f"{of}apex radius x, y", tuple(r * mm for r in shape.radius)),
             FabricationLine(about, f"{of}conic constant x, y", conic, ""),
         ]
-        if shape.a4 is not None:
-            text = ", ".join(digits(a / mm**3) for a in shape.a4)
-            lines.append(FabricationLine(about, f"{of}a4: x⁴, x² y², y⁴", text, "1/mm³"))
+        for order, of_terms in MONOMIALS.items():
+            terms, power = getattr(shape, order), POWER[order]
+            if terms is not None:
+                text = ", ".join(digits(a / mm**power) for a in terms)
+                said = f"{of}{order}: {', '.join(of_terms)}"
+                lines.append(FabricationLine(about, said, text, f"1/mm{RAISED[power]}"))
     return lines
 
 

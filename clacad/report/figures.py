@@ -125,8 +125,8 @@ def transmission(report: Report) -> str:
     return svg(7.6, 3.0, "share of light transmitted against angle", draw)
 
 
-def residual_map(report: Report) -> str:
-    """Error of single rays over aperture and field, along both lens axes."""
+def residual_map(report: Report, label: str = "error over aperture and field") -> str:
+    """Error of single rays over aperture and field, along both lens axes; labels differ where a page holds several."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 1, 2, Margins(left=0.78, right=0.6, across=1.36))
@@ -145,11 +145,11 @@ def residual_map(report: Report) -> str:
             panel.grid(False)
             figure.colorbar(image, ax=panel, label="error (mrad)", shrink=0.9, fraction=0.06, pad=0.03)
 
-    return svg(7.6, 3.0, "error over aperture and field", draw)
+    return svg(7.6, 3.0, label, draw)
 
 
-def spots(report: Report) -> str:
-    """Exit directions about the law's, for nine incident directions."""
+def spots(report: Report, label: str = "spot diagrams over the field") -> str:
+    """Exit directions about the law's, for nine incident directions; labels differ where a page holds several."""
 
     def draw(figure: Figure) -> None:
         axes = panels(figure, 3, 3, Margins(across=0.26, down=0.16), sharex=True, sharey=True)
@@ -178,7 +178,7 @@ def spots(report: Report) -> str:
         axes[2][1].set_xlabel("direction error in x (mrad)")
         axes[1][0].set_ylabel("direction error in y (mrad)")
 
-    return svg(5.6, 5.6, "spot diagrams over the field", draw)
+    return svg(5.6, 5.6, label, draw)
 
 
 def convergence(report: Report) -> str:
@@ -277,7 +277,7 @@ def budget(report: Report) -> str:
     return svg(7.6, 0.9 + 0.28 * len(rows), "error budget", draw)
 
 
-def section(report: Report) -> str:
+def section(report: Report, label: str = "cross-section with rays") -> str:
     """Cross-section through the middle of three cells, true to scale, with rays through the middle one."""
     window = report.window
     size, name = next((s, n) for n, s in METRES.items() if s <= window.unit * (1 + 1e-9) or n == "um")
@@ -298,7 +298,7 @@ def section(report: Report) -> str:
 
     low, high = window.z_range
     tall = 3.2 * window.lattice.pitch[0] / ((high - low) + 1.3 * window.lattice.pitch[0])
-    return svg(7.6, min(5.0, max(1.7, 7.0 * tall)), "cross-section with rays", draw)
+    return svg(7.6, min(5.0, max(1.7, 7.0 * tall)), label, draw)
 
 
 def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:

@@ -2,7 +2,7 @@
 
 A quadric is exact: rational patch, rational arcs. Any other surface (a biconic) is replaced by ONE polynomial
 patch z(x, y) over its cell, fitted at Chebyshev points; its error is measured and stated, its border curves
-lie exactly on the fitted patch.
+lie exactly on the fitted patch. An upright even polynomial on a paraboloid is such a patch of its own degree, exactly.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.surface import Quadric, resized
+from clacad.optics.surface import EvenPolynomial, Quadric, resized
 from clacad.sheet.window import Face, lens_height
 from clacad.solid.rational_conics import (
     Arc,
@@ -215,7 +215,7 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     low, high, fine = zone.min(axis=0), zone.max(axis=0), np.linspace(0.0, 1.0, 41)
     true = _heights(face, low, high, fine)
     best: FittedLens | None = None
-    for degree in range(4, HIGHEST_DEGREE + 1):
+    for degree in range(_degree_of(face), HIGHEST_DEGREE + 1):
         t = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / degree)
         basis = bernstein(degree, t)
         grid = _heights(face, low, high, t)
@@ -235,6 +235,12 @@ def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
             f"(allowed {allowed:.2g} mm); reduce its curvature or conic constant",
         )
     return best
+
+
+def _degree_of(face: Face) -> int:
+    """Degree to begin with: that of a face which is a polynomial in x and y, so that its patch is the face itself."""
+    surface = face.surface
+    return (surface.degree if isinstance(surface, EvenPolynomial) else None) or 4
 
 
 def _heights(face: Face, low: Floats, high: Floats, t: Floats) -> Floats:

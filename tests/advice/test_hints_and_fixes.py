@@ -12,6 +12,7 @@ from clacad.advice import advise, fewest_keys, fix, judge
 from clacad.advice.levers import LEVERS, levers_of, settings
 from clacad.cli.entry_point import main
 from clacad.design import Design, load
+from clacad.prescription.prescribe import prescribe
 from clacad.verification import passed
 from clacad.verification.design.design_rules import design_checks
 from clacad.verification.light.through_window import judge_light
@@ -190,3 +191,26 @@ def test_shipped_templates_are_said_to_pass_or_fail_as_recorded():
     folder = Path(__file__).parents[2] / "designs"
     assert not judge(load(folder / "paper-base.toml")).passes
     assert judge(load(folder / "paper-a-covered.toml")).passes
+
+
+@pytest.mark.parametrize(("name", "better"), [("window-100mm", 5.0), ("slab", 1.2)])
+def test_a_slab_of_ellipsoids_is_told_of_the_conic_constant_that_costs_nothing(name, better):
+    design = load(Path(__file__).parents[2] / "designs" / f"{name}.toml")
+    free = advise(design).sharper
+    assert free is not None
+    assert free.changes == {"pair.surface": "biconic"}
+    conics = prescribe(design.replace(free.changes)).faces[0].surface.conic_x
+    assert conics == pytest.approx(-1.0 / prescribe(design).bodies[0].index ** 2, rel=1e-12)
+    after = by_all_rays(design.replace(free.changes))["law_rms", ""].value
+    assert free.after == pytest.approx(after, rel=0.02)
+    assert free.before > better * after
+    assert "costs nothing" in str(free)
+
+
+def test_what_is_no_slab_of_ellipsoids_is_told_of_nothing_that_costs_nothing():
+    designs = Path(__file__).parents[2] / "designs"
+    for design in (
+        load(designs / "plano.toml"),
+        load(designs / "window-100mm.toml", ['pair.surface="biconic"']),
+    ):
+        assert advise(design).sharper is None

@@ -102,11 +102,15 @@ def test_the_balanced_pitch_looks_as_wide_as_the_diffraction_of_what_comes_back(
     assert pitch / 1000.0 == pytest.approx(WAVELENGTH * 1e3 / (pitch * 0.5))
 
 
-def test_the_sharpest_pitch_is_the_one_that_check_prints():
-    wish = read_wish(parse_wish(["eta=[-2, -.5], width=20, viewing=1 m, object=500 mm"]))
+@pytest.mark.parametrize("eta", ["[-2, -.5]", "[-.5, -2]", "[-.25, -1]", "[-1, -3]"])
+def test_the_sharpest_pitch_is_the_one_that_check_prints(eta):
+    """Of the axis that is blurred more, be it that of the lesser pitch or not."""
+    wish = read_wish(parse_wish([f"eta={eta}, width=20, viewing=1 m, object=500 mm"]))
     design = built(wish, Variant("slab"), 0.75, 12.0, "x")
     told = feasibility(prescribe(design), viewer=1.0, distance=0.5).viewing
-    assert sharpest_pitch(wish, 500.0) == pytest.approx(1e3 * min(told.sharpest))
+    assert sharpest_pitch(wish, 500.0) == pytest.approx(1e3 * told.advised)
+    blurred_more = told.blur.index(max(told.blur))
+    assert told.advised == told.sharpest[blurred_more]
 
 
 @pytest.mark.parametrize("eta", [(-1.0, -1.0), (-0.5, -2.0), (0.5, 0.5)])

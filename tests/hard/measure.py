@@ -8,7 +8,7 @@ from oracle import trace as oracle
 
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface
-from clacad.optics.surface import Biconic, Quadric
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric
 
 ULP = 2.0**-52
 FATE_OF = {"ok": Fate.ALIVE, "missed": Fate.MISSED, "tir": Fate.TIR}
@@ -23,6 +23,8 @@ def rotation(phi, theta, psi):
 def surface_of(face):
     """The oracle's face as clacad's surface."""
     a, b, c, d, side = face.shape
+    if face.kind == "polynomial":
+        return EvenPolynomial(a, b, c, d, face.terms[:3], side, face.terms[3:7], face.terms[7:])
     return Quadric(a, b, c, side) if face.kind == "quadric" else Biconic(a, b, c, d, side)
 
 

@@ -52,6 +52,12 @@ SHAPE, QUADRIC, MEETING, BICONIC = (
 MODEL, IMAGING, EXACT, TURN = (
     f"clacad/optics/law/{n}.py" for n in ("law", "imaging", "angle", "orientation")
 )
+POLYNOMIAL, TERMS = (f"clacad/optics/surface/{n}.py" for n in ("even_polynomial", "even_terms"))
+TWIN, PATCHES = "clacad/tracing/compiled/even_polynomial.py", "clacad/solid/lens_faces.py"
+EVEN = "tests/optics/test_even_polynomial.py"
+SEARCH = "clacad/optimising/face_search.py"
+AIM, FIT = "clacad/optimising/aim.py", "clacad/optics/fit.py"
+ASKED, TRAPS = "tests/optimising/test_what_is_asked.py", "tests/optimising/test_optimise.py"
 SCALAR, LAUNCH, TRACE = (
     "clacad/tracing/compiled/face.py",
     "clacad/tracing/reference/launch.py",
@@ -122,6 +128,32 @@ MUTATIONS = [
     Mutation("kernel: far sheet told by height alone", SCALAR, "if -rounding <= level <= abs(q) + rounding:", "if abs(level) <= abs(q) + rounding:", KERNELS),
     Mutation("kernel: q - µ r", SCALAR, "return weight / (sqrt(square * weight + incident * incident) + incident)", "return (sqrt(square * weight + incident * incident) - incident) / square", KERNELS),
     Mutation("kernel: 1 - µ²", SCALAR, "weight = (n2 - n1) / n2 * ((n2 + n1) / n2)", "weight = 1.0 - mu * mu", KERNELS),
+    # -- even polynomials
+    Mutation("polynomial: the end of the real base forgotten", POLYNOMIAL, "first, last = _real_stretch(surface, base, up)",
+             "first, last = _real_stretch(surface, base, up)\n    first, last = 0.0 * first - np.inf, 0.0 * last + np.inf", STORED),
+    Mutation("polynomial: Newton unguarded", POLYNOMIAL, "usable = (onward > 0.0) & np.isfinite(step) & (low <= step) & (step <= high)",
+             "usable = np.isfinite(step)", EVEN),
+    Mutation("polynomial: no halving", POLYNOMIAL, "np.where(bracketed, 0.5 * (low + high), beyond)", "beyond", EVEN),
+    Mutation("polynomial: a small step is a root", POLYNOMIAL, " & (np.abs(gap) <= CLOSE * size)", "", EVEN),
+    Mutation("polynomial: Newton stops at 1e-3", POLYNOMIAL, "SETTLED = 2.0**-34", "SETTLED = 1e-3", STORED),
+    Mutation("polynomial: slopes of the terms without w", SHAPE, "gx - surface.side * w * px", "gx - surface.side * px", EVEN),
+    Mutation("even terms: powers first", TERMS, "xx * (xx * (xx * (a * xx + b * yy)", "xx * (xx * (a * (xx * xx) + xx * (b * yy)", STORED),
+    Mutation("even terms: slope of y⁶ as of x² y⁴", TERMS, "2.0 * c * yy)\n    py = xx * (2.0 * b * xx + 4.0 * c * yy) + yy * (6.0 * d * yy)", "2.0 * c * yy)\n    py = xx * (2.0 * b * xx + 4.0 * c * yy) + yy * (4.0 * d * yy)", EVEN),
+    Mutation("kernel: slopes of the terms without w", TWIN, "side * w * (x * px)", "side * (x * px)", KERNELS),
+    Mutation("kernel: the end of the real base forgotten", TWIN, "if not first <= last:\n        return nan", "first, last = -inf, inf", KERNELS),
+    Mutation("kernel: order 8 read from order 6", TWIN, "a, b, c, d = faces[row, slot.A80]", "a, b, c, d = faces[row, slot.A60]", KERNELS),
+    Mutation("patch: degree 4 whatever the terms", PATCHES, "return (surface.degree if isinstance(surface, EvenPolynomial) else None) or 4", "return 4",
+             "tests/solid/test_polynomial_patches.py"),
+    # -- the search
+    Mutation("search: a ray that is lost costs nothing", FIT, "off[seen.fate != Fate.ALIVE] = LOST", "off[seen.fate != Fate.ALIVE] = 0.0", f"{TRAPS} -k trap_1"),
+    Mutation("search: Newton's step without damping", FIT, "np.sqrt(damping) * units", "0.0 * units", f"{TRAPS} -k 'least_squares or bars'"),
+    Mutation("search: weights not of squares", AIM, "sqrt(weight / total))", "weight / total)", f"{ASKED} -k shares_of_the_squares"),
+    Mutation("search: a tolerance is taken for a standard deviation", AIM, "error.half / of_sigma", "error.half", f"{ASKED} -k drawn_at_random"),
+    Mutation("search: slopes of tolerances from one side", AIM, "0.5 * (ends[0] - ends[1])", "ends[0]", f"{ASKED} -k drawn_at_random"),
+    Mutation("search: higher orders stay whatever they give", SEARCH, "self.best.rms > WORTH * before.rms", "self.best.rms > 2.0 * before.rms",
+             f"{ASKED} -m '' -k less_than_a_tenth"),
+    Mutation("search: seconds in the history", SEARCH, "(self.evaluation, self.rms)", "(int(1e3 * monotonic()), self.rms)", f"{ASKED} -k change_no_byte"),
+    Mutation("search: the walls only where the best was sought", SEARCH, "if slack[tightest] < 0.0 or (self.best", "if slack[tightest] < -inf or (self.best", f"{TRAPS} -k no_room"),
 ]  # fmt: skip
 
 

@@ -61,12 +61,19 @@ def tangent(nudge):
     return tuple(start.tolist()), tuple(d.tolist())
 
 
-oq, ob = oracle.quadric, oracle.biconic
+oq, ob, op = oracle.quadric, oracle.biconic, oracle.polynomial
 GLASS = {"before": 1.5, "after": 1.0}
 FAR = 5000.0
 LEAN = 0.349  # a plane leaning by 20 degrees ...
 LEVEL = LEAN + asin(cos(LEAN) / 1.5)  # ... and the direction from which light leaves along the sheet
 RIM = 0.0035266839949164712  # where the faces of lens(40, 40, 40) meet
+# a bent pair: own radii and terms on each face (metres)
+BENT = [
+    op(52.54, 74.86, -1, -1, (2678.1, 20547.3, 8549.4), vertex=(0, 0, -2.55e-4)),
+    op(27.98, 5.69, -1, -1, (-3750.2, -10806.1, -14735.0), side=-1, vertex=(0, 0, 2.55e-4), **GLASS),
+    op(34.1, 21.3, -1, -1, (-24310.5, -70110.2, -8120.7), vertex=(0, 0, 0.0495)),
+    op(166.9, 58.4, -1, -1, (31250.4, 96400.9, 12100.3), side=-1, vertex=(0, 0, 0.0505), **GLASS),
+]
 HARD = [
     Hard("plane", "divides by curvature 0", [oq(0, 0, 0)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
     Hard("R = 1e9", "R - sqrt(R² - r²) cancels", [oq(1e-9, 1e-9, 1e-9)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
@@ -190,4 +197,30 @@ HARD = [
     Hard("plano, curved inside", "plane, gap, plane", [oq(0, 0, 0), oq(20, 25, 22, -1, vertex=(0, 0, 1e-3), **GLASS), oq(30, 30, 30, vertex=(0, 0, 0.05)), oq(0, 0, 0, -1, vertex=(0, 0, 0.051), **GLASS)], (1e-3, 5e-4, -0.01), (0.02, -0.01, 1)),
     Hard("biconcave lens", "negative curvatures on side +1", lens(-40, -30, -35), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
     Hard("source at 1e15 of R", "the start keeps no digit of the lens", lens(40, 40, 40), (1e-3, -5e-4, -4e13), (0, 0, 1)),
+    # faces with terms of order 4 to 8
+    Hard("polynomial, inflection", "the slope's own slope is 0 where the ray meets it",
+         [op(1, 1, -1, -1, (-0.52, -1.04, -0.52))], (0.35, -0.2, -1), (0.05, 0.01, 1)),
+    Hard("polynomial, A4 cancels the base", "height 0 from two that are an eighth each",
+         [op(1, 1, -1, -1, (-2, -4, -2))], (0.5, -1e-3, -1), (0, 0, 1)),
+    Hard("polynomial, A4 nearly cancels the base", "the same, oblique and 1e-6 beside it",
+         [op(1, 1, -1, -1, (-2, -4, -2))], (0.299999, 0.39, -0.1), (1e-5, 0.1, 1)),
+    Hard("polynomial, A6 and A8 cancel the rest", "four orders of one size, their sum a hundredth",
+         [op(1, 1, -1, -1, (-8, -16, -8), (20, 60, 60, 20), (3, 12, 18, 12, 3))], (0.29, -0.17, -1), (0.02, 0.03, 1)),
+    Hard("polynomial, A4 dominates at the rim", "the base is a tenth of the height", [op(0.3, 0.3, 0, 0, (-4, -8, -4))], (0.5, 0.4, -2), (-0.02, 0.01, 1)),
+    Hard("polynomial, root beyond the real rim", "the terms go on where the ellipsoid under them has ended",
+         [op(1, 1, 0, 0, (0.3, 0.6, 0.3))], (1.001, 0.0, -1), (0, 0, 1)),
+    Hard("polynomial, 1e-9 inside the real rim", "the base stands upright there, its root is 4e-5", [op(1, 1, 0, 0, (0.3, 0.6, 0.3))], (1 - 1e-9, 0.0, -1), (0, 0, 1)),
+    Hard("polynomial, start over no real height", "the base is real only farther along the ray", [op(1, 1, 0, 0, (0.1, 0.2, 0.1))], (-1.4, 0.1, -0.2), (0.8, 0, 0.6)),
+    Hard("polynomial, grazing", "met at a flat angle: the place is ten times as far as the height is off",
+         [op(0.5, 0.4, -1, -1, (0.1, -0.3, 0.2))], (-1.7, 0.1, -0.35), (1.0, 0.02, 0.25)),
+    Hard("polynomial, ripple", "the ray crosses three times: the first towards its side is meant", [op(0, 0, 0, 0, (6, 12, 6), (-16, -48, -48, -16))], (0.1, 0, -0.05), (0.9, 0.1, 0.3)),
+    Hard("polynomial without base", "a height of 1e-12 and its slope vanish at the apex", [op(0, 0, 0, 0, (0.7, -0.2, 1.1))], (1e-3, -2e-3, -1), (0, 0, 1)),
+    Hard("polynomial saddle", "base and terms of either sign", [op(0.8, -0.7, -2, 0.5, (0.3, -0.9, 0.2), side=-1)], (0.3, -0.4, -1), (0.05, -0.02, 1)),
+    Hard("polynomial, K = -1 + 1e-12", "the base is as good as a polynomial, but not one",
+         [op(0.9, 1.2, -1 + 1e-12, -1 - 1e-12, (0.2, 0.4, 0.1))], (0.3, -0.2, -1), (0.1, 0.2, 1)),
+    Hard("polynomial, backwards", "N < 0: it is crossed from above", [op(0.9, 1.2, 0.3, -2, (0.2, 0.4, 0.1))], (0.3, -0.2, 2), (0.1, 0.2, -1)),
+    Hard("polynomial, scale 1e-9", "coefficients of 1e27 and 1e63", [op(0.9e9, 1.2e9, -1, -1, (2e26, 4e26, 1e26), a8=(3e62, 0, 0, 0, 1e62))], (3e-10, -2e-10, -1e-9), (0.1, 0.2, 1)),
+    Hard("polynomial, scale 1e9", "coefficients of 1e-28 and 1e-64", [op(0.9e-9, 1.2e-9, -1, -1, (2e-28, 4e-28, 1e-28), a8=(3e-64, 0, 0, 0, 1e-64))], (3e8, -2e8, -1e9), (0.1, 0.2, 1)),
+    Hard("polynomial, tilt 60 degrees", "the local ray is steep", [replace(op(0.9, 1.2, -1, -1, (0.2, 0.4, 0.1)), euler=(0.4, 1.047, 0.2))], (0.01, 0.02, -1), (0, 0.02, 1)),
+    Hard("bent pair of polynomials", "four faces, each with its own radii and terms", BENT, (1e-3, -1.4e-3, -0.01), (0.012, -0.008, 1)),
 ]  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from oracle import trace as oracle
 
-oq, ob = oracle.quadric, oracle.biconic
+oq, ob, op = oracle.quadric, oracle.biconic, oracle.polynomial
 
 
 @dataclass(frozen=True)
@@ -48,4 +48,8 @@ SAGS = [
     HardSag("saddle biconic round K = -1", "Q changes sign, 1 + K does", ob(1, -0.7, -1.0, -1.0 + 1e-12, -1), 0.3, 0.1),
     HardSag("scale 1e-9", "nanometres in metres", oq(4e10, 3e10, 3.5e10), 1e-12, 2e-12),
     HardSag("scale 1e9", "the same from the other end", oq(4e-8, 3e-8, 3.5e-8), 1e6, 2e6),
+    HardSag("polynomial, small", "terms of 1e-16 beside a base of 1e-4", op(1, 1, -1, -1, (0.2, 0.4, 0.1)), 1e-4, 2e-4),
+    HardSag("polynomial near its equator", "the radicand cancels, the terms do not", op(1, 1, 0, 0, (0.3, 0.6, 0.3)), 0.999999, 0.0),
+    HardSag("polynomial of eighth order", "powers of 2.5 from 40 to 1500", op(0.1, 0.1, -1, -1, (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1)), 2.5, -1.5),
+    HardSag("polynomial, x beyond 1e50", "0 times an eighth power that overflows is 0", op(0, 0, 0, 0, (1e-200, 0, 0)), 1e55, 0.0),
 ]  # fmt: skip

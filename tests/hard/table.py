@@ -54,8 +54,9 @@ def rounded(value):
 
 def shape(face):
     """A face as stored."""
-    numbers = face.shape if face.kind == "biconic" else (*face.shape[:3], face.shape[4])
-    return {"kind": face.kind, "numbers": [float(v) for v in numbers]}
+    numbers = (*face.shape[:3], face.shape[4]) if face.kind == "quadric" else face.shape
+    terms = {"terms": [float(v) for v in face.terms]} if face.kind == "polynomial" else {}
+    return {"kind": face.kind, "numbers": [float(v) for v in numbers], **terms}
 
 
 def ray_case(case):
@@ -90,7 +91,7 @@ def ray_case(case):
     if with_sag:
         answer["sag"] = digits(exact.hits[-1][2])
         condition["sag"] = 1.0
-        if exact.hits[-1][2] != 0 and any(last.shape[:2]):
+        if exact.hits[-1][2] != 0 and any((*last.shape[:2], *last.terms)):
             condition["sag"] = trace_oracle.sag_condition(case.faces, case.start, case.direction, DIGITS)
     if not same:
         return "ray", case, given, answer, condition, dict.fromkeys(condition, "wrong fate")

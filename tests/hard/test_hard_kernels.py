@@ -33,7 +33,7 @@ from clacad.optics.sequence import (
     trace_sequence,
     unit_directions,
 )
-from clacad.optics.surface import Biconic, Quadric, meet
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet
 from clacad.tracing.compiled import packing as slot
 
 numba = pytest.importorskip("numba")
@@ -48,6 +48,9 @@ def packed(surface):
         row[slot.KX] = surface.kappa
     else:
         row[slot.BICONIC], row[slot.KX], row[slot.KY] = 1.0, surface.conic_x, surface.conic_y
+    if isinstance(surface, EvenPolynomial):
+        row[slot.BICONIC] = slot.POLYNOMIAL
+        row[slot.A40 : slot.A08 + 1] = (*surface.a4, *surface.a6, *surface.a8)
     return row
 
 

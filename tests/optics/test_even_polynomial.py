@@ -24,11 +24,22 @@ SHAPES = {
     "saddle": Shape((0.8, -0.7), (-2.0, 0.5), (0.3, -0.9, 0.2)),
     "no base": Shape((0.0, 0.0), (0.0, 0.0), (0.7, -0.2, 1.1)),
     "ellipsoid near its rim": Shape((1.0, 0.5), (0.3, 2.0), (0.1, 0.0, 0.1)),
+    "all orders": Shape(
+        (0.9, 1.2), (-1.0, -1.0), (0.2, 0.4, 0.1), -1, (0.3, -1.1, 0.7, -0.2), (-0.5, 0.9, 1.3, -0.8, 0.6)
+    ),
+    "A6 and A8 cancel A4 and the base": Shape(
+        (1.0, 1.0),
+        (-1.0, -1.0),
+        (-8.0, -16.0, -8.0),
+        1,
+        (20.0, 60.0, 60.0, 20.0),
+        (3.0, 12.0, 18.0, 12.0, 3.0),
+    ),
 }
 
 
 def surface_of(shape):
-    return EvenPolynomial(*shape.curvature, *shape.conic, shape.a4, shape.side)
+    return EvenPolynomial(*shape.curvature, *shape.conic, shape.a4, shape.side, shape.a6, shape.a8)
 
 
 def rays_at(seed, number, slope):
@@ -49,7 +60,7 @@ def compiled(surface, start, direction):
         surface.side,
     )
     row[0, slot.BICONIC], row[0, slot.KX], row[0, slot.KY] = slot.POLYNOMIAL, surface.conic_x, surface.conic_y
-    row[0, slot.A40 : slot.A04 + 1] = surface.a4
+    row[0, slot.A40 : slot.A08 + 1] = (*surface.a4, *surface.a6, *surface.a8)
     return np.array([called(kernel.meet)(row, 0, *p, *d) for p, d in zip(start, direction)])
 
 
@@ -168,7 +179,7 @@ def test_without_terms_it_is_the_biconic():
 
 
 def test_a_face_of_another_size_has_the_same_shape():
-    surface = surface_of(SHAPES["back of a bent lens"])
+    surface = surface_of(SHAPES["all orders"])
     x, y = np.random.default_rng(1).uniform(-0.4, 0.4, (2, 50))
     for size in (1000.0, 0.025):
         np.testing.assert_allclose(

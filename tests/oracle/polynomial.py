@@ -1,4 +1,4 @@
-"""Even polynomials in 50 digits, from z = side (Q/(1 + w) + a x⁴ + b x² y² + c y⁴) alone; shares no code with clacad.
+"""Even polynomials in 50 digits, from z = side (Q/(1 + w) + Σ a_ij x^2i y^2j) alone; shares no code with clacad.
 
 Slopes are differences of heights. A crossing is sought by walking along the ray in many steps: the nearest to the
 vertex plane at which the ray comes through to the side it goes to.
@@ -16,34 +16,38 @@ STEPS = 120
 
 @dataclass(frozen=True)
 class Shape:
-    """Curvatures, conic constants, coefficients of fourth order and side."""
+    """Curvatures, conic constants, coefficients of fourth, sixth and eighth order, and side."""
 
     curvature: tuple
     conic: tuple
     a4: tuple
     side: int = 1
+    a6: tuple = (0, 0, 0, 0)
+    a8: tuple = (0, 0, 0, 0, 0)
+
+    def monomials(self, x, y):
+        """Every term over (x, y)."""
+        return [
+            mpf(value) * x ** (2 * (order - j)) * y ** (2 * j)
+            for order, values in ((2, self.a4), (3, self.a6), (4, self.a8))
+            for j, value in enumerate(values)
+        ]
 
     def height(self, x, y):
         """Height over (x, y), None beyond the equator of the base."""
         (cx, cy), (kx, ky) = (map(mpf, pair) for pair in (self.curvature, self.conic))
-        a, b, c = map(mpf, self.a4)
         left = 1 - (1 + kx) * cx**2 * x * x - (1 + ky) * cy**2 * y * y
         if left < 0:
             return None
         base = (cx * x * x + cy * y * y) / (1 + mp.sqrt(left))
-        return self.side * (base + a * x**4 + b * x * x * y * y + c * y**4)
+        return self.side * (base + sum(self.monomials(x, y), mpf(0)))
 
     def terms(self, x, y):
         """Sum of the sizes of the terms: what rounding is measured against."""
         (cx, cy), (kx, ky) = (map(mpf, pair) for pair in (self.curvature, self.conic))
-        a, b, c = map(mpf, self.a4)
         w = mp.sqrt(1 - (1 + kx) * cx**2 * x * x - (1 + ky) * cy**2 * y * y)
-        return (
-            (abs(cx) * x * x + abs(cy) * y * y) / (1 + w)
-            + abs(a) * x**4
-            + abs(b) * x * x * y * y
-            + abs(c) * y**4
-        )
+        base = (abs(cx) * x * x + abs(cy) * y * y) / (1 + w)
+        return base + sum((abs(term) for term in self.monomials(x, y)), mpf(0))
 
     def normal(self, x, y):
         """Unit normal towards +z."""

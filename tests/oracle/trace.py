@@ -1,7 +1,8 @@
 """Sequential tracing in 60 digits, written from the textbook definitions; shares no code with clacad.
 
 A quadric is solved by the two roots of its quadratic; a biconic by all roots of the quartic
-z² P − 2 side z Q + Q² = 0 that follows from z = side Q/(1 + sqrt(1 − P)). Snell's law is used as n1 sin i = n2 sin t in
+z² P − 2 side z Q + Q² = 0 that follows from z = side Q/(1 + sqrt(1 − P)); a polynomial face by walking along the ray over
+the stretch where its base is real, and narrowing every change of sign. Snell's law is used as n1 sin i = n2 sin t in
 the plane of incidence. Everything happens in sheet coordinates, which 60 digits can afford.
 """
 
@@ -9,15 +10,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 from mpmath import mp, mpf
 
 DIGITS = 60
 STEP = mpf(2) ** -90
+WALK = 4001
+"""Places along a ray at which a polynomial face is looked at first."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """One surface: kind, its five numbers, vertex, indices, Euler angles or a rotation matrix (row by row)."""
+    """One surface: kind, its five numbers, vertex, indices, Euler angles or a rotation matrix (row by row), and the
+    coefficients of x⁴, x² y², y⁴, x⁶, …, y⁸ of a polynomial face.
+    """
 
     kind: str
     shape: tuple[float, float, float, float, int]  # cx, cy, kappa or K_x, 0 or K_y, side
@@ -26,6 +32,7 @@ class Face:
     after: float = 1.5
     euler: tuple[float, float, float] | None = None
     rotation: object = None
+    terms: tuple = ()
 
 
 @dataclass
@@ -47,6 +54,28 @@ def quadric(cx, cy, kappa, side=1, **place):
 def biconic(cx, cy, conic_x, conic_y, side=1, **place):
     """A biconic face."""
     return Face("biconic", (cx, cy, conic_x, conic_y, side), **place)
+
+
+def polynomial(cx, cy, conic_x, conic_y, a4, a6=(0, 0, 0, 0), a8=(0, 0, 0, 0, 0), side=1, **place):
+    """A conic with terms of order 4, 6 and 8 on top."""
+    return Face("polynomial", (cx, cy, conic_x, conic_y, side), terms=(*a4, *a6, *a8), **place)
+
+
+POWERS = [(2 * (order - j), 2 * j) for order in (2, 3, 4) for j in range(order + 1)]
+"""Powers of x and y of the terms, in their order."""
+
+
+def terms_of(face, x, y):
+    """Height of a polynomial face's terms and its slopes, times side."""
+    side, height, in_x, in_y = mpf(face.shape[4]), mpf(0), mpf(0), mpf(0)
+    for a, (m, n) in zip(face.terms, POWERS):
+        if a == 0:
+            continue
+        a = side * mpf(a)
+        height += a * x**m * y**n
+        in_x += a * m * x ** (m - 1) * y**n if m else 0
+        in_y += a * n * x**m * y ** (n - 1) if n else 0
+    return height, in_x, in_y
 
 
 def dot(a, b):
@@ -90,7 +119,7 @@ def sag(face, x, y):
     p = k * q if face.kind == "quadric" else (1 + k) * cx**2 * x * x + (1 + m) * cy**2 * y * y
     if p > 1:
         return None
-    return side * q / (1 + mp.sqrt(1 - p))
+    return side * q / (1 + mp.sqrt(1 - p)) + terms_of(face, x, y)[0]
 
 
 def slope(face, x, y):
@@ -161,7 +190,8 @@ def _normal(face, hit):
     q = cx * x * x + cy * y * y
     slope_x = side * (2 * cx * x / (1 + w) + q * a * x / (w * (1 + w) ** 2))
     slope_y = side * (2 * cy * y / (1 + w) + q * b * y / (w * (1 + w) ** 2))
-    return unit([-slope_x, -slope_y, mpf(1)])
+    _, more_x, more_y = terms_of(face, x, y)
+    return unit([-slope_x - more_x, -slope_y - more_y, mpf(1)])
 
 
 def _first_crossing(face, p, d):
@@ -182,12 +212,16 @@ def _on_apex_half(face, hit):
         return 1 - side * mpf(face.shape[2]) * z > 0
     height = sag(face, x, y)
     size = mpf(10) ** (-mp.dps // 2) * (abs(x) + abs(y) + abs(z))
+    if face.kind == "polynomial":
+        return height is not None and abs(height - z) <= size
     return height is not None and abs(height - z) <= size and _level(face, x, y, z) * side * z < 1
 
 
 def _real_roots(face, p, d):
     cx, cy, k, m, side = (mpf(v) for v in face.shape)
     (x, y, z), (L, M, N) = p, d
+    if face.kind == "polynomial":
+        return _walked_roots(face, p, d)
     q = [cx * L * L + cy * M * M, 2 * (cx * x * L + cy * y * M), cx * x * x + cy * y * y]
     height = [N, z]
     if face.kind == "quadric":
@@ -201,6 +235,58 @@ def _real_roots(face, p, d):
     for i, value in enumerate(_times(height, q)):
         quartic[i + 1] -= 2 * side * value
     return _polynomial_roots(quartic)
+
+
+def _walked_roots(face, p, d):
+    """Every crossing of a polynomial face: changes of sign of z − sag along the ray, narrowed to all digits."""
+    size = _size(face)
+    middle = -p[2] / d[2] if abs(d[2]) > mpf("1e-3") else -dot(p, d)
+    places = [middle + size * mpf(k) for k in (-40, 40)]
+    t = np.linspace(-40.0, 40.0, WALK)
+    at = [float((u + middle * v) / size) + float(v) * t for u, v in zip(p, d)]
+    gap = at[2] - _heights(face, at[0], at[1], float(size))
+    found = []
+    for k in np.flatnonzero(
+        np.isfinite(gap[:-1]) & np.isfinite(gap[1:]) & (np.sign(gap[:-1]) != np.sign(gap[1:]))
+    ):
+        low, high = (places[0] + (places[1] - places[0]) * mpf(int(n)) / (WALK - 1) for n in (k, k + 1))
+        found.append(
+            _narrowed(lambda s: p[2] + s * d[2] - sag(face, p[0] + s * d[0], p[1] + s * d[1]), low, high)
+        )
+    return [root for root in found if root is not None]
+
+
+def _size(face):
+    """A length of the order of the shortest radius of a polynomial face, or of the reach of its terms."""
+    curved = [abs(mpf(c)) for c in face.shape[:2]]
+    curved += [abs(mpf(a)) ** (mpf(1) / (m + n - 1)) for a, (m, n) in zip(face.terms, POWERS)]
+    return 1 / max(curved)
+
+
+def _heights(face, x, y, size):
+    """Heights in lengths of `size`, double precision: where to look, not what is found."""
+    cx, cy, kx, ky, side = (float(v) for v in face.shape)
+    cx, cy = cx * size, cy * size
+    with np.errstate(invalid="ignore"):
+        w = np.sqrt(1 - (1 + kx) * cx**2 * x * x - (1 + ky) * cy**2 * y * y)
+    height = (cx * x * x + cy * y * y) / (1 + w)
+    for a, (m, n) in zip(face.terms, POWERS):
+        if a:
+            height = height + float(mpf(a) * mpf(size) ** (m + n - 1)) * x**m * y**n
+    return side * height
+
+
+def _narrowed(gap, low, high):
+    """Root between two places of opposite signs: halved until Newton's differences converge; None where the base ends."""
+    at_low, at_high = gap(low), gap(high)
+    if at_low is None or at_high is None or at_low * at_high > 0:
+        return None
+    for _ in range(8):
+        half = (low + high) / 2
+        here = gap(half)
+        low, high, at_low = (half, high, here) if here * at_low > 0 else (low, half, at_low)
+    close = abs(high - low) * mpf(10) ** (4 - mp.dps)
+    return mp.findroot(gap, (low, high), solver="anderson", tol=close, verify=False, maxsteps=4 * mp.dps)
 
 
 def _times(a, b):
@@ -294,6 +380,10 @@ def _nudges(faces, start, direction):
             shape[i] = mpf(shape[i]) * (1 + STEP)
             if face.shape[i]:
                 yield [*faces[:k], replace(face, shape=tuple(shape)), *faces[k + 1 :]], start, direction
+        for i, term in enumerate(face.terms):
+            if term:
+                terms = (*face.terms[:i], mpf(term) * (1 + STEP), *face.terms[i + 1 :])
+                yield [*faces[:k], replace(face, terms=terms), *faces[k + 1 :]], start, direction
         changed = replace(face, after=mpf(face.after) * (1 + STEP))
         if face.after != face.before:
             yield [*faces[:k], changed, *faces[k + 1 :]], start, direction

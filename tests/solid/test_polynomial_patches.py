@@ -17,12 +17,19 @@ ZONE = np.array([[-2.5, -2.5], [2.5, -2.5], [2.5, 2.5], [-2.5, 2.5]])
 CURVATURE, TERMS = (0.0525, 0.0749), (2.678e-6, 2.0547e-5, 8.549e-6)
 
 
+A6, A8 = (1.3e-9, -4.0e-9, 2.0e-9, 0.7e-9), (1.1e-12, 2.0e-12, -3.0e-12, 0.0, 4.0e-13)
+HIGHER = {4: ((0.0,) * 4, (0.0,) * 5), 6: (A6, (0.0,) * 5), 8: (A6, A8)}
+
+
+@pytest.mark.parametrize("degree", HIGHER)
 @pytest.mark.parametrize("side", [1, -1])
-def test_on_a_paraboloid_the_patch_is_the_face_to_the_last_bits(side):
-    face = Face(EvenPolynomial(*CURVATURE, -1.0, -1.0, TERMS, side), (0.0, 0.0, 0.0), array=0)
+def test_on_a_paraboloid_the_patch_is_the_face_to_the_last_bits(side, degree):
+    """Though a patch of degree 4 would be within the tolerance of a fit."""
+    a6, a8 = HIGHER[degree]
+    face = Face(EvenPolynomial(*CURVATURE, -1.0, -1.0, TERMS, side, a6, a8), (0.0, 0.0, 0.0), array=0)
     lens = fitted_lens(face, ZONE, FIT * PITCH)
-    shape = Shape(CURVATURE, (-1.0, -1.0), TERMS, side)
-    assert lens.poles.shape == (5, 5)
+    shape = Shape(CURVATURE, (-1.0, -1.0), TERMS, side, a6, a8)
+    assert lens.poles.shape == (degree + 1, degree + 1)
     assert lens.error <= 1e-15 * PITCH
     points = np.random.default_rng(0).uniform(-2.5, 2.5, (60, 2))
     with mp.workdps(40):

@@ -6,6 +6,7 @@ Nothing here is wrong in exact arithmetic (the law in slopes apart, which does n
 from __future__ import annotations
 
 import numpy as np
+from oracle.trace import POWERS
 
 
 def sag(face, x, y):
@@ -15,7 +16,10 @@ def sag(face, x, y):
         if face.kind == "quadric":  # semi-axis 1/κ: z = (1 - sqrt(1 - κ (cx x² + cy y²)))/κ
             return side * (1 / k - np.sqrt(1 / k**2 - (cx * x * x + cy * y * y) / k))
         q = cx * x * x + cy * y * y
-        return side * q / (1 + np.sqrt(1 - (1 + k) * cx**2 * x * x - (1 + m) * cy**2 * y * y))
+        height = q / (1 + np.sqrt(1 - (1 + k) * cx**2 * x * x - (1 + m) * cy**2 * y * y))
+        return side * (
+            height + sum(a * np.float64(x) ** i * np.float64(y) ** j for a, (i, j) in zip(face.terms, POWERS))
+        )
 
 
 def cell(kind, pitch, count, x, y):

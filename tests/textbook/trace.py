@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from hard.measure import turn_of
+from oracle.trace import POWERS
 
 
 @dataclass
@@ -46,7 +47,7 @@ def trace(faces, start, direction):
 
 def _distance(face, p, d):
     cx, cy, k, m, side = face.shape
-    if face.kind == "biconic":
+    if face.kind != "quadric":
         return _newton(face, p, d)
     (x, y, z), (L, M, N) = p, d
     a = cx * L * L + cy * M * M + k * N * N
@@ -72,7 +73,15 @@ def _newton(face, p, d):
 def _height(face, x, y):
     cx, cy, k, m, side = face.shape
     w = np.sqrt(1 - (1 + k) * cx**2 * x * x - (1 + m) * cy**2 * y * y)
-    return side * (cx * x * x + cy * y * y) / (1 + w)
+    return side * ((cx * x * x + cy * y * y) / (1 + w) + _terms(face, x, y)[0])
+
+
+def _terms(face, x, y):
+    """Terms of order 4 to 8, as sums of powers, and their slopes."""
+    found = np.zeros(3)
+    for a, (m, n) in zip(face.terms, POWERS):
+        found += a * np.array([x**m * y**n, m * x ** max(m - 1, 0) * y**n, n * x**m * y ** max(n - 1, 0)])
+    return found
 
 
 def _normal(face, hit):
@@ -84,10 +93,11 @@ def _normal(face, hit):
         a, b = (1 + k) * cx**2, (1 + m) * cy**2
         w = np.sqrt(1 - a * x * x - b * y * y)
         q = cx * x * x + cy * y * y
+        _, in_x, in_y = _terms(face, x, y)
         normal = np.array(
             [
-                -side * (2 * cx * x / (1 + w) + q * a * x / (w * (1 + w) ** 2)),
-                -side * (2 * cy * y / (1 + w) + q * b * y / (w * (1 + w) ** 2)),
+                -side * (2 * cx * x / (1 + w) + q * a * x / (w * (1 + w) ** 2) + in_x),
+                -side * (2 * cy * y / (1 + w) + q * b * y / (w * (1 + w) ** 2) + in_y),
                 1.0,
             ]
         )

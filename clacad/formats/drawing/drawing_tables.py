@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.even_orders import POWER
 from clacad.base.units import millimetres
 from clacad.formats.drawing.allowances import Allowances
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
@@ -66,8 +67,8 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
         "apex in its cell x, y, z",
         "phi, theta, psi / deg",
     ]
-    of_fourth_order = any(isinstance(face.surface, EvenPolynomial) for face in window.faces)
-    head += ["x^4, x^2 y^2, y^4 / mm^-3"] if of_fourth_order else []
+    orders = _orders(window)
+    head += [f"{HEADS[order]} / mm^-{POWER[order]}" for order in orders]
     rows = []
     for body in window.bodies:
         for side, face in (("front", body.front), ("back", body.back)):
@@ -78,15 +79,29 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face)) if face.array is not None else "-"
             flat = face.array is None
             rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])
-            rows[-1] += [_terms(face, mm)] if of_fourth_order else []
+            rows[-1] += [_terms(face, order, mm) for order in orders]
     return table("faces (mm; radius above 0: bends towards +z; lens axes)", head, rows)
 
 
-def _terms(face: Face, mm: float) -> str:
-    """Coefficients of fourth order, towards +z as the radii are."""
+HEADS = {
+    "a4": "x^4, x^2 y^2, y^4",
+    "a6": "x^6, x^4 y^2, x^2 y^4, y^6",
+    "a8": "x^8, x^6 y^2, x^4 y^4, x^2 y^6, y^8",
+}
+"""Heads of the columns of even terms, in the letters that pens have."""
+
+
+def _orders(window: Window) -> list[str]:
+    """Orders of even terms that any face has; the fourth wherever a face is a polynomial."""
+    surfaces = [face.surface for face in window.faces if isinstance(face.surface, EvenPolynomial)]
+    return [order for order in HEADS if any(order == "a4" or any(getattr(one, order)) for one in surfaces)]
+
+
+def _terms(face: Face, order: str, mm: float) -> str:
+    """Coefficients of one order, towards +z as the radii are."""
     if not isinstance(face.surface, EvenPolynomial):
         return "-"
-    return ", ".join(f"{face.side * a / mm**3 + 0.0:.6g}" for a in face.surface.a4)
+    return ", ".join(f"{face.side * a / mm ** POWER[order] + 0.0:.6g}" for a in getattr(face.surface, order))
 
 
 def sag_table(window: Window) -> Canvas:

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from clacad.base.even_orders import POWER
 from clacad.base.types import Ints
 from clacad.formats.maps.sag import structured_faces
+from clacad.optics.surface import EvenPolynomial
 from clacad.sheet.window import Face, Window, lens_height
 from clacad.storage.atomic import canonical_json
 from clacad.storage.errors import FileDisagrees, UnreadableFile
@@ -24,6 +26,9 @@ POLYNOMIAL = {
     "even polynomial": "z = side (q / (1 + sqrt(1 - (1+Kx) cx^2 x^2 - (1+Ky) cy^2 y^2)) + a x^4 + b x^2 y^2 + c y^4), "
     "a4 = [a, b, c], q = cx x^2 + cy y^2, in the lens frame"
 }
+HIGHER = (
+    "; in the bracket also + a6 . (x^6, x^4 y^2, x^2 y^4, y^6) + a8 . (x^8, x^6 y^2, x^4 y^4, x^2 y^6, y^8)"
+)
 COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "theta_deg", "psi_deg")
 
 
@@ -43,7 +48,7 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
         "name": window.name,
         "form": window.form,
         "frame": "sheet frame, right-handed; light travels towards +z; lens to sheet: P = R p + apex",
-        "equations": EQUATION | (POLYNOMIAL if any(hasattr(f.surface, "a4") for f in window.faces) else {}),
+        "equations": EQUATION | _of_polynomials(window),
         "euler": "R = Rz(psi) Rx(theta) Rz(phi) about the fixed sheet axes",
         "lattice": {
             "kind": lattice.kind, "pitch_mm": [p * scale for p in lattice.pitch], "count": list(lattice.count),
@@ -62,6 +67,14 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _of_polynomials(window: Window) -> dict[str, str]:
+    """The equation of even polynomials, as far as their terms go."""
+    surfaces = [face.surface for face in window.faces if isinstance(face.surface, EvenPolynomial)]
+    if not any(any(surface.a6) or any(surface.a8) for surface in surfaces):
+        return POLYNOMIAL if surfaces else {}
+    return {name: equation + HIGHER for name, equation in POLYNOMIAL.items()}
+
+
 def _face(window: Window, body: str, face: Face, label: str, scale: float) -> dict[str, Any]:
     """One face as the surface table lists it; `scale`: millimetres per design unit."""
     surface: Any = face.surface
@@ -78,6 +91,10 @@ def _face(window: Window, body: str, face: Face, label: str, scale: float) -> di
         plain |= {"equation": "biconic", "conic_x": surface.conic_x, "conic_y": surface.conic_y}
     if hasattr(surface, "a4"):
         plain |= {"equation": "even polynomial", "a4_per_mm3": [term / scale**3 for term in surface.a4]}
+        for order in ("a6", "a8"):
+            if any(getattr(surface, order)):
+                power = POWER[order]
+                plain[f"{order}_per_mm{power}"] = [term / scale**power for term in getattr(surface, order)]
     for axis in ("x", "y"):
         c = getattr(surface, f"curvature_{axis}") / scale
         plain[f"apex_radius_{axis}_mm"] = 1.0 / c if c else None
@@ -185,8 +202,12 @@ def _equation(entry: dict[str, Any], p: np.ndarray[Any, Any]) -> np.ndarray[Any,
     if entry["equation"] == "quadric":
         return np.asarray(0.5 * (q + entry["kappa_per_mm"] * z * z - 2 * side * z))
     root = 1 - (1 + entry["conic_x"]) * (cx * x) ** 2 - (1 + entry["conic_y"]) * (cy * y) ** 2
-    a, b, c = entry.get("a4_per_mm3", (0.0, 0.0, 0.0))
-    return np.asarray(side * (q / (1 + np.sqrt(root)) + a * x**4 + b * x**2 * y**2 + c * y**4) - z)
+    height = q / (1 + np.sqrt(root))
+    for order, power in POWER.items():
+        terms = entry.get(f"{order}_per_mm{power}", ())
+        for j, term in enumerate(terms):
+            height = height + term * x ** (2 * (len(terms) - 1 - j)) * y ** (2 * j)
+    return np.asarray(side * height - z)
 
 
 def _turn_z(a: float) -> np.ndarray[Any, Any]:

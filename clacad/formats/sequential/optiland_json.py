@@ -148,10 +148,10 @@ def _geometry(one: Station) -> tuple[dict[str, Any], float]:
     (cx, cy), (kx, ky) = one.curvature, one.conic
     if one.flat:
         return {"type": "Plane", "radius": inf}, 0.0
-    if one.rotational and not any(one.terms):
+    if one.rotational and not one.polynomial:
         return {"type": "StandardGeometry", "radius": 1.0 / cx, "conic": kx}, 0.0
     solving = {"tol": NEWTON * min(one.reach), "max_iter": 100}
-    if (cx == 0.0 or cy == 0.0) and not any(one.terms):
+    if (cx == 0.0 or cy == 0.0) and not one.polynomial:
         radii = {"radius_x": 1.0 / cx if cx else inf, "radius_y": 1.0 / cy if cy else inf}
         return {"type": "BiconicGeometry", **radii, "conic_x": kx, "conic_y": ky, **solving}, 0.0
     terms, error = terms_needed(one)
@@ -195,7 +195,7 @@ def series(one: Station, terms: int) -> list[list[float]]:
     """Coefficients of x^i y^j of a face, row i, column j; `terms` powers of w."""
     cx, cy = one.curvature
     ax, ay = ((1.0 + k) * c * c for k, c in zip(one.conic, one.curvature))
-    wide = max(2 * terms, 4 if any(one.terms) else 0) + 1
+    wide = max([2 * terms, *(2 * (len(own) - 1) for own in one.terms if any(own))]) + 1
     table = np.zeros((wide, wide))
     factor = 0.5
     for m in range(terms):
@@ -204,9 +204,10 @@ def series(one: Station, terms: int) -> list[list[float]]:
             table[2 * k + 2, 2 * (m - k)] += share * cx
             table[2 * k, 2 * (m - k) + 2] += share * cy
         factor *= (2 * m + 1) / (2 * m + 4)
-    for (i, j), term in zip(((4, 0), (2, 2), (0, 4)), one.terms):
-        if term:
-            table[i, j] += term
+    for own in one.terms:
+        for j, term in enumerate(own):
+            if term:
+                table[2 * (len(own) - 1 - j), 2 * j] += term
     return [[float(v) + 0.0 for v in row] for row in table]
 
 

@@ -1,23 +1,24 @@
 """The faces of one telescopelet in the numbers of a lens designer: apex curvatures, conic constants, pose, index beyond.
 
 A quadric cx x² + cy y² + κ z² − 2 s z = 0 is the biconic with 1 + K = κ/c in each meridian, so that one kind of surface,
-with terms of fourth order where they were given, holds every face exactly. Lengths are millimetres, the frame is the sheet's with the centre of the telescopelet's own
+with terms of order 4 to 8 where they were given, holds every face exactly. Lengths are millimetres, the frame is the sheet's with the centre of the telescopelet's own
 cell at x = y = 0, curvatures are positive where the face bends towards +z.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import comb, inf
 
 import numpy as np
 
+from clacad.base.even_orders import A4, A6, A8, NO_A4, NO_A6, NO_A8
 from clacad.base.types import Bools, Floats
 from clacad.base.units import millimetres
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Biconic, EvenPolynomial, conic_constants
+from clacad.optics.surface import ULP, Biconic, EvenPolynomial, Surface, conic_constants, resized
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import Face, Window
@@ -53,8 +54,8 @@ class Station:
         Refractive index beyond the face.
     reach : (x, y), mm
         How far from the apex light of the cell meets the face, at most, along the face's own axes.
-    terms : (3,), 1/mm³
-        Coefficients of x⁴, x² y² and y⁴ on top of it, positive towards +z.
+    terms : (3,), 1/mm³, (4,), 1/mm⁵, and (5,), 1/mm⁷
+        Coefficients of orders 4, 6 and 8 on top of it, positive towards +z.
     """
 
     name: str
@@ -64,12 +65,17 @@ class Station:
     rotation: Floats
     index: float
     reach: tuple[float, float]
-    terms: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    terms: tuple[A4, A6, A8] = (NO_A4, NO_A6, NO_A8)
 
     @property
     def flat(self) -> bool:
         """Whether it is a plane."""
-        return self.curvature == (0.0, 0.0) and not any(self.terms)
+        return self.curvature == (0.0, 0.0) and not self.polynomial
+
+    @property
+    def polynomial(self) -> bool:
+        """Whether it has terms on top of its conic."""
+        return any(map(any, self.terms))
 
     @property
     def rotational(self) -> bool:
@@ -77,14 +83,21 @@ class Station:
         same = self.curvature[0] == self.curvature[1] and (
             self.curvature[0] == 0.0 or self.conic[0] == self.conic[1]
         )
-        return same and self.terms[1] == 2.0 * self.terms[0] and self.terms[2] == self.terms[0]
+        return same and all(map(_rotational, self.terms))
 
     @property
     def surface(self) -> Biconic | EvenPolynomial:
         """The face in its own frame, millimetres."""
-        if any(self.terms):
-            return EvenPolynomial(*self.curvature, *self.conic, self.terms, 1)
+        if self.polynomial:
+            a4, a6, a8 = self.terms
+            return EvenPolynomial(*self.curvature, *self.conic, a4, 1, a6, a8)
         return Biconic(*self.curvature, *self.conic, 1)
+
+
+def _rotational(terms: tuple[float, ...]) -> bool:
+    """Whether terms of one order are a multiple of (x² + y²)^k, to the rounding of numbers written by hand."""
+    wanted = [terms[0] * comb(len(terms) - 1, j) for j in range(len(terms))]
+    return all(abs(a - b) <= 4.0 * ULP * abs(b) for a, b in zip(terms, wanted, strict=True))
 
 
 def stations(window: Window) -> list[Station]:
@@ -102,13 +115,20 @@ def _station(window: Window, name: str, at: Interface, face: Face, scale: float)
     kx, ky = (0.0 if k is None or c == 0.0 else float(k) for k, c in zip(conic_constants(surface), (cx, cy)))
     turn = np.eye(3) if at.rotation is None else np.asarray(at.rotation)
     place = np.asarray(at.vertex) * scale
-    x4, x2y2, y4 = (
-        (surface.side * a / scale**3 + 0.0 for a in surface.a4)
-        if isinstance(surface, EvenPolynomial)
-        else (0.0,) * 3
-    )
-    reach = _reach(window, face, scale)
-    return Station(name, (cx, cy), (kx, ky), place, turn, at.index_after, reach, (x4, x2y2, y4))
+    terms = _terms(surface, scale)
+    return Station(name, (cx, cy), (kx, ky), place, turn, at.index_after, _reach(window, face, scale), terms)
+
+
+def _terms(surface: Surface, scale: float) -> tuple[A4, A6, A8]:
+    """Coefficients of a face's even terms in millimetres, towards +z."""
+    if not isinstance(surface, EvenPolynomial):
+        return NO_A4, NO_A6, NO_A8
+    in_mm = resized(surface, scale)
+    assert isinstance(in_mm, EvenPolynomial)
+    a, b, c = (surface.side * term + 0.0 for term in in_mm.a4)
+    d, e, f, g = (surface.side * term + 0.0 for term in in_mm.a6)
+    h, i, j, k, m = (surface.side * term + 0.0 for term in in_mm.a8)
+    return (a, b, c), (d, e, f, g), (h, i, j, k, m)
 
 
 def _reach(window: Window, face: Face, scale: float) -> tuple[float, float]:

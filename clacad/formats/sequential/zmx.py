@@ -121,22 +121,25 @@ def _face(one: Station) -> list[str]:
     Raises
     ------
     NotPossible
-        Terms of fourth order that are not those of a surface of revolution.
+        Even terms that are not those of a surface of revolution.
     """
     (cx, cy), (kx, ky) = one.curvature, one.conic
-    if any(one.terms) and not one.rotational:
+    if one.polynomial and not one.rotational:
         raise NotPossible(
-            f"zmx: {one.name} has terms of fourth order that differ along x and y, which none of the surfaces written here holds; "
+            f"zmx: {one.name} has even terms that differ along x and y, which none of the surfaces written here holds; "
             "use format optiland"
         )
-    kind = "EVENASPH" if any(one.terms) else "STANDARD" if one.rotational else "BICONICX"
+    kind = "EVENASPH" if one.polynomial else "STANDARD" if one.rotational else "BICONICX"
     lines = [f"TYPE {kind}", f"COMM {one.name}", f"CURV {cy!r}", NO_WAY]
     if one.index != 1.0:
         lines.append(f"GLAS ___BLANK 1 0 {one.index!r} 0.0 0.0 0 0 0 0 0")
     lines += _rim(min(np.hypot(*one.reach), 1e9)) if np.isfinite(one.reach[0]) else []
     lines.append(f"CONI {ky!r}")
     if kind == "EVENASPH":
-        lines += ["PARM 1 0.0", f"PARM 2 {one.terms[0]!r}"]
+        lines += ["PARM 1 0.0", f"PARM 2 {one.terms[0][0]!r}"]
+        lines += [
+            f"PARM {k} {terms[0]!r}" for k, terms in ((3, one.terms[1]), (4, one.terms[2])) if any(terms)
+        ]
     if not one.rotational:
         lines += [f"PARM 1 {(1.0 / cx if cx else 0.0)!r}", f"PARM 2 {kx!r}"]
     return lines
@@ -210,11 +213,12 @@ def _read_face(block: dict[str, list[str]], place: Floats, turn: Floats) -> Stat
         radius = _number(block, "PARM 1")
         cx, kx = (1.0 / radius if radius else 0.0), _number(block, "PARM 2")
     index = float(block["GLAS"][3]) if "GLAS" in block else 1.0
-    r4 = _number(block, "PARM 2") if kind == "EVENASPH" else 0.0
+    r4, r6, r8 = (_number(block, f"PARM {k}") if kind == "EVENASPH" else 0.0 for k in (2, 3, 4))
+    terms = (r4, 2.0 * r4, r4), (r6, 3.0 * r6, 3.0 * r6, r6), (r8, 4.0 * r8, 6.0 * r8, 4.0 * r8, r8)
     if kind == "EVENASPH" and _number(block, "PARM 1"):
         raise ValueError("an even asphere with a term of second order")
     name = " ".join(block.get("COMM", []))
-    return Station(name, (cx, cy), (kx, ky), place, turn, index, (inf, inf), (r4, 2.0 * r4, r4))
+    return Station(name, (cx, cy), (kx, ky), place, turn, index, (inf, inf), terms)
 
 
 def _number(block: dict[str, list[str]], key: str) -> float:

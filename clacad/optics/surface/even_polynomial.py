@@ -6,7 +6,7 @@ and takes Newton's step wherever that step is usable; else it halves the bracket
 one. Where a ray steeper than the surface meets it there is one such crossing; of a ray that grazes it and crosses it
 upwards more than once, the one the search comes to first is taken. What does not settle is a miss: NaN.
 
-Error of the point along z: at most 8 ulp of |Q|/(1 + w) + |a| x⁴ + |b| x² y² + |c| y⁴ over |H|/(w |N|), the factor by
+Error of the point along z: at most 8 ulp of |Q|/(1 + w) and the sizes of all terms over |H|/(w |N|), the factor by
 which the ray grazes (1 at right angles); seen 3.3, tests/optics/test_even_polynomial.py.
 """
 
@@ -15,11 +15,11 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.optics.surface.even_terms import even_terms
 from clacad.optics.surface.quadric import Columns
 from clacad.optics.surface.sag_and_normal import (
     ULP,
     EvenPolynomial,
-    fourth_order,
     lateral_gradient,
     lateral_square,
     slope_terms,
@@ -97,7 +97,8 @@ class _Search:
         x, y, z = (p + t * d for p, d in zip(base, ray, strict=True))
         surface = self.surface
         w = np.sqrt(np.maximum(1.0 - (self.a * x * x + self.b * y * y), 0.0))
-        above, terms = lateral_square(surface, x, y) / (1.0 + w), fourth_order(surface, x, y)[0]
+        above = lateral_square(surface, x, y) / (1.0 + w)
+        terms = even_terms(surface.a4, surface.a6, surface.a8, x, y)[0]
         gx, gy = lateral_gradient(surface, x, y, w)
         size = np.abs(z) + np.abs(above) + np.abs(terms)
         return z - surface.side * (above + terms), gx * ray[0] + gy * ray[1] + w * ray[2], w, size

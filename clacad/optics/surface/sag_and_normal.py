@@ -3,7 +3,7 @@
 `Quadric`:  cx x² + cy y² + κ z² − 2 side z = 0,  apex at the origin. Sphere cx = cy = κ, paraboloid κ = 0,
 hyperboloid κ < 0, cylinder cy = 0, plane 0, 0, 0: none is a special case, for nothing is divided by a curvature.
 `Biconic`:  z = side Q/(1 + w),  Q = cx x² + cy y²,  w² = 1 − (1 + K_x) cx² x² − (1 + K_y) cy² y².
-`EvenPolynomial`:  z = side (Q/(1 + w) + P),  P = a x⁴ + b x² y² + c y⁴: a biconic and terms of fourth order.
+`EvenPolynomial`:  z = side (Q/(1 + w) + P),  P of `clacad.optics.surface.even_terms`: a biconic and terms of order 4 to 8.
 
 side = +1: positive curvature bends towards +z (front of a biconvex lens); side = −1: towards −z (its back).
 (cx, cy, κ, side) and (−cx, −cy, −κ, −side) are the same points; `side` is kept as the face was built and the
@@ -24,8 +24,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clacad.base.even_orders import A4, A6, A8, NO_A6, NO_A8
 from clacad.base.pairs import Pair, negated, pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Floats
+from clacad.optics.surface.even_terms import even_terms, sharpest_of_terms
 
 ULP = 2.0**-52
 
@@ -107,34 +109,45 @@ class Biconic(_OverXY):
 
 @dataclass(frozen=True, slots=True)
 class EvenPolynomial(_OverXY):
-    """A biconic and terms of fourth order on top of it.
+    """A biconic and terms of fourth, sixth and eighth order on top of it.
 
     Parameters
     ----------
     curvature_x, curvature_y : float, 1/length
     conic_x, conic_y : float
-        Conic constants of the base; −1: the surface is a polynomial of degree 4.
+        Conic constants of the base; −1: the surface is a polynomial, of degree 4 unless a6 or a8 raise it.
     a4 : (3,) tuple of float, 1/length³
         Coefficients of x⁴, x² y² and y⁴; positive adds height on the side the material bulges to.
     side : +1 or −1
         As of a biconic; a number that is not finite is refused as there, too (ValueError).
+    a6, a8 : (4,) and (5,) tuple of float, 1/length⁵ and 1/length⁷
+        Coefficients of the next orders as `clacad.optics.surface.even_terms` has them.
 
     Notes
     -----
-    z = side (Q/(1 + w) + a x⁴ + b x² y² + c y⁴) is defined where the base is. Where base and terms cancel, the
-    error of z is that of the larger of them.
+    z = side (Q/(1 + w) + P) is defined where the base is. Where base and terms cancel, the error of z is that of
+    the larger of them.
     """
 
     curvature_x: float
     curvature_y: float
     conic_x: float
     conic_y: float
-    a4: tuple[float, float, float]
+    a4: A4
     side: int = 1
+    a6: A6 = NO_A6
+    a8: A8 = NO_A8
 
     def __post_init__(self) -> None:
-        numbers = (self.curvature_x, self.curvature_y, self.conic_x, self.conic_y, *self.a4)
-        _check("EvenPolynomial", self.side, *numbers)
+        numbers = (self.curvature_x, self.curvature_y, self.conic_x, self.conic_y)
+        _check("EvenPolynomial", self.side, *numbers, *self.a4, *self.a6, *self.a8)
+
+    @property
+    def degree(self) -> int | None:
+        """Degree in x and y of a face on a paraboloid, which is a polynomial; None on any other base."""
+        if not self.conic_x == self.conic_y == -1.0:
+            return None
+        return 8 if any(self.a8) else 6 if any(self.a6) else 4
 
 
 Surface = Quadric | Biconic | EvenPolynomial
@@ -154,15 +167,17 @@ def resized(surface: Surface, size: float) -> Surface:
         return Quadric(cx, cy, surface.kappa / size, surface.side)
     if isinstance(surface, Biconic):
         return Biconic(cx, cy, surface.conic_x, surface.conic_y, surface.side)
-    a, b, c = (term / size**3 for term in surface.a4)
-    return EvenPolynomial(cx, cy, surface.conic_x, surface.conic_y, (a, b, c), surface.side)
+    a4 = tuple(term / size**3 for term in surface.a4)
+    a6, a8 = tuple(term / size**5 for term in surface.a6), tuple(term / size**7 for term in surface.a8)
+    terms = (cast("A4", a4), surface.side, cast("A6", a6), cast("A8", a8))
+    return EvenPolynomial(cx, cy, surface.conic_x, surface.conic_y, *terms)
 
 
 def sharpest_bend(surface: Surface, reach: float) -> float:
-    """Bound (1/length) of how a face bends: its apex curvatures, and what its terms of fourth order add within `reach`."""
+    """Bound (1/length) of how a face bends: its apex curvatures, and what its even terms add within `reach`."""
     bend = abs(surface.curvature_x) + abs(surface.curvature_y)
     if isinstance(surface, EvenPolynomial):
-        bend += 12.0 * sum(abs(term) for term in surface.a4) * reach * reach
+        bend += sharpest_of_terms(surface.a4, surface.a6, surface.a8, reach)
     return bend
 
 
@@ -216,7 +231,7 @@ def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:
     x, y = _plane_point(x, y)
     height = surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))
     if isinstance(surface, EvenPolynomial):
-        height = height + surface.side * fourth_order(surface, x, y)[0]
+        height = height + surface.side * even_terms(surface.a4, surface.a6, surface.a8, x, y)[0]
     return np.asarray(height)
 
 
@@ -240,26 +255,17 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
     """G_x, G_y (n,) of either surface at the points over (x, y), (n,) lengths, where G_z = w (n,).
 
     The biconic is Q + κ z² − 2 side z = 0 with κ = (a x² + b y²)/Q, which depends on the azimuth alone; its
-    derivative gives the second terms. Terms of fourth order add −side w times their slopes.
+    derivative gives the second terms. Even terms add −side w times their slopes.
     """
     gx, gy = -surface.side * surface.curvature_x * x, -surface.side * surface.curvature_y * y
     if isinstance(surface, EvenPolynomial):
-        _, px, py = fourth_order(surface, x, y)
+        _, px, py = even_terms(surface.a4, surface.a6, surface.a8, x, y)
         gx, gy = gx - surface.side * w * px, gy - surface.side * w * py
     skew = skewness(surface)
     if skew == 0:
         return np.asarray(gx), np.asarray(gy)
     twist = surface.side * skew * x * y / ((1.0 + w) * (1.0 + w))
     return np.asarray(gx - twist * y), np.asarray(gy + twist * x)
-
-
-def fourth_order(surface: EvenPolynomial, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """P = a x⁴ + b x² y² + c y⁴ and its slopes in x and y, (n,) each, over x, y (n,), lengths."""
-    a, b, c = surface.a4
-    xx, yy = x * x, y * y
-    in_x, in_y = a * xx + b * yy, c * yy
-    px, py = x * (4.0 * a * xx + 2.0 * b * yy), y * (2.0 * b * xx + 4.0 * c * yy)
-    return np.asarray(xx * in_x + yy * in_y), np.asarray(px), np.asarray(py)
 
 
 def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:

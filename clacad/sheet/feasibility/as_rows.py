@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clacad.base.digits import digits
+from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
@@ -176,11 +177,12 @@ def _shape_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name
             FactRow(about, f"{of}apex radius x, y", of_length(shape.radius), name, "negative: concave"),
             FactRow(about, f"{of}conic constant x, y", conic, "", "0: circle, -1: parabola"),
         ]
-        if shape.a4 is not None:
-            text = ", ".join(digits(a) for a in shape.a4)
-            rows.append(
-                FactRow(about, f"{of}a4: x⁴, x² y², y⁴", text, f"1/{name}³", "outwards, on top of the conic")
-            )
+        for order, of_terms in MONOMIALS.items():
+            terms, unit = getattr(shape, order), f"1/{name}{RAISED[POWER[order]]}"
+            if terms is not None:
+                text = ", ".join(digits(a) for a in terms)
+                said = f"{of}{order}: {', '.join(of_terms)}"
+                rows.append(FactRow(about, said, text, unit, "outwards, on top of the conic"))
     return rows
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from clacad.base.even_orders import A4, A6, A8
 from clacad.base.types import Pair2
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 
@@ -17,19 +18,23 @@ DEFAULT_WAVELENGTH = 550e-9
 
 @dataclass(frozen=True)
 class FaceShape:
-    """One face of a lens whose faces differ, or have terms of fourth order.
+    """One face of a lens whose faces differ, or have terms on top of their conic.
 
     side : "front" or "back"
     radius : (R_x, R_y), lengths
     conic : (K_x, K_y) or None each
     a4 : (3,) 1/length³, or None
         Coefficients of x⁴, x² y² and y⁴.
+    a6, a8 : (4,) 1/length⁵ and (5,) 1/length⁷, or None
+        Of the next orders, where a face has them.
     """
 
     side: str
     radius: Pair2
     conic: tuple[float | None, float | None]
-    a4: tuple[float, float, float] | None
+    a4: A4 | None
+    a6: A6 | None = None
+    a8: A8 | None = None
 
 
 @dataclass(frozen=True)

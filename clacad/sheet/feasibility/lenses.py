@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clacad.base.even_orders import A4, A6, A8
 from clacad.base.types import Floats, Pair2
-from clacad.optics.surface import conic_constants, principal_radii
+from clacad.optics.surface import EvenPolynomial, Surface, conic_constants, principal_radii
 from clacad.sheet.feasibility.convex_extremes import Heights, least, reach, share_covered
 from clacad.sheet.feasibility.derived_numbers import FaceShape, LensFacts, two
 from clacad.sheet.window import Body, Face, Window, lens_height, lens_height_and_normal, optical_tile
@@ -89,11 +90,17 @@ def _shapes(body: Body, array: int) -> tuple[FaceShape, ...]:
     faces = [
         (side, f.surface) for side, f in (("front", body.front), ("back", body.back)) if f.array == array
     ]
-    shapes = tuple(
-        FaceShape(side, principal_radii(s), conic_constants(s), getattr(s, "a4", None)) for side, s in faces
-    )
+    shapes = tuple(FaceShape(side, principal_radii(s), conic_constants(s), *_terms(s)) for side, s in faces)
     plain = len({(s.radius, s.conic) for s in shapes}) == 1 and all(s.a4 is None for s in shapes)
     return () if plain else shapes
+
+
+def _terms(surface: Surface) -> tuple[A4 | None, A6 | None, A8 | None]:
+    """Coefficients of an even polynomial, None of the higher orders that it does not have."""
+    if not isinstance(surface, EvenPolynomial):
+        return None, None, None
+    a6, a8 = surface.a6, surface.a8
+    return surface.a4, a6 if any(a6) else None, a8 if any(a8) else None
 
 
 def thickness_over_cell(window: Window, array: int) -> Heights:

@@ -63,8 +63,13 @@ class EyeAdvice:
     @property
     def advised(self) -> float:
         """The sharpest pitch of the axis that is blurred more."""
-        worse = 0 if self.blur[0] > self.blur[1] else 1
-        return self.sharpest[worse]
+        return pitch_of_more_blurred(self.sharpest, self.blur)
+
+
+def pitch_of_more_blurred(sharpest: Sequence[float], blur: Sequence[float]) -> float:
+    """The sharpest pitch of the axis that is blurred more, of pitches and blurs along some axes; of equals the last."""
+    worse = max(range(len(blur)), key=lambda k: (blur[k], k))
+    return sharpest[worse]
 
 
 def sharpest_pitch(eta: float, distance: float, wavelength: float) -> float:

@@ -20,15 +20,37 @@ def polynomial_over(
     """
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
     of_x, of_y = 1.0 + faces[row, slot.KX], 1.0 + faces[row, slot.KY]
-    a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
     xx, yy = x * x, y * y
     p = of_x * cx * cx * xx + of_y * cy * cy * yy
     w = sqrt(1.0 - p) if p < 1.0 else 0.0
     twist = side * (cx * cy * (of_x * cx - of_y * cy)) * x * y / ((1.0 + w) * (1.0 + w))
-    gx = -side * cx * x - side * w * (x * (4.0 * a * xx + 2.0 * b * yy)) - twist * y
-    gy = -side * cy * y - side * w * (y * (2.0 * b * xx + 4.0 * c * yy)) + twist * x
-    base, terms = (cx * xx + cy * yy) / (1.0 + w), xx * (a * xx + b * yy) + yy * (c * yy)
+    terms, px, py = _even_terms(faces, row, xx, yy)
+    gx = -side * cx * x - side * w * (x * px) - twist * y
+    gy = -side * cy * y - side * w * (y * py) + twist * x
+    base = (cx * xx + cy * yy) / (1.0 + w)
     return gx, gy, w, z - side * (base + terms), abs(z) + abs(base) + abs(terms)
+
+
+@exact
+def _even_terms(faces: Floats, row: int, xx: float, yy: float) -> tuple[float, float, float]:
+    """Height of the terms, and its slopes over x and y, from x² and y²; see `clacad.optics.surface.even_terms`."""
+    a, b, c = faces[row, slot.A40], faces[row, slot.A22], faces[row, slot.A04]
+    height, px, py = (
+        xx * (a * xx + b * yy) + yy * (c * yy),
+        4.0 * a * xx + 2.0 * b * yy,
+        2.0 * b * xx + 4.0 * c * yy,
+    )
+    a, b, c, d = faces[row, slot.A60], faces[row, slot.A42], faces[row, slot.A24], faces[row, slot.A06]
+    six = xx * (xx * (a * xx + b * yy) + yy * (c * yy)) + yy * (yy * (d * yy))
+    six_x = xx * (6.0 * a * xx + 4.0 * b * yy) + yy * (2.0 * c * yy)
+    six_y = xx * (2.0 * b * xx + 4.0 * c * yy) + yy * (6.0 * d * yy)
+    a, b, c, d = faces[row, slot.A80], faces[row, slot.A62], faces[row, slot.A44], faces[row, slot.A26]
+    e = faces[row, slot.A08]
+    inner = xx * (a * xx + b * yy) + yy * (c * yy)
+    eight = xx * (xx * inner + yy * (yy * (d * yy))) + yy * (yy * (yy * (e * yy)))
+    eight_x = xx * (xx * (8.0 * a * xx + 6.0 * b * yy) + yy * (4.0 * c * yy)) + yy * (yy * (2.0 * d * yy))
+    eight_y = xx * (xx * (2.0 * b * xx + 4.0 * c * yy) + yy * (6.0 * d * yy)) + yy * (yy * (8.0 * e * yy))
+    return height + (six + eight), px + (six_x + eight_x), py + (six_y + eight_y)
 
 
 @exact

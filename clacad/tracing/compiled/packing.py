@@ -14,7 +14,8 @@ from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
-ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, A40, A22, A04, FACE_NUMBERS = range(20, 30)
+ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, A40, A22, A04 = range(20, 29)
+A60, A42, A24, A06, A80, A62, A44, A26, A08, FACE_NUMBERS = range(29, 39)
 
 # What BICONIC says: 0 is a quadric.
 POLYNOMIAL = 2.0
@@ -102,7 +103,8 @@ def _face(face: FacePlan) -> list[float]:
     else:
         row[BICONIC], row[KX], row[KY] = 1.0, surface.conic_x, surface.conic_y
     if isinstance(surface, EvenPolynomial):
-        row[BICONIC], row[A40 : A04 + 1] = POLYNOMIAL, surface.a4
+        row[BICONIC] = POLYNOMIAL
+        row[A40 : A08 + 1] = (*surface.a4, *surface.a6, *surface.a8)
     row[VX : VZ + 1] = face.vertex
     row[TURNED] = float(face.rotation is not None)
     row[R0 : R0 + 9] = (np.eye(3) if face.rotation is None else face.rotation).ravel().tolist()

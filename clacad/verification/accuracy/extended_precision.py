@@ -188,7 +188,7 @@ def _meet_height(
 def _height(
     surface: Biconic | EvenPolynomial, x: Decimal, y: Decimal
 ) -> tuple[Decimal, Decimal, Decimal] | None:
-    """Sag and its two slopes: z = s (Q/(1 + w) + a x⁴ + b x² y² + c y⁴)."""
+    """Sag and its two slopes: z = s (Q/(1 + w) + Σ a_ij x^2i y^2j)."""
     cx, cy = Decimal(surface.curvature_x), Decimal(surface.curvature_y)
     kx, ky = (1 + Decimal(surface.conic_x)) * cx * cx, (1 + Decimal(surface.conic_y)) * cy * cy
     inside = 1 - kx * x * x - ky * y * y
@@ -200,10 +200,19 @@ def _height(
     ]
     if isinstance(surface, Biconic):
         return s * q / (1 + w), slopes[0], slopes[1]
-    a, b, c = (Decimal(term) for term in surface.a4)
-    height = q / (1 + w) + a * x**4 + b * x * x * y * y + c * y**4
-    slope_x = slopes[0] + s * (4 * a * x**3 + 2 * b * x * y * y)
-    return s * height, slope_x, slopes[1] + s * (2 * b * x * x * y + 4 * c * y**3)
+    found = [s * q / (1 + w), *slopes]
+    for terms in (surface.a4, surface.a6, surface.a8):
+        for j, term in enumerate(terms):
+            m, n, a = 2 * (len(terms) - 1 - j), 2 * j, s * Decimal(term)
+            found[0] += a * _power(x, m) * _power(y, n)
+            found[1] += a * m * _power(x, m - 1) * _power(y, n) if m else 0
+            found[2] += a * n * _power(x, m) * _power(y, n - 1) if n else 0
+    return found[0], found[1], found[2]
+
+
+def _power(base: Decimal, exponent: int) -> Decimal:
+    """A power, of which 0⁰ is 1."""
+    return base**exponent if exponent else Decimal(1)
 
 
 def _refracted(ray: Vector, gradient: Vector, before: Decimal, after: Decimal) -> Vector | None:

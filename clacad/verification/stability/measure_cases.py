@@ -14,7 +14,7 @@ import numpy as np
 from clacad.optics.law import Law, angle_between, stretch
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Biconic, Quadric, Surface
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.lattice import Lattice
 
 ULP = Decimal(2) ** -52
@@ -188,6 +188,9 @@ def _surface(shape: Case) -> Surface:
         cx, cy, kappa, side = shape["numbers"]
         return Quadric(cx, cy, kappa, int(side))
     cx, cy, conic_x, conic_y, side = shape["numbers"]
+    if shape["kind"] == "polynomial":
+        a4, a6, a8 = (tuple(shape["terms"][k:m]) for k, m in ((0, 3), (3, 7), (7, 12)))
+        return EvenPolynomial(cx, cy, conic_x, conic_y, a4, int(side), a6, a8)
     return Biconic(cx, cy, conic_x, conic_y, int(side))
 
 

@@ -217,7 +217,7 @@ def bench(design: Design, window: Window, rays: int = RAYS) -> Bench:
     position, direction = (np.concatenate([pair[k] for pair in rows.values()]) for k in (0, 1))
     kept = float(share(thin_cells(window), rows["cone"][1][:64]).mean())
     blank = Bench(
-        window, (position, direction), parts, _places(window), window.law.refract(direction), np.zeros(2), np.eye(2),
+        window, (position, direction), parts, places(window), window.law.refract(direction), np.zeros(2), np.eye(2),
         kept, window.wavelength or DEFAULT_WAVELENGTH,
     )  # fmt: skip
     return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
@@ -253,7 +253,7 @@ def _chief_rays(window: Window, middle: Floats, low: float) -> tuple[Floats, Flo
     return start, np.broadcast_to(middle, start.shape).copy()
 
 
-def _places(window: Window) -> Floats:
+def places(window: Window) -> Floats:
     """Centres of the sheet's middle and of its farthest cells along the four diagonals, (m, 2)."""
     lattice = window.lattice
     if lattice.cell_count == 1:

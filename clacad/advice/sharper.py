@@ -1,0 +1,71 @@
+"""Faces that cost nothing and are sharper: the conic constant −1/n² of a slab's lenses, where a design has ellipsoids.
+
+A slab's lens focuses inside the material, where an ellipsoid of conic constant −1/n² along the axis has no spherical
+aberration at all: parallel light meets in one point. The tool, the radii and the heights stay what they are within a
+micrometre, so nothing has to be searched or paid for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+from typing import Any, Final
+
+from clacad.advice.judged import Judged
+from clacad.advice.levers import Changes
+from clacad.advice.trials import NoMoreTrials, Trials
+from clacad.base.digits import digits
+
+CHANGES: Final[Changes] = {"pair.surface": "biconic"}
+
+WORTH: Final = 0.9
+"""Part of the error that is left, at most, where it is advised."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sharper:
+    """Keys that make light sharper and cost nothing, tried.
+
+    Attributes
+    ----------
+    changes : mapping
+        Values by dotted key.
+    before, after : float, radians
+        Rms error to the law.
+    """
+
+    changes: Changes
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        """Return one line."""
+        times = self.before / self.after
+        return (
+            f'pair.surface = "biconic" (conic constants -1/n²) costs nothing: law_rms {digits(1e3 * self.after, count=3)} '
+            f"instead of {digits(1e3 * self.before, count=3)} mrad, {times:.2g} times better"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        return {"changes": dict(self.changes), "law_rms": [self.before, self.after], "text": str(self)}
+
+
+def sharper(judged: Judged, trials: Trials) -> Sharper | None:
+    """What would cost nothing, if the design is a slab of ellipsoids and light through it says so."""
+    pair = judged.design.pair
+    if pair.form != "slab" or pair.given or pair.surface != "ellipsoid" or pair.depth is not None:
+        return None
+    try:
+        after = trials.judged(CHANGES)
+    except NoMoreTrials:
+        return None
+    if after is None or len(after.failing) > len(judged.failing):
+        return None
+    before, least = _law_rms(judged), _law_rms(after)
+    return Sharper(CHANGES, before, least) if least <= WORTH * before else None
+
+
+def _law_rms(judged: Judged) -> float:
+    """Rms error to the law (radians); NaN where too little light says so."""
+    return next((c.value for c in judged.checks if c.id == "law_rms" and isinstance(c.value, float)), nan)

@@ -1,0 +1,25 @@
+"""The orders of terms that a face may have on top of its conic: what their coefficients stand before, and in which unit."""
+
+from __future__ import annotations
+
+from typing import Final
+
+MONOMIALS: Final = {
+    "a4": ("x⁴", "x² y²", "y⁴"),
+    "a6": ("x⁶", "x⁴ y²", "x² y⁴", "y⁶"),
+    "a8": ("x⁸", "x⁶ y²", "x⁴ y⁴", "x² y⁶", "y⁸"),
+}
+"""What the coefficients of each order stand before."""
+
+POWER: Final = {"a4": 3, "a6": 5, "a8": 7}
+"""The power of 1/length that the coefficients of each order have."""
+
+RAISED: Final = {3: "³", 5: "⁵", 7: "⁷"}
+"""These powers as they are printed."""
+
+A4 = tuple[float, float, float]
+A6 = tuple[float, float, float, float]
+A8 = tuple[float, float, float, float, float]
+NO_A4: Final[A4] = (0.0, 0.0, 0.0)
+NO_A6: Final[A6] = (0.0, 0.0, 0.0, 0.0)
+NO_A8: Final[A8] = (0.0, 0.0, 0.0, 0.0, 0.0)

@@ -1,0 +1,135 @@
+"""Whether a gain survives the workshop: both designs with array 2 aside by a micrometre, turned and tilted by 0.1 mrad.
+
+Each error stands alone, at either sign, and their squares are added: what to expect where they are independent. They are
+those of the telescopelet in the middle of the sheet. Towards the corners of a large sheet an array that is turned stands
+aside by far more than a micrometre: what that does is told by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any, Final
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.design import Design
+from clacad.prescription.prescribe import prescribe
+from clacad.verification.tolerance import Bench, bench
+
+ASIDE: Final = 1e-6
+"""Metres by which array 2 stands aside, along x and along y."""
+
+TURNED: Final = 1e-4
+"""Radians by which it is turned about the sheet's normal, and tilted about x and y."""
+
+RAYS: Final = 128
+"""Rays of a bundle."""
+
+SURVIVES: Final = 0.5
+"""Part of the gain from which on it survives."""
+
+NONE_LEFT: Final = 1.1
+"""Gain up to which none is left."""
+
+MEASURES: Final = ("law_rms", "blur", "image_shift")
+
+
+@dataclass(frozen=True, slots=True)
+class AsMade:
+    """One design, perfect and as made; radians.
+
+    law_rms, made_rms : rms error to the law
+    blur, made_blur : rms spread of parallel light over a cell
+    shift : how far the image moves
+    corner : how far the turn alone moves it at the sheet's corners
+    """
+
+    law_rms: float
+    made_rms: float
+    blur: float
+    made_blur: float
+    shift: float
+    corner: float
+
+
+@dataclass(frozen=True, slots=True)
+class GainAsMade:
+    """Before and after, perfect and as made."""
+
+    before: AsMade
+    after: AsMade
+
+    @property
+    def gain(self) -> float:
+        """How many times less the error of the perfect part is."""
+        return self.before.law_rms / self.after.law_rms
+
+    @property
+    def made_gain(self) -> float:
+        """The same of parts as made."""
+        return self.before.made_rms / self.after.made_rms
+
+    def sentence(self) -> str:
+        """Whether the gain survives."""
+        if self.made_gain >= SURVIVES * self.gain:
+            word = f"the gain survives: {self.made_gain:.3g} of {self.gain:.3g} times"
+        elif self.made_gain > NONE_LEFT:
+            word = f"the gain survives in part: {self.made_gain:.3g} of {self.gain:.3g} times"
+        else:
+            word = f"the gain of {self.gain:.3g} times is lost"
+        before, after = self.before, self.after
+        return (
+            f"With array 2 aside by 1 µm, turned and tilted by 0.1 mrad, {word}. The error to the law is then "
+            f"{_mrad(before.made_rms)} before and {_mrad(after.made_rms)} mrad after, of which {_mrad(after.shift)} mrad is the "
+            f"image aside, which no face can take away; parallel light spreads by {_mrad(before.made_blur)} before and "
+            f"{_mrad(after.made_blur)} mrad after. At the corners of this sheet the turn alone moves the image by "
+            f"{_mrad(after.corner)} mrad, whatever the faces."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, radians."""
+        made = {
+            name: {key: getattr(one, key) for key in AsMade.__slots__}
+            for name, one in (("before", self.before), ("after", self.after))
+        }
+        return {**made, "sentence": self.sentence()}
+
+
+def gain_as_made(before: Design, after: Design) -> GainAsMade:
+    """Measure both designs, perfect and as made, by the measures of `clacad tolerance`."""
+    return GainAsMade(_as_made(before), _as_made(after))
+
+
+def _as_made(design: Design) -> AsMade:
+    everywhere = bench(design, prescribe(design), RAYS)
+    table = replace(everywhere, places=everywhere.places[:1])
+    aside = ASIDE / design.unit_m
+    errors = {
+        "decentre.2.x": aside,
+        "decentre.2.y": aside,
+        "rotation": TURNED,
+        "tilt.x": TURNED,
+        "tilt.y": TURNED,
+    }
+    nominal = _squares(table, {})
+    added = [
+        0.5 * (_squares(table, {name: size}) + _squares(table, {name: -size})) - nominal
+        for name, size in errors.items()
+    ]
+    made = np.sqrt(nominal + np.maximum(0.0, added).sum(axis=0))
+    corner = _squares(everywhere, {"rotation": TURNED})[0] - _squares(everywhere, {})[0]
+    rms, blur, _ = np.sqrt(nominal).tolist()
+    return AsMade(rms, float(made[0]), blur, float(made[1]), float(made[2]), sqrt(max(0.0, float(corner))))
+
+
+def _squares(table: Bench, errors: Mapping[str, float]) -> Floats:
+    """Squares of the measures of a part made with these errors, (3,)."""
+    found = table.measured(errors)
+    return np.array([found[measure] for measure in MEASURES]) ** 2
+
+
+def _mrad(angle: float) -> str:
+    return f"{1e3 * angle:.3g}"

@@ -1,0 +1,196 @@
+"""A page with a design before and after a search for better faces: light, sections, thicknesses, and parts as made."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import acos, degrees, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clacad.base.digits import digits
+from clacad.base.units import millimetres
+from clacad.storage.errors import BadRequest
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.optimising import Optimised
+    from clacad.optimising.gain_as_made import GainAsMade
+    from clacad.verification import Report
+
+RAYS, POINT_RAYS = 8192, 1024
+"""Of the main bundle, and of each point of the field."""
+
+NO_SCRIPT = "47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU="
+"""SHA-256 of no script at all, the only one that the page's policy lets run."""
+
+SECONDS = 5.0
+"""Processor seconds a page takes on the reference machine, most of them for figures."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One number before and after."""
+
+    name: str
+    before: str
+    after: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class BeforeAndAfter:
+    """What the page shows.
+
+    found : Optimised
+    before, after : Report
+        Of the start and the end, over the field of the search.
+    made : GainAsMade
+    """
+
+    found: Optimised
+    before: Report
+    after: Report
+    made: GainAsMade
+
+
+def before_and_after(found: Optimised) -> BeforeAndAfter:
+    """Measure both designs of a search for the page.
+
+    Raises
+    ------
+    DesignError
+        The search was interrupted before it found anything that can be built.
+    """
+    from clacad.optimising.gain_as_made import gain_as_made
+
+    designs = [one.replace({"check.field": f"{found.field!r} rad"}) for one in (found.start, found.design)]
+    return BeforeAndAfter(found, _measured(designs[0]), _measured(designs[1]), gain_as_made(*designs))
+
+
+def _measured(design: Design) -> Report:
+    """A design's checks and curves, by fewer rays than verify sends."""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.feasibility import feasibility
+    from clacad.tracing.trace import trace
+    from clacad.verification import Report, design_checks
+    from clacad.verification.checks import accepted
+    from clacad.verification.light.direction_curves import meridians
+    from clacad.verification.light.through_window import judge_light
+
+    window = prescribe(design)
+    facts = feasibility(window)
+    light, optics = judge_light(design, window, RAYS, POINT_RAYS)
+    checks = accepted((*light, *design_checks(design, window, facts)), design)
+    curves = meridians(window, lambda lit: trace(window, lit.rays, path="size"))
+    return Report(design, window, facts, tuple(checks), optics, curves)
+
+
+def light_rows(found: Optimised) -> list[tuple[str, ...]]:
+    """Field, error and share of light before and after, and how many times the error is less."""
+    return [
+        (f"{degrees(one.field):.3g}°", f"{1e3 * one.law_rms:.4g}", f"{1e3 * two.law_rms:.4g}",
+         f"{one.law_rms / two.law_rms:.3g}", f"{100 * one.throughput:.1f}", f"{100 * two.throughput:.1f}")
+        for one, two in zip(found.before, found.after, strict=True)
+    ]  # fmt: skip
+
+
+def shape_rows(shown: BeforeAndAfter) -> list[Row]:
+    """Thicknesses, heights and slopes of every lens and body, in millimetres and degrees."""
+    rows = zip(_shape(shown.before), _shape(shown.after), strict=True)
+    return [Row(one[0], one[1], two[1], one[2]) for one, two in rows if (one[1], two[1]) != ("none", "none")]
+
+
+def _shape(report: Report) -> Iterator[tuple[str, str, str]]:
+    mm = millimetres(report.window.unit)
+
+    def of_length(value: float) -> str:
+        return digits(value * mm, "none", 4) if isfinite(value) else "none"
+
+    for body in report.facts.bodies:
+        yield f"{body.name}: edge thickness, least", of_length(body.edge), "mm"
+        yield f"{body.name}: neck between cells, least", of_length(body.neck), "mm"
+        yield f"{body.name}: greatest step between cells", of_length(body.step), "mm"
+    for lens in report.facts.lenses:
+        about = f"lens {lens.array + 1}"
+        yield f"{about}: thickness at its thinnest", of_length(lens.corner), "mm"
+        yield f"{about}: height of its face", of_length(lens.sag), "mm"
+        yield f"{about}: shortest radius", of_length(min(abs(r) for r in lens.radii)), "mm"
+        yield f"{about}: steepest slope", f"{degrees(acos(min(1.0, lens.least_normal_z))):.3g}", "°"
+
+
+def check_words(report: Report) -> str:
+    """What verify will say of a design, in a few words."""
+    failing = list(dict.fromkeys(check.id for check in report.checks if check.state == "fail"))
+    return f"verify will fail: {', '.join(failing)}" if failing else "verify will pass"
+
+
+def page(shown: BeforeAndAfter) -> str:
+    """The page as one HTML text that needs no network; every text of the design is escaped in it."""
+    from markupsafe import Markup
+
+    from clacad.optimising.optimised_text import asked, left_out
+    from clacad.report import better_faces_figures as drawn
+    from clacad.report import figures
+    from clacad.report.self_contained import environment
+
+    found = shown.found
+    both = (("before", shown.before), ("after", shown.after))
+    figure: dict[str, Any] = {"change": Markup(drawn.change_of_faces(shown.before, shown.after))}
+    for name, report in both:
+        figure[f"spots_{name}"] = Markup(figures.spots(report, f"spots {name}"))
+        figure[f"residual_{name}"] = Markup(figures.residual_map(report, f"error map {name}"))
+        figure[f"section_{name}"] = Markup(figures.section(report, f"section {name}"))
+    return environment().get_template("better_faces.html.j2").render(
+        name=found.design.name, asked=asked(found), found=found, light=light_rows(found), shape=shape_rows(shown),
+        made=shown.made.sentence(), left_out=left_out(found) if found.left_out else "", figure=figure,
+        words=[(name, check_words(report)) for name, report in both], field=f"{degrees(found.field):.3g}",
+        digest=NO_SCRIPT, history=[(at, f"{1e3 * rms:.4g}") for at, rms in found.history],
+    )  # fmt: skip
+
+
+def html_file(path: str | os.PathLike[str]) -> Path:
+    """The path, if it names a page.
+
+    Raises
+    ------
+    BadRequest
+    """
+    file = Path(path)
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise BadRequest(f"{file}: the page is one file that ends in .html")
+    return file
+
+
+def write_before_and_after(
+    found: Optimised, out: str | os.PathLike[str], overwrite: bool = False
+) -> GainAsMade:
+    """Write a page with a design before and after a search.
+
+    Parameters
+    ----------
+    found : Optimised
+        Of `clacad.optimise`; not interrupted.
+    out : path
+        Ends in .html. The file appears whole or not at all.
+    overwrite : bool
+        Replace a file that is there.
+
+    Returns
+    -------
+    GainAsMade
+        Whether the gain survives in parts as made.
+
+    Raises
+    ------
+    BadRequest, ExportRefused, CannotWrite
+    """
+    from clacad.storage.atomic import write_content
+
+    file = html_file(out)
+    if found.stopped == "interrupted":
+        raise BadRequest("the search was interrupted: there is nothing to compare yet")
+    shown = before_and_after(found)
+    write_content(file, page(shown), overwrite=overwrite)
+    return shown.made
