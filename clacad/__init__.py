@@ -64,6 +64,7 @@ _HOME = {
     "plan_effects": "clacad.effects",
     "optimise": "clacad.optimising",
     "explore": "clacad.explorer",
+    "wave": "clacad.waves",
 }
 
 __all__ = sorted(_HOME)

@@ -29,6 +29,7 @@ ROOMS = [
     "tracing",
     "effects",
     "exporting",
+    "waves",  # light as a wave through one telescopelet, beside its rays
     "verification",
     "advice",  # what verify will say, and which keys would change it
     "optimising",  # a search needs the walls that checks judge by
