@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from clacad.base.digits import digits
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
@@ -88,51 +87,14 @@ def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:
 
 
 def wave_text(found: WaveReport) -> str:
-    """The numbers as a table: waves beside rays, along lens x and y."""
+    """The numbers as a table: waves beside rays, angles in mrad along lens x and y."""
+    from clacad.waves.as_rows import HEAD, head, rows, sentences
 
-    def mrad(values: tuple[float, ...]) -> str:
-        return ", ".join(digits(1e3 * v, count=4) for v in values)
-
-    head = (
-        f"{found.design}: {1e9 * found.wavelength:.4g} nm, slope {found.slope[0]:.4g}, {found.slope[1]:.4g} along lens x, y; "
-        f"Fresnel number {digits(min(found.fresnel), count=4)}; holds here: {found.far_field.way}"
-    )
-    rows = [
+    return "\n".join(
         [
-            "",
-            "share to the partner",
-            "Strehl ratio",
-            "middle off the law",
-            "full width, half max.",
-            "half of the light in",
-            "",
-        ]
-    ]
-    for far, name, share in (
-        (found.exact, "waves, exact surfaces", found.share),
-        (found.thin, "waves, ideal lenses", found.thin_share),
-    ):
-        if far is not None:
-            one = far.marginals
-            rows.append([
-                name, digits(share, count=4), digits(far.strehl, count=4), mrad(tuple(m.middle for m in one)), mrad(tuple(m.width for m in one)),
-                mrad(tuple(m.half_energy for m in one)), "mrad, lens x, y",
-            ])  # fmt: skip
-    rows.append(
-        [
-            "rays, exact surfaces",
-            digits(found.rays.share, count=4),
-            "",
-            mrad(found.rays.mean),
-            "",
-            mrad(found.rays.half_energy),
-            "mrad, mean",
+            f"{found.design}: {head(found)}",
+            table([HEAD, *rows(found)]),
+            "angles in mrad, lens x, y",
+            *sentences(found),
         ]
     )
-    lines = [
-        head, table(rows), f"λ/w of what is lit of lens 2: {mrad(found.slit)} mrad; rays alone miss the law by {digits(1e3 * found.rays.rms, count=4)} "
-        "mrad rms",
-        f"in coherent light equal cells send orders λ/p = {mrad(found.order)} mrad apart: the law is met to ± half of that",
-        *(f"not computed, {way}: {why}" for way, why in found.refused.items()),
-    ]  # fmt: skip
-    return "\n".join(lines)

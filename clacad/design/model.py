@@ -14,11 +14,13 @@ from clacad.config.overrides import changed_keys
 from clacad.design.canonical_text import to_dict, to_toml
 from clacad.design.read import read_changed, read_dict, read_file
 from clacad.design.sections import (
+    DAYLIGHT,
     NO_TOLERANCES,
     BodySpec,
     CheckSpec,
     LatticeSpec,
     LawSpec,
+    LightSpec,
     PairSpec,
     TolerancesSpec,
 )
@@ -41,7 +43,7 @@ class Design:
         Unit of bare lengths, as written.
     unit_m : float, metres
         Length of one design unit.
-    law_spec, pair, lattice, body, check : dataclasses
+    law_spec, pair, lattice, body, check, tolerances, light : dataclasses
         The sections of the file; `law` is the law itself.
     notes : tuple of str
         Remarks the report prints.
@@ -62,6 +64,7 @@ class Design:
     body: BodySpec
     check: CheckSpec
     tolerances: TolerancesSpec = NO_TOLERANCES
+    light: LightSpec = DAYLIGHT
     notes: tuple[str, ...] = ()
     given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     source: str | None = field(default=None, repr=False, compare=False)

@@ -35,14 +35,15 @@ def picture(found: WaveReport, format: Literal["png", "svg"] = "png") -> bytes:
 def draw(figure: Figure, found: WaveReport) -> None:
     """Draw on a figure that is given."""
     for k, axes in enumerate(figure.subplots(1, 2)):
-        _axis(axes, found, k)
+        axis(axes, found, k)
     figure.suptitle(
         no_formula(f"{found.design}: one telescopelet's far field at {1e9 * found.wavelength:.4g} nm, Fresnel number {min(found.fresnel):.3g}"),
         fontsize=10,
     )  # fmt: skip
 
 
-def _axis(axes: Axes, found: WaveReport, k: int) -> None:
+def axis(axes: Axes, found: WaveReport, k: int) -> None:
+    """Draw one lens axis, k = 0 or 1, on axes that are given."""
     rays = found.rays.off[:, k]
     reach = max(LOBES * found.slit[k], 1.2 * float(np.abs(rays).max(initial=0.0)))
     scale = found.slit[k]

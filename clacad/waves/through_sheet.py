@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.optics.aperture import equivalent_widths
+from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.vignetting import focal_ratio
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.waves import exit_pupil
@@ -44,7 +45,7 @@ class WaveReport:
     slit : (x, y), radians
         λ over the width that is lit of lens 2.
     order : (x, y), radians
-        λ/p: what equal cells in coherent light send goes to this ladder of directions alone.
+        Steps between the directions that equal cells send coherent light to, λ/p on a square lattice.
     field_lens : bool
     exact, thin : FarField or None
         Pupil method and angular spectrum; None where it could not be computed.
@@ -165,9 +166,9 @@ def _look(lit: Situation, name: str) -> WaveReport:
         raise BadRequest("no light of this direction gets through the exact surfaces by the law")
     if lit.pupil_suits:
         exact = exit_pupil.far_field(found, lit.wave)
-    slit, order = lit.wave / equivalent_widths(lit.lit), lit.wave / np.array(lit.window.lattice.pitch)
+    slit = lit.wave / equivalent_widths(lit.lit)
     return WaveReport(
-        name, lit.wavelength, lit.slope, lit.fresnel, _pair(slit), _pair(order), lit.field_lens, exact, thin,
+        name, lit.wavelength, lit.slope, lit.fresnel, _pair(slit), order_steps(lit.window.lattice, lit.wave), lit.field_lens, exact, thin,
         exit_pupil.rays_of(found), float(thin_share), lit.share, refused,
     )  # fmt: skip
 
