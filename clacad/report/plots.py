@@ -51,7 +51,7 @@ def waves(evidence: Evidence) -> str:
     from clacad.waves.picture import axis
 
     def draw(figure: Figure) -> None:
-        for k, panel in enumerate(panels(figure, 1, 2, Margins(bottom=0.72, across=0.5))):
+        for k, panel in enumerate(panels(figure, 1, 2, Margins(bottom=0.6))):
             axis(panel, found, k)
 
     return svg(7.6, 2.9, "far field of one telescopelet as waves and as rays", draw)
