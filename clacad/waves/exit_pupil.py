@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Pair2
 from clacad.optics.rays import Fate, Rays
-from clacad.sheet.bundle import central_cell, launched
+from clacad.sheet.bundle import bundle, central_cell, launched
 from clacad.sheet.window import Window, in_optical_tile
 from clacad.storage.errors import LimitRefused
 from clacad.tracing.trace import trace
@@ -29,6 +29,9 @@ MOST = 4096
 
 FEWEST = 256
 """Rays along each side of a cell, so that the rim of what is lit is drawn."""
+
+SHARE_RAYS = 1 << 14
+"""Rays by which the share to the partner is told."""
 
 TRIAL = 64
 """Rays a side by which the phase steps are found."""
@@ -55,8 +58,8 @@ class Pupil:
     phase : (n,) radians
     off : (n, 2)
         Direction cosines off the law.
-    lit, alive : (n,) bool
-        On the optical zone of lens 1; and leaving through the partner.
+    alive : (n,) bool
+        From the optical zone of lens 1 through the partner.
     side : int
     step : (2,) lengths
         Of the grid on lens 1.
@@ -65,15 +68,9 @@ class Pupil:
     place: Floats
     phase: Floats
     off: Floats
-    lit: Bools
     alive: Bools
     side: int
     step: Floats
-
-    @property
-    def share(self) -> float:
-        """Of the light on lens 1's optical zone that leaves through the partner."""
-        return float(self.alive.sum() / max(1, int(self.lit.sum())))
 
     @property
     def largest_step(self) -> float:
@@ -154,12 +151,11 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int) -> Pu
         for k in range(0, len(grid), BLOCK)
     ]
     place, path, off, alive = (np.concatenate(one) for one in zip(*parts, strict=True))
-    lit = in_optical_tile(sheet, grid[:, 0], grid[:, 1])
-    alive &= lit
+    alive &= in_optical_tile(sheet, grid[:, 0], grid[:, 1])
     if alive.any():
         place, path = place - place[alive].mean(axis=0), path - path[alive].mean()
     phase = 2.0 * pi * sheet.unit / wavelength * path
-    return Pupil(place, phase, off, lit, alive, side, size / side)
+    return Pupil(place, phase, off, alive, side, size / side)
 
 
 def _axes_across(window: Window, direction: Floats) -> Floats:
@@ -177,8 +173,9 @@ def _traced(
     cell = central_cell(window)
     ways = np.broadcast_to(direction, (len(points), 3)).copy()
     lit = launched(window, points, ways, cell, direction).rays
-    rays = lit if window.wavelength is None else Rays(lit.position, lit.direction, wavelength)
-    seen = trace(window, rays, path="numpy")  # the same bits everywhere; kernels would take longer to load
+    seen = trace(
+        window, _at_wavelength(window, lit, wavelength), path="numpy"
+    )  # the same bits everywhere; kernels would take longer to load
     alive = (seen.fate == Fate.ALIVE) & (seen.cell == cell).all(axis=1)
     height = seen.position @ asked
     on = (float(height[alive].mean()) if alive.any() else 0.0) - height
@@ -189,9 +186,19 @@ def _traced(
     return at @ across.T, path, seen.direction @ across.T, alive
 
 
-def rays_of(found: Pupil) -> RaySpread:
-    """The same light without waves."""
-    return RaySpread(found.off[found.alive], found.share)
+def rays_of(found: Pupil, window: Window, direction: Floats, wavelength: float) -> RaySpread:
+    """The same light without waves; its share by points that keep to no grid, whose rows a rim would cut whole."""
+    sheet = window.with_cells((3, 3))
+    lit = bundle(sheet, SHARE_RAYS, 0.0, middle=direction)
+    seen = trace(sheet, _at_wavelength(sheet, lit.rays, wavelength), path="numpy")
+    zone = in_optical_tile(sheet, lit.points[:, 0], lit.points[:, 1])
+    share = float((seen.fate[zone] == Fate.ALIVE).mean())
+    return RaySpread(found.off[found.alive], share)
+
+
+def _at_wavelength(window: Window, rays: Rays, wavelength: float) -> Rays:
+    """Rays of a wavelength (metres), where the window knows of any."""
+    return rays if window.wavelength is None else Rays(rays.position, rays.direction, wavelength)
 
 
 def rays_needed(window: Window, direction: Floats, wavelength: float) -> int:

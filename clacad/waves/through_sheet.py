@@ -169,7 +169,7 @@ def _look(lit: Situation, name: str) -> WaveReport:
     slit = lit.wave / equivalent_widths(lit.lit)
     return WaveReport(
         name, lit.wavelength, lit.slope, lit.fresnel, _pair(slit), order_steps(lit.window.lattice, lit.wave), lit.field_lens, exact, thin,
-        exit_pupil.rays_of(found), float(thin_share), lit.share, refused,
+        exit_pupil.rays_of(found, lit.window, lit.direction, lit.wavelength), float(thin_share), lit.share, refused,
     )  # fmt: skip
 
 
