@@ -65,6 +65,8 @@ _HOME = {
     "optimise": "clacad.optimising",
     "explore": "clacad.explorer",
     "wave": "clacad.waves",
+    "plot": "clacad.report.notebook",
+    "as_html": "clacad.report.notebook",
 }
 
 __all__ = sorted(_HOME)

@@ -26,6 +26,8 @@ from clacad.design.sections import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from clacad.optics.law import Law
 
 
@@ -76,6 +78,18 @@ class Design:
             f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, separation {pair.separation:g} {self.unit}, "
             f"{cells[0]} x {cells[1]} cells)"
         )
+
+    def _repr_html_(self) -> str:
+        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+
+        return str(as_html(self))
+
+    def plot(self) -> Figure:
+        """Draw a section with rays, and exit slope against incident slope; see `clacad.plot`."""
+        from clacad import plot
+
+        drawn: Figure = plot(self)
+        return drawn
 
     @staticmethod
     def from_dict(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Design:

@@ -27,6 +27,8 @@ from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, uprigh
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from clacad.optics.law import Law
     from clacad.optics.material.material import Material
 
@@ -222,6 +224,18 @@ class Window:
             f"Window({self.name!r}, {self.form}, {lattice.count[0]} x {lattice.count[1]} {lattice.kind} cells of "
             f"{pitch:g} mm, {count} {'body' if count == 1 else 'bodies'})"
         )
+
+    def _repr_html_(self) -> str:
+        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+
+        return str(as_html(self))
+
+    def plot(self) -> Figure:
+        """Draw a section with rays, and exit slope against incident slope; see `clacad.plot`."""
+        from clacad import plot
+
+        drawn: Figure = plot(self)
+        return drawn
 
     @cached_property
     def kept(self) -> dict[str, Any]:
