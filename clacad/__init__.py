@@ -69,6 +69,9 @@ _HOME = {
     "stack": "clacad.stacking",
     "Stack": "clacad.sheet.stack",
     "trace_stack": "clacad.tracing.through_stack",
+    "wave": "clacad.waves",
+    "plot": "clacad.report.notebook",
+    "as_html": "clacad.report.notebook",
 }
 
 __all__ = sorted(_HOME)

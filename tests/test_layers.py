@@ -30,6 +30,7 @@ ROOMS = [
     "effects",
     "imaging",  # where light of a point meets behind a sheet, and tables that send light into a pattern
     "exporting",
+    "waves",  # light as a wave through one telescopelet, beside its rays
     "verification",
     "stacking",  # sheets behind one another
     "advice",  # what verify will say, and which keys would change it

@@ -529,6 +529,28 @@ def explore(
 
 
 @app.command()
+def wave(
+    design: Design,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write the picture here, .png or .svg.")]
+    = None,
+    field: Annotated[str | None, typer.Option("--field", metavar="A[,B]", help="Angles of the light off the middle of the "
+                                              "field along x and y, e.g. '0.5 deg,0'; default the middle.")] = None,
+    wavelength: Annotated[str | None, typer.Option("--wavelength", metavar="L", help="Default the design's, e.g. "
+                                                   "'633 nm'.")] = None,
+    field_lens: Annotated[bool, typer.Option("--field-lens", help="As if a lens at the common focus imaged lens 1 onto lens "
+                                             "2: ideal lenses only.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print grid and cost; write nothing.")] = False,
+    overwrite: Replace = False,
+    set: Set = None, json: Json = False, quiet: Quiet = False, verbose: Verbose = False,
+) -> int:  # fmt: skip
+    """Light as a wave through one telescopelet: far field, Strehl ratio, share to the partner, beside its rays."""
+    from clacad.cli.wave_command import WaveRequest, wave_design
+
+    request = WaveRequest(out, field, wavelength, field_lens, dry_run, overwrite)
+    return wave_design(design, set or [], request, json=json, quiet=quiet)
+
+
+@app.command()
 def atlas(
     out: Out,
     scenes: Annotated[Path | None, typer.Option("--scenes", metavar="DIR", help="Folder of the scene files; default those "

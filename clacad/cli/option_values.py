@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
+from math import isfinite, pi
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from clacad.design import Design
+
+
+STEEPEST = 80.0 * pi / 180.0
+"""Largest angle of light to the middle of the field, radians."""
+
+SHORTEST, LONGEST = 1e-8, 1e-3
+"""Wavelengths that may be asked for, metres."""
 
 
 class BadOption(ValueError):
@@ -63,6 +70,38 @@ def parse_angle(option: str, text: str) -> float:
     value = in_radians(parts[0], parts[1] or "deg")
     if not (value > 0.0 and isfinite(value)):
         raise BadOption(f"{option} {text}: it is an angle above 0, such as '5 mrad'")
+    return value
+
+
+def parse_two_angles(option: str, text: str | None) -> tuple[float, float]:
+    """Read "A" or "A,B", angles of either sign such as "0.5 deg,-2 mrad", as radians; None, and a missing B, are 0."""
+    from clacad.base.units import family_of, in_radians, split
+
+    words = [] if text is None else text.split(",")
+    parts = [split(word.strip()) for word in words]
+    found = []
+    for part in parts:
+        if part is None or len(parts) > 2 or (part[1] and family_of(part[1]) != "angle"):
+            raise BadOption(f"{option} {text}: it is one angle or two, such as '0.5 deg' or '0,-8 mrad'")
+        found.append(in_radians(part[0], part[1] or "deg"))
+    if any(abs(angle) > STEEPEST for angle in found):
+        raise BadOption(f"{option} {text}: angles lie between -80 deg and 80 deg")
+    x, y = (*found, 0.0, 0.0)[:2]
+    return x, y
+
+
+def parse_wavelength(text: str | None) -> float | None:
+    """Read a wavelength such as "633 nm" as metres; a bare number is nanometres, as in a design file; None stays None."""
+    from clacad.base.units import family_of, in_metres, split
+
+    if text is None:
+        return None
+    parts = split(text)
+    if parts is None or (parts[1] and family_of(parts[1]) != "length"):
+        raise BadOption(f"--wavelength {text}: it is a wavelength such as '633 nm'")
+    value = in_metres(parts[0], parts[1] or "nm")
+    if not SHORTEST <= value <= LONGEST:
+        raise BadOption(f"--wavelength {text}: a wavelength lies between 10 nm and 1 mm")
     return value
 
 

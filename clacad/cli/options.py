@@ -20,7 +20,7 @@ Example: clacad export designs/paper-a-covered.toml -o exports/paper --format st
 
 GROUPS = {
     "make": ("new", "check", "optimise", "shape", "export", "stack", "schema"),
-    "look": ("trace", "image", "render", "explore", "atlas", "effects"),
+    "look": ("trace", "image", "render", "explore", "wave", "atlas", "effects"),
     "judge": ("verify", "accuracy", "sweep", "tolerance"),
     "help": ("explain", "doctor"),
 }

@@ -13,7 +13,7 @@ from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
 from clacad.design.search_record import SearchRecord
-from clacad.design.sections import NO_TOLERANCES, AimedAt, Allowed, Frame, Outline, PairSpec
+from clacad.design.sections import DAYLIGHT, NO_TOLERANCES, AimedAt, Allowed, Frame, Outline, PairSpec
 from clacad.design.varying import VaryingSpec, varying_table
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ def to_dict(design: Design) -> dict[str, Any]:
     if design.notes:
         made["notes"] = list(design.notes)
     parts = {"law": design.law_spec, "pair": design.pair, "lattice": design.lattice, "body": design.body,
-             "check": design.check, "tolerances": design.tolerances}  # fmt: skip
+             "check": design.check, "tolerances": design.tolerances, "light": design.light}  # fmt: skip
     for section, spec in parts.items():
-        if spec == NO_TOLERANCES:
-            continue  # a design that states none has the text it had before there were tolerances
+        if spec in (NO_TOLERANCES, DAYLIGHT):
+            continue  # a design that states none has the text it had before there were such sections
         values: dict[str, Any] = {}
         for name, key in SECTIONS[section].items():
             if section == "pair" and _left_out(name, design.pair):

@@ -297,6 +297,9 @@ TOLERANCES: Final[dict[str, Key]] = {
     "residual_power": Key(_DIOPTRES, "largest residual power of a good sheet"),
     "moire_period": Key(_LIMIT_LENGTH, "least moire period of a good sheet"),
 }
+LIGHT: Final[dict[str, Key]] = {
+    "coherent": Key(Flag(), "whether the light is one wave over many cells, as a laser's", False),
+}
 SECTIONS: Final[dict[str, dict[str, Key]]] = {
     "law": LAW,
     "pair": PAIR,
@@ -304,8 +307,9 @@ SECTIONS: Final[dict[str, dict[str, Key]]] = {
     "body": BODY,
     "check": CHECK,
     "tolerances": TOLERANCES,
+    "light": LIGHT,
 }
-OPTIONAL: Final = ("body", "check", "tolerances")
+OPTIONAL: Final = ("body", "check", "tolerances", "light")
 """Sections that may be left out."""
 
 
@@ -319,7 +323,7 @@ SYNONYMS: Final[dict[str, str]] = {
 }  # fmt: skip
 """What people call a key elsewhere."""
 
-SCENE_SECTIONS: Final = ("sheet", "camera", "light", "background", "object", "effects", "animation")
+SCENE_SECTIONS: Final = ("sheet", "camera", "background", "object", "effects", "animation")
 """Sections of a scene file, which is another file."""
 
 

@@ -14,16 +14,20 @@ from clacad.config.overrides import changed_keys
 from clacad.design.canonical_text import to_dict, to_toml
 from clacad.design.read import read_changed, read_dict, read_file
 from clacad.design.sections import (
+    DAYLIGHT,
     NO_TOLERANCES,
     BodySpec,
     CheckSpec,
     LatticeSpec,
     LawSpec,
+    LightSpec,
     PairSpec,
     TolerancesSpec,
 )
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from clacad.optics.law import Law
 
 
@@ -41,7 +45,7 @@ class Design:
         Unit of bare lengths, as written.
     unit_m : float, metres
         Length of one design unit.
-    law_spec, pair, lattice, body, check : dataclasses
+    law_spec, pair, lattice, body, check, tolerances, light : dataclasses
         The sections of the file; `law` is the law itself.
     notes : tuple of str
         Remarks the report prints.
@@ -62,6 +66,7 @@ class Design:
     body: BodySpec
     check: CheckSpec
     tolerances: TolerancesSpec = NO_TOLERANCES
+    light: LightSpec = DAYLIGHT
     notes: tuple[str, ...] = ()
     given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     source: str | None = field(default=None, repr=False, compare=False)
@@ -73,6 +78,18 @@ class Design:
             f"Design({self.name!r}, {pair.form}, eta {eta[0]:g} {eta[1]:g}, separation {pair.separation:g} {self.unit}, "
             f"{cells[0]} x {cells[1]} cells)"
         )
+
+    def _repr_html_(self) -> str:
+        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+
+        return str(as_html(self))
+
+    def plot(self) -> Figure:
+        """Draw a section with rays, and exit slope against incident slope; see `clacad.plot`."""
+        from clacad import plot
+
+        drawn: Figure = plot(self)
+        return drawn
 
     @staticmethod
     def from_dict(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Design:

@@ -29,6 +29,7 @@ from clacad.design.sections import (
     Frame,
     LatticeSpec,
     LawSpec,
+    LightSpec,
     Outline,
     PairSpec,
     TolerancesSpec,
@@ -213,7 +214,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     part = {
         section: {name: values[f"{section}.{name}"] for name in keys} for section, keys in SECTIONS.items()
     }
-    law, pair, lattice, body, check, tolerances = (part[section] for section in SECTIONS)
+    law, pair, lattice, body, check, tolerances, light = (part[section] for section in SECTIONS)
     if isinstance(pair["thickness"], tuple) and not isinstance(data["pair"]["thickness"], list):
         pair["thickness"] = pair["thickness"][0]
     if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
@@ -241,5 +242,6 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     return {
         "name": values["name"], "unit": values["unit"], "unit_m": float(unit.metres), "law_spec": LawSpec(**law),
         "pair": PairSpec(**pair), "lattice": LatticeSpec(**lattice), "body": BodySpec(**body), "check": CheckSpec(**check),
-        "tolerances": TolerancesSpec(**tolerances), "notes": values["notes"], "given": data, "source": source, "path": path,
+        "tolerances": TolerancesSpec(**tolerances), "light": LightSpec(**light), "notes": values["notes"], "given": data,
+        "source": source, "path": path,
     }  # fmt: skip

@@ -330,6 +330,22 @@ class TolerancesSpec:
     moire_period: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class LightSpec:
+    """What the sheet is lit by.
+
+    Parameters
+    ----------
+    coherent : bool
+        Whether the light is one wave over many cells.
+    """
+
+    coherent: bool
+
+
+DAYLIGHT = LightSpec(coherent=False)
+"""A design that says nothing of its light."""
+
 NO_TOLERANCES = TolerancesSpec(
     (0.0, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 0.0, "normal", 1000, 0, None, None, None, None
 )

@@ -88,6 +88,12 @@ CHECKS: dict[str, Text] = {
         "lit from its middle: a turned square keeps its own side",
         "A larger pitch or a shorter separation.",
     ),
+    "orders": (
+        "In coherent light (`light.coherent`): half the step between the directions that equal cells send light to.",
+        "A laser's light leaves in spots of a grating, and the direction of the law falls between two of them.",
+        "sin θ' = sin θ + mλ/p, so ± λ/(2p) along each lattice vector",
+        "A larger pitch; or light that is not coherent over a cell, as sunlight is.",
+    ),
     "accounting": (
         "Every ray ends in exactly one fate, and none but invalid ones holds NaN.", "Otherwise light got lost in the program, not in the sheet.",
         "Σ counts = rays launched", "This is an error of the program: please report it with the design.",

@@ -12,6 +12,7 @@ import numpy as np
 from clacad.base.drawn_figure import drawn, no_formula
 from clacad.optics.rays import Fate, Rays
 from clacad.report.panels import Margins, panels, room_for
+from clacad.sheet.feasibility.as_rows import length_unit
 from clacad.sheet.lattice import relocate
 from clacad.sheet.window import Window, column, face_height
 from clacad.tracing.trace import trace
@@ -31,7 +32,6 @@ STYLE = {
     "axes.titleweight": "bold", "image.cmap": "viridis",
 }  # fmt: skip
 SPOT_RAYS = 300
-METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 
 
 def svg(width: float, height: float, label: str, draw: Callable[[Figure], None]) -> str:
@@ -280,25 +280,28 @@ def budget(report: Report) -> str:
 def section(report: Report, label: str = "cross-section with rays") -> str:
     """Cross-section through the middle of three cells, true to scale, with rays through the middle one."""
     window = report.window
-    size, name = next((s, n) for n, s in METRES.items() if s <= window.unit * (1 + 1e-9) or n == "um")
-    scale = window.unit / size
-
-    def draw(figure: Figure) -> None:
-        panel = panels(figure)
-        for body in window.bodies:
-            x, front, back = _profile(window, body, window.lattice.pitch[0])
-            panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
-        for ray in ray_fan(window):
-            panel.plot(ray[:, 2] * scale, ray[:, 0] * scale, color=SECOND, lw=0.7)
-        panel.set_aspect("equal")
-        panel.set_xlabel(f"z ({name})")
-        panel.set_ylabel(f"x ({name})")
-        panel.grid(False)
-        panel.locator_params(axis="y", nbins=4)
-
+    unit, name = length_unit(window.unit)
     low, high = window.z_range
     tall = 3.2 * window.lattice.pitch[0] / ((high - low) + 1.3 * window.lattice.pitch[0])
+
+    def draw(figure: Figure) -> None:
+        draw_section(panels(figure), window, window.unit / unit, name)
+
     return svg(7.6, min(5.0, max(1.7, 7.0 * tall)), label, draw)
+
+
+def draw_section(panel: Axes, window: Window, scale: float, name: str) -> None:
+    """Draw three cells cut along x, to scale, and rays through the middle one; `scale` makes lengths units called `name`."""
+    for body in window.bodies:
+        x, front, back = _profile(window, body, window.lattice.pitch[0])
+        panel.fill_betweenx(x * scale, front * scale, back * scale, color="#bcd9ee", lw=0.7, ec=ACCENT)
+    for ray in ray_fan(window):
+        panel.plot(ray[:, 2] * scale, ray[:, 0] * scale, color=SECOND, lw=0.7)
+    panel.set_aspect("equal")
+    panel.set_xlabel(f"z ({name})")
+    panel.set_ylabel(f"x ({name})")
+    panel.grid(False)
+    panel.locator_params(axis="y", nbins=4)
 
 
 def _profile(window: Window, body: Any, pitch: float) -> tuple[Any, Any, Any]:

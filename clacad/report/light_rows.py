@@ -101,6 +101,21 @@ class LightRows:
         ]  # fmt: skip
 
     @property
+    def waves(self) -> list[tuple[str, ...]]:
+        """Waves and rays of one telescopelet: see `clacad.waves.as_rows.HEAD`."""
+        from clacad.waves.as_rows import rows
+
+        return [] if self.evidence.waves is None else list(rows(self.evidence.waves))
+
+    @property
+    def waves_sentence(self) -> str:
+        """What the waves are, and what equal cells do in coherent light."""
+        from clacad.waves.as_rows import head, sentences
+
+        found = self.evidence.waves
+        return "" if found is None else f"{'; '.join([head(found), *sentences(found)])}."
+
+    @property
     def effects_sentence(self) -> str:
         """What is simulated and what is left out, in one sentence."""
         plan = self.evidence.plan

@@ -84,6 +84,10 @@ def _accuracy(content: Content) -> dict[str, str]:
     return {"accuracy": plots.accuracy(content.report, content.evidence, content.timings)}
 
 
+def _effects(content: Content) -> dict[str, str]:
+    return {"waves": plots.waves(content.evidence)}
+
+
 def _nothing(_content: Content) -> dict[str, str]:
     return {}
 
@@ -97,7 +101,7 @@ SECTIONS: tuple[tuple[str, str, Drawings], ...] = (
     ("light", "What light does", _light),
     ("errors", "Where errors come from", _errors),
     ("accuracy", "Accuracy against time", _accuracy),
-    ("effects", "Effects", _nothing),
+    ("effects", "Effects", _effects),
 )
 """Anchor (and name of the template under sections/), title, and what draws the figures of each section, in order.
 

@@ -266,6 +266,19 @@ def _errors(content: Content, shelf: _Shelf) -> list[Block]:
     ]  # fmt: skip
 
 
+def _waves(content: Content, shelf: _Shelf) -> list[Block]:
+    """Light of one telescopelet as a wave, where an effect calls for it."""
+    drawn = plots.waves(content.evidence)
+    if not drawn:
+        return []
+    from clacad.waves.as_rows import HEAD
+
+    return [
+        _heading("Waves", 2), _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),
+        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5)), {"kind": "text", "text": content.light.waves_sentence},
+    ]  # fmt: skip
+
+
 def _rest(content: Content, shelf: _Shelf) -> list[Block]:
     """Blocks at the end: accuracy, effects, the design, how to make the report again."""
     report = content.report
@@ -277,6 +290,7 @@ def _rest(content: Content, shelf: _Shelf) -> list[Block]:
         _table(rungs, content.light.ladder, (2, 3, 4, 5), 1),
         _heading("Effects"), {"kind": "text", "text": content.light.effects_sentence},
         *([_table(effects, [(n, s, a, r, c, w) for n, s, w, a, r, c in content.light.effects], (2, 3, 4))] if content.light.effects else []),
+        *_waves(content, shelf),
     ]  # fmt: skip
     if report.design.notes:
         blocks += [

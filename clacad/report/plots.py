@@ -49,6 +49,20 @@ def foci(report: Report, evidence: Evidence) -> str:
     return svg(7.6, 4.8, "foci and caustics of both lenses in both meridians", draw)
 
 
+def waves(evidence: Evidence) -> str:
+    """Far field of one telescopelet as waves and as rays; nothing where no effect calls for waves."""
+    found = evidence.waves
+    if found is None:
+        return ""
+    from clacad.waves.picture import axis
+
+    def draw(figure: Figure) -> None:
+        for k, panel in enumerate(panels(figure, 1, 2, Margins(bottom=0.6))):
+            axis(panel, found, k)
+
+    return svg(7.6, 2.9, "far field of one telescopelet as waves and as rays", draw)
+
+
 def _overview(panel: Any, focus: MeridianFocus, mm: float, name: str) -> None:
     """Draw the fans of rays of both lenses from lens to lens, in one meridian."""
     reach = focus.distance

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats, Ints
+from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import polygon_area, polygon_areas
 from clacad.sheet.window import ThinPair, Window, optical_tile
@@ -151,6 +152,19 @@ def lit_zone(cells: ThinCells) -> Floats:
     The image of lens 1's zone where it lies within lens 2's; for cells along the lens axes p·min(1, |m|) wide.
     """
     return clip(cells.image, cells.zone)
+
+
+def fresnel_numbers(cells: ThinCells, wavelength: float) -> tuple[float, float]:
+    """(w/2)²/(λ|f2|) along lens x and y, w what is lit of lens 2; infinite across an axis without power, where there is no lens.
+
+    wavelength : float, length
+    """
+    widths = equivalent_widths(lit_zone(cells))
+    x, y = (
+        (0.5 * float(w)) ** 2 / (wavelength * abs(f)) if np.isfinite(f) else np.inf
+        for w, f in zip(widths, cells.pair.focal_length[1], strict=True)
+    )
+    return x, y
 
 
 def ghost_step(cells: ThinCells, order: tuple[int, int]) -> Floats:

@@ -30,6 +30,8 @@ from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from clacad.optics.law import Law
     from clacad.optics.material.material import Material
 
@@ -237,6 +239,18 @@ class Window:
             f"Window({self.name!r}, {self.form}, {lattice.count[0]} x {lattice.count[1]} {lattice.kind} cells of "
             f"{pitch:g} mm, {count} {'body' if count == 1 else 'bodies'})"
         )
+
+    def _repr_html_(self) -> str:
+        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+
+        return str(as_html(self))
+
+    def plot(self) -> Figure:
+        """Draw a section with rays, and exit slope against incident slope; see `clacad.plot`."""
+        from clacad import plot
+
+        drawn: Figure = plot(self)
+        return drawn
 
     @cached_property
     def kept(self) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from clacad.verification.light.ghost_map import GhostMap, ghost_map
 if TYPE_CHECKING:
     from clacad.effects import Plan
     from clacad.verification.verification_report import Report
+    from clacad.waves import WaveReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,9 @@ class Evidence:
     ladder : Ladder
     plan : Plan or None
         None where the effects cannot be planned (a wavelength outside a material's data).
+    waves : WaveReport or None
+        Light along the middle of the field as a wave, where the effect `diffraction` or coherent light calls for it and a
+        grid suffices that is computed.
     """
 
     attributions: tuple[Attribution, ...]
@@ -43,6 +47,7 @@ class Evidence:
     ghosts: GhostMap
     ladder: Ladder
     plan: Plan | None
+    waves: WaveReport | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
@@ -53,6 +58,8 @@ class Evidence:
             "accuracy": {"reference_rms": self.ladder.reference, "rows": self.ladder.to_dict()},
             "effects": None if self.plan is None else self.plan.to_dict(),
         }
+        if self.waves is not None:
+            found["waves"] = self.waves.to_dict()
         return dict(plain(found))
 
 
@@ -76,7 +83,19 @@ def gather_evidence(report: Report, progress: Progress) -> Evidence:
         plan = plan_effects(report.design)
     except ValueError:
         plan = None
-    return Evidence(attributions, focus, ghosts, ladder, plan)
+    called = report.design.light.coherent or (plan is not None and "diffraction" in plan.names)
+    return Evidence(attributions, focus, ghosts, ladder, plan, _waves(report, progress) if called else None)
+
+
+def _waves(report: Report, progress: Progress) -> WaveReport | None:
+    from clacad.storage.errors import BadRequest, LimitRefused
+    from clacad.waves import wave
+
+    progress("sending waves through a telescopelet", 0.0)
+    try:
+        return wave(report.design)
+    except (BadRequest, LimitRefused):
+        return None
 
 
 def _attributions(report: Report) -> tuple[Attribution, ...]:

@@ -24,6 +24,8 @@ from clacad.verification.light.law_checks import Optics
 from clacad.verification.verdict import GOOD, FileVerdict, Word, file_verdict, settled, word_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from clacad.design import Design
     from clacad.verification.evidence import Evidence
 
@@ -95,6 +97,18 @@ class Report:
 
     def __repr__(self) -> str:
         return f"Report({self.design.name!r}, {self.verdict()})"
+
+    def _repr_html_(self) -> str:
+        from clacad import as_html  # the package's own door: pictures are made in a room below this one
+
+        return str(as_html(self))
+
+    def plot(self) -> Figure:
+        """Draw a section with rays, and exit slope against incident slope; see `clacad.plot`."""
+        from clacad import plot
+
+        drawn: Figure = plot(self)
+        return drawn
 
     def with_evidence(self, progress: Progress | None = None) -> Report:
         """The same report with what its page shows beside the checks; itself where it has that."""

@@ -51,6 +51,7 @@ LINES = {
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml"), ("better.toml",), (), ("better.toml",)),
     "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
+    "wave": Line(("wave", "{}/t.toml", "-o", "out/wave.png"), ("wave.png",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
 

@@ -24,7 +24,15 @@ from clacad.sheet.feasibility.derived_numbers import (
 from clacad.sheet.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.like_cell import like_cell
-from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, lit_zone, thin_cells
+from clacad.sheet.vignetting import (
+    aperture_slope,
+    focal_ratio,
+    fresnel_numbers,
+    ghost_onset,
+    half_field,
+    lit_zone,
+    thin_cells,
+)
 from clacad.sheet.window import Window
 
 __all__ = [
@@ -49,12 +57,7 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
     lit = equivalent_widths(zone)
     offset = window.thin.offset
     bodies = tuple(body_facts(window, body) for body in window.bodies)
-    second = window.thin.focal_length[1]
-    # across an axis without power there is no border of a lens that light could be lost at
-    fresnel = [
-        (0.5 * w) ** 2 / (wave * abs(f)) if np.isfinite(f) else np.inf
-        for w, f in zip(lit, second, strict=True)
-    ]
+    fresnel = fresnel_numbers(cells, wave)
     eye = viewing(
         focal_ratio(window.thin),
         fresnel,

@@ -95,13 +95,21 @@ def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float)
     return HALF_ENERGY * wavelength * abs(image) / (beam * abs(viewer + image)) if viewer + image else inf
 
 
+def diffraction_loss(fresnel: Sequence[float]) -> Pair2:
+    """Share of the light that diffraction may take to the partner's neighbours along two axes: .164/√N, at most 1.
+
+    So much where the beam fills its cell (|η| ≥ 1), within 12 % from Fresnel number 1 on; less where it has room.
+    """
+    x, y = (min(1.0, LOST / sqrt(n)) for n in fresnel)
+    return x, y
+
+
 def viewing(
     etas: Sequence[float], fresnel: Sequence[float], viewer: float, distance: float, wavelength: float
 ) -> EyeAdvice:
     """All advice for a pair of these η along lens x and y, and Fresnel numbers of what is lit (infinite: none)."""
     x, y = etas
     fine = tuple(wavelength / ARC_MINUTE * max(1.0, abs(eta)) for eta in (x, y))
-    lost = tuple(min(1.0, LOST / sqrt(n)) for n in fresnel)
     return EyeAdvice(
         viewer=viewer,
         object=distance,
@@ -109,5 +117,5 @@ def viewing(
         blur=(sharpest_blur(x, distance, viewer, wavelength), sharpest_blur(y, distance, viewer, wavelength)),
         invisible=viewer * ARC_MINUTE,
         fine=(fine[0], fine[1]),
-        lost=(lost[0], lost[1]),
+        lost=diffraction_loss(fresnel),
     )

@@ -13,6 +13,7 @@ import numpy as np
 
 from clacad.base.digits import digits
 from clacad.design.process_profiles import profile
+from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.window import Window
@@ -47,6 +48,8 @@ def design_checks(
     found += _process_checks(design, facts)
     found += making_checks(design, window, facts)
     found += [_field(design, facts), _fresnel_number(design, facts), _residual(design, window)]
+    if design.light.coherent:
+        found.append(_orders(design, window, facts))
     return accepted(found, design)
 
 
@@ -333,6 +336,21 @@ def _fresnel_number(design: Design, facts: Feasibility) -> Check:
         sentence += f"{100.0 * max(facts.viewing.lost):.2g} % of the light to other cells, along that axis"
     state: State = "warn" if value < limit else "pass"
     return Check("fresnel_number", state, sentence, value, limit, relation=">=", where="thin")
+
+
+def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
+    """How near the law coherent light comes: half a step of the grating that equal cells are."""
+    steps = order_steps(window.lattice, facts.wavelength / window.unit)
+    value, limit = 0.5 * max(steps), design.check.law_rms
+    first, second = (digits(1e3 * step, count=3) for step in steps)
+    sentence = (
+        f"in coherent light equal cells send orders {first} and {second} mrad apart, so the law is met to "
+        f"±{digits(1e3 * value, count=3)} mrad only"
+    )
+    return Check(
+        "orders", "pass" if value <= limit else "warn", sentence, value, limit, "rad", where="thin", required=False,
+        limit_source=from_key("law_rms"), detail={"steps": steps},
+    )  # fmt: skip
 
 
 def _residual(design: Design, window: Window) -> Check:

@@ -18,8 +18,10 @@ from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, TraceResult
 from clacad.sheet.bundle import Bundle, bundle, field_points
+from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
 from clacad.sheet.light_against_law import FEWEST, rms_error
-from clacad.sheet.vignetting import share, thin_cells
+from clacad.sheet.vignetting import fresnel_numbers, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.light.confocality import confocality
@@ -36,6 +38,9 @@ FIT_SCALE = 0.1
 
 MERIDIANS = 0.002
 """Difference of the two meridians' defects of confocality, over the separation, that is too much for any design."""
+
+WORTH_SAYING = 0.005
+"""Share of the light lost to diffraction along an axis from which it is said beside what rays tell."""
 
 POINT_RAYS = 4096
 SHARE_DIRECTIONS = 1024
@@ -385,10 +390,17 @@ def throughput_check(design: Design, window: Window, seen: Optics, where: str = 
         f"{middle.share:.3f} of the light passes in the middle of the field (closed form {middle.closed_form:.3f}), "
         f"{alive:.3f} over the field ({mean:.3f})"
     )
+    wave = (window.wavelength or DEFAULT_WAVELENGTH) / window.unit
+    lost = diffraction_loss(fresnel_numbers(cells, wave))
+    kept = (1.0 - lost[0]) * (1.0 - lost[1])
+    if max(lost) >= WORTH_SAYING:
+        sentence += f"; rays: waves may leave {kept:.3f} of that, for diffraction takes up to {100.0 * lost[0]:.2g} % along lens x and "
+        sentence += f"{100.0 * lost[1]:.2g} % along y to neighbours (clacad wave)"
     return judge(
         "throughput", value, design.check.throughput, sentence, relation=">=", unit="of closed form", where=where,
         bundle=str(seen.main),
-        detail={"middle": middle.share, "middle_closed_form": middle.closed_form, "mean": alive, "mean_closed_form": mean},
+        detail={"middle": middle.share, "middle_closed_form": middle.closed_form, "mean": alive, "mean_closed_form": mean,
+                "diffraction_keeps": kept},
     )  # fmt: skip
 
 

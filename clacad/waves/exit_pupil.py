@@ -1,0 +1,276 @@
+"""Where the exact trace's light leaves a telescopelet and with which phase, and the far field of that (pupil method).
+
+A plane wave meets lens 1 of one cell on a regular grid; every ray of it that leaves through its partner is carried on to
+one plane across the law's direction, where its optical path from a wave front of the incident light is its phase, and
+what the bundle round it is spread over its amplitude. Fraunhofer's integral over that plane is the far field. Rays do not
+come there on a grid: each is shared out to the four points round its place, and the transform is divided by that of the
+sharing (the type-1 transform of Dutt & Rokhlin, SIAM J. Sci. Comput. 14, 1368 (1993), with a triangle as the kernel).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from math import ceil, log2, pi
+from typing import Any
+
+import numpy as np
+
+from clacad.base.types import Bools, Floats, Pair2
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.bundle import bundle, central_cell, launched
+from clacad.sheet.window import Window, in_optical_tile
+from clacad.storage.errors import LimitRefused
+from clacad.tracing.trace import trace
+from clacad.waves.far_field import Complex, FarField, marginal, peak
+
+MOST = 4096
+"""Rays along each side of a cell."""
+
+FEWEST = 256
+"""Rays along each side of a cell, so that the rim of what is lit is drawn."""
+
+SHARE_RAYS = 1 << 14
+"""Rays by which the share to the partner is told."""
+
+TRIAL = 64
+"""Rays a side by which the phase steps are found."""
+
+STEP = 0.5 * pi
+"""Largest step of the phase between neighbouring rays."""
+
+BLOCK = 1 << 18
+"""Rays traced at a time."""
+
+MARGIN = 4
+"""Grid points round the lit ones."""
+
+SECONDS = 4.2e-6
+"""Processor seconds a ray on the reference machine: numpy's trace, and its share of the transforms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pupil:
+    """A cell's light on the plane across the law's direction, one row a launched ray, a side × side grid.
+
+    place : (n, 2) lengths
+        Along lens x and y, from the mean place.
+    phase : (n,) radians
+    off : (n, 2)
+        Direction cosines off the law.
+    alive : (n,) bool
+        From the optical zone of lens 1 through the partner.
+    side : int
+    step : (2,) lengths
+        Of the grid on lens 1.
+    """
+
+    place: Floats
+    phase: Floats
+    off: Floats
+    alive: Bools
+    side: int
+    step: Floats
+
+    @property
+    def largest_step(self) -> float:
+        """Largest phase step between neighbouring rays, radians; 0 where no two get through."""
+        phase = np.where(self.alive, self.phase, np.nan).reshape(self.side, self.side)
+        steps = [np.abs(np.diff(phase, axis=axis)) for axis in (0, 1)]
+        return float(max(np.nanmax(one, initial=0.0, where=np.isfinite(one)) for one in steps))
+
+
+@dataclass(frozen=True, eq=False)
+class RaySpread:
+    """What the exact trace says of the same light, without waves.
+
+    off : (n, 2)
+        Direction cosines off the law of the rays that obey it, along lens x and y.
+    share : float
+        Of the light on lens 1's optical zone.
+    """
+
+    off: Floats
+    share: float
+
+    @property
+    def mean(self) -> Pair2:
+        """Mean off the law, radians."""
+        x, y = self.off.mean(axis=0)
+        return float(x), float(y)
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square off the law, both axes together, radians."""
+        return float(np.sqrt((self.off**2).sum(axis=1).mean()))
+
+    @property
+    def half_energy(self) -> Pair2:
+        """Widths that hold the middle half of the rays, radians."""
+        low, high = np.quantile(self.off, (0.25, 0.75), axis=0)
+        return float(high[0] - low[0]), float(high[1] - low[1])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON, radians."""
+        return {
+            "share": self.share,
+            "mean_off_law": self.mean,
+            "rms": self.rms,
+            "half_energy": self.half_energy,
+        }
+
+
+def pupil(window: Window, direction: Floats, wavelength: float, side: int) -> Pupil:
+    """Trace a plane wave through one telescopelet.
+
+    Parameters
+    ----------
+    window : Window
+    direction : (3,) unit
+        Of the incident light.
+    wavelength : float, metres
+    side : int
+        Rays along each side of the box round the cell.
+
+    Raises
+    ------
+    ValueError
+        The law sends light of this direction nowhere, or a wavelength lies outside a material's data.
+    """
+    sheet = window.with_cells((3, 3))
+    asked = sheet.law.refract(direction[None, :])[0]
+    if not np.isfinite(asked).all():
+        raise ValueError("the law has no answer for light of this direction")
+    across = _axes_across(sheet, asked)
+    tile = sheet.lattice.tile()
+    low, size = tile.min(axis=0), np.ptp(tile, axis=0)
+    middle = np.array([(k + 0.5) / side for k in range(side)])
+    grid = low + np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2) * size
+    parts = [
+        _traced(sheet, grid[k : k + BLOCK], direction, asked, across, wavelength)
+        for k in range(0, len(grid), BLOCK)
+    ]
+    place, path, off, alive = (np.concatenate(one) for one in zip(*parts, strict=True))
+    alive &= in_optical_tile(sheet, grid[:, 0], grid[:, 1])
+    if alive.any():
+        place, path = place - place[alive].mean(axis=0), path - path[alive].mean()
+    phase = 2.0 * pi * sheet.unit / wavelength * path
+    return Pupil(place, phase, off, alive, side, size / side)
+
+
+def _axes_across(window: Window, direction: Floats) -> Floats:
+    """Two unit vectors (2, 3) across a direction, as near to lens x and lens y as can be."""
+    x = window.thin.rotation[:, 0]
+    u = x - (x @ direction) * direction
+    u = u / np.linalg.norm(u)
+    return np.stack([u, np.cross(direction, u)])
+
+
+def _traced(
+    window: Window, points: Floats, direction: Floats, asked: Floats, across: Floats, wavelength: float
+) -> tuple[Floats, Floats, Floats, Bools]:
+    """Places (n, 2), optical paths (n,), direction cosines off the law (n, 2), and which rays (n,) obey it."""
+    cell = central_cell(window)
+    ways = np.broadcast_to(direction, (len(points), 3)).copy()
+    lit = launched(window, points, ways, cell, direction).rays
+    seen = trace(
+        window, _at_wavelength(window, lit, wavelength), path="numpy"
+    )  # the same bits everywhere; kernels would take longer to load
+    alive = (seen.fate == Fate.ALIVE) & (seen.cell == cell).all(axis=1)
+    height = seen.position @ asked
+    on = (float(height[alive].mean()) if alive.any() else 0.0) - height
+    with np.errstate(divide="ignore", invalid="ignore"):
+        on = on / (seen.direction @ asked)
+    at = seen.position + on[:, None] * seen.direction
+    path = lit.position @ direction + seen.optical_path + on - (at @ asked)
+    return at @ across.T, path, seen.direction @ across.T, alive
+
+
+def rays_of(found: Pupil, window: Window, direction: Floats, wavelength: float) -> RaySpread:
+    """The same light without waves; its share by points that keep to no grid, whose rows a rim would cut whole."""
+    sheet = window.with_cells((3, 3))
+    lit = bundle(sheet, SHARE_RAYS, 0.0, middle=direction)
+    seen = trace(sheet, _at_wavelength(sheet, lit.rays, wavelength), path="numpy")
+    zone = in_optical_tile(sheet, lit.points[:, 0], lit.points[:, 1])
+    share = float((seen.fate[zone] == Fate.ALIVE).mean())
+    return RaySpread(found.off[found.alive], share)
+
+
+def _at_wavelength(window: Window, rays: Rays, wavelength: float) -> Rays:
+    """Rays of a wavelength (metres), where the window knows of any."""
+    return rays if window.wavelength is None else Rays(rays.position, rays.direction, wavelength)
+
+
+def rays_needed(window: Window, direction: Floats, wavelength: float) -> int:
+    """Rays a side with phase steps of a quarter turn at most, a power of two.
+
+    Raises
+    ------
+    LimitRefused
+        More than `MOST`.
+    ValueError
+        As `pupil`.
+    """
+    step = pupil(window, direction, wavelength, TRIAL).largest_step
+    least = 1 << max(0, ceil(log2(max(1.0, TRIAL * step / STEP))))
+    if least > MOST:
+        raise LimitRefused(
+            f"the pupil needs {least} x {least} rays (phase steps of a quarter turn), and {MOST} x {MOST} are computed: "
+            "aberration spreads this light over more than a thousand times what diffraction does, so rays tell the far field"
+        )
+    return max(FEWEST, least)
+
+
+def far_field(found: Pupil, wavelength: float) -> FarField:
+    """Far field of a pupil.
+
+    Parameters
+    ----------
+    found : Pupil
+        With some light that obeys the law.
+    wavelength : float, length
+    """
+    weight = np.sqrt(_spread(found))[found.alive]
+    place = found.place[found.alive]
+    wide = np.ptp(place, axis=0)
+    count = max(MARGIN, int(np.sqrt(found.alive.sum())))
+    spacing = wide / count
+    field = _shared_out(place, weight * np.exp(1j * found.phase[found.alive]), spacing, count)
+    flat = float(weight.sum()) ** 2
+    x, y = (marginal(field, k, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
+    return FarField("pupil", (x, y), peak(field, (1.0, 1.0)) / flat, (found.side, found.side))
+
+
+def _spread(found: Pupil) -> Floats:
+    """Area (n,) on the exit plane over that on lens 1, for each ray; the mean where a ray has no neighbour."""
+    shape = (found.side, found.side, 2)
+    place = np.where(found.alive[:, None], found.place, np.nan).reshape(shape)
+    slopes = []
+    for axis in (0, 1):
+        rise = np.diff(place, axis=axis) / found.step[axis]
+        gap = np.full((1, found.side, 2) if axis == 0 else (found.side, 1, 2), np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # rays without neighbours: told below
+            both = np.stack([np.concatenate([gap, rise], axis), np.concatenate([rise, gap], axis)])
+            slopes.append(np.nanmean(both, axis=0))
+    a, b = slopes
+    area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).ravel()
+    known = np.isfinite(area)
+    return np.asarray(np.where(known, area, area[known].mean() if known.any() else 1.0))
+
+
+def _shared_out(place: Floats, light: Complex, spacing: Floats, count: int) -> Complex:
+    """Amplitude on a regular grid whose transform is that of the rays."""
+    points = count + 2 * MARGIN
+    at = (place - place.min(axis=0)) / spacing + MARGIN
+    first = np.floor(at).astype(np.int64)
+    part = at - first
+    field = np.zeros(points * points, dtype=np.complex128)
+    for dx in (0, 1):
+        for dy in (0, 1):
+            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+            rows = (first[:, 0] + dx) * points + first[:, 1] + dy
+            field += np.bincount(rows, weight * light.real, len(field))
+            field += 1j * np.bincount(rows, weight * light.imag, len(field))
+    kernel = np.sinc(np.fft.fftfreq(points)) ** 2
+    return np.asarray(np.fft.ifft2(np.fft.fft2(field.reshape(points, points)) / np.outer(kernel, kernel)))

@@ -1,0 +1,184 @@
+"""A sheet's telescopelet in light of one direction, before waves are sent through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import hypot, tan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+from clacad.sheet.lattice import polygon_area
+from clacad.sheet.vignetting import (
+    ThinCells,
+    aperture_slope,
+    clip,
+    focal_ratio,
+    fresnel_numbers,
+    half_field,
+    share,
+    thin_cells,
+)
+from clacad.sheet.window import Window
+from clacad.storage.errors import BadRequest
+from clacad.waves.lens_planes import LensPlane, telescope
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+HOLDS = 10.0
+"""Fresnel number from which the pupil method holds: rays to the partner are then right within 5 % an axis."""
+
+ALONG = 1e-9
+"""Part of a cell by which its rim may miss the lens axes and still be done axis by axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """A window lit from one direction, before anything is computed.
+
+    direction : (3,) unit, sheet frame
+    wavelength : float, metres
+    field_lens : bool
+    """
+
+    window: Window
+    direction: Floats
+    wavelength: float
+    field_lens: bool = False
+
+    @cached_property
+    def cells(self) -> ThinCells:
+        """One telescopelet as thin lenses with cells."""
+        return thin_cells(self.window)
+
+    @property
+    def wave(self) -> float:
+        """Wavelength in the window's unit."""
+        return self.wavelength / self.window.unit
+
+    @property
+    def slope(self) -> Pair2:
+        """Along lens x and y."""
+        x, y = self.cells.slopes(self.direction[None, :])[0]
+        return float(x), float(y)
+
+    @cached_property
+    def fresnel(self) -> Pair2:
+        """Fresnel numbers."""
+        return fresnel_numbers(self.cells, self.wave)
+
+    @property
+    def pupil_suits(self) -> bool:
+        """Whether the pupil method holds: real foci, Fresnel numbers from `HOLDS` on."""
+        powered = [
+            m
+            for m, f in zip(focal_ratio(self.window.thin), self.window.thin.focal_length[1], strict=True)
+            if np.isfinite(f)
+        ]
+        return not self.field_lens and min(self.fresnel) >= HOLDS and all(m < 0.0 for m in powered)
+
+    @property
+    def along_axes(self) -> bool:
+        """Whether cells stand along the lens axes, so that these are independent."""
+        zone = self.cells.zone
+        half = 0.5 * np.ptp(zone, axis=0)
+        return len(zone) == 4 and bool((np.abs(np.abs(zone) - half) <= ALONG * half).all())
+
+    def planes(self, axes: tuple[int, ...]) -> list[LensPlane]:
+        """The thin pair along some of the lens axes."""
+        cells, pair = self.cells, self.window.thin
+        rows = list(axes)
+        vertex = (np.asarray(pair.offset) @ pair.rotation)[rows].tolist()
+        zone = cells.zone[:, rows] if len(rows) == 2 else _ends(cells.zone[:, rows])
+        first, second = (tuple(one[k] for k in rows) for one in pair.focal_length)
+        return telescope(
+            (first, second),
+            cells.centre[rows].tolist(),
+            vertex,
+            cells.separation,
+            zone,
+            field_lens=self.field_lens,
+        )
+
+    @property
+    def unsuited(self) -> str:
+        """Why the pupil method does not hold."""
+        if self.field_lens:
+            return "the sheet as built has no field lens to trace"
+        if min(self.fresnel) < HOLDS:
+            return f"Fresnel number {min(self.fresnel):.3g}: below {HOLDS:g} lens 1's rim blurs what lens 2 lets through"
+        return "a focus is virtual: lens 1's rim is not imaged near lens 2"
+
+    @property
+    def share(self) -> float:
+        """Share of the light on lens 1's optical zone that meets the partner, for rays through ideal lenses."""
+        if self.field_lens:
+            return area(self.lit) / area(self.cells.image)
+        return float(share(self.cells, self.direction[None, :])[0]) / self.cells.part
+
+    @cached_property
+    def lit(self) -> Floats:
+        """What is lit of lens 2 (m, 2), lengths; empty where no light obeys the law."""
+        moved = np.asarray(self.cells.separation * np.array(self.slope)) - self.cells.centre
+        image = self.cells.image
+        if self.field_lens:  # lens 1 is imaged onto the partner, wherever the light comes from
+            focus = np.array([f / self.cells.separation for f in self.window.thin.focal_length[0]])
+            met = focus * moved
+            return (
+                clip(image, self.cells.zone)
+                if (np.abs(met) <= 0.5 * np.ptp(self.cells.zone, axis=0)).all()
+                else image[:0]
+            )
+        return clip(image + moved, self.cells.zone)
+
+
+def _ends(points: Floats) -> Floats:
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def situation(
+    design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
+) -> Situation:
+    """A design's window lit from one direction; what cannot be is refused.
+
+    Parameters
+    ----------
+    design : Design
+    field : (x, y), radians
+        Angles off the middle of the field along the sheet's x and y.
+    wavelength : float or None, metres
+        None: the design's.
+    field_lens : bool
+        As if a lens stood at the common focus.
+
+    Raises
+    ------
+    BadRequest
+        A wavelength or angle that cannot be, or a direction that no light obeys the law of.
+    LimitRefused, DesignError, NoSuchLens
+    """
+    from clacad.exporting.limits import refuse_uncountable
+    from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+
+    refuse_uncountable(design)
+    window = prescribe(design)
+    wave = wavelength or window.wavelength or DEFAULT_WAVELENGTH
+    slope = [middle + tan(angle) for middle, angle in zip(aperture_slope(window), field, strict=True)]
+    direction = np.array([*slope, 1.0]) / hypot(*slope, 1.0)
+    found = Situation(window, direction, wave, field_lens)
+    if len(found.lit) == 0:
+        x, y = (f"{1e3 * half:.3g}" for half in half_field(found.cells))
+        raise BadRequest(
+            f"no light of slope {found.slope[0]:.4g}, {found.slope[1]:.4g} obeys the law: the field ends {x} and {y} mrad off its "
+            "middle along lens x and y"
+        )
+    return found
+
+
+def area(corners: Floats) -> float:
+    """Area of a polygon (m, 2), length²."""
+    return abs(float(polygon_area(corners)))

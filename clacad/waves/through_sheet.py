@@ -1,0 +1,231 @@
+"""Waves through a sheet's telescopelet in one direction, held beside its rays.
+
+*Which way.* From Fresnel number 10 on, and with foci between the lenses, the pupil method: there lens 1's rim is imaged
+sharply enough on lens 2. Below, or where a focus is virtual and lens 1's rim is nowhere imaged, the angular spectrum of
+the ideal pair. Both are given where both can be computed; `far_field` is the one that holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+from clacad.optics.aperture import equivalent_widths
+from clacad.sheet.coherent_orders import order_steps
+from clacad.sheet.vignetting import focal_ratio
+from clacad.storage.errors import BadRequest, LimitRefused
+from clacad.waves import exit_pupil
+from clacad.waves.far_field import FarField, marginal, peak
+from clacad.waves.lens_planes import grid_for, propagate
+from clacad.waves.lit_cell import HOLDS, Situation, area, situation
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+SECONDS = 0.15
+"""Processor seconds of the rest: the design prescribed, trial rays."""
+
+SECONDS_A_POINT = 0.25e-6
+"""Processor seconds that a point of a grid takes on the reference machine, both planes and the way between them."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaveReport:
+    """Light of one direction through one telescopelet, as waves and as rays.
+
+    design : str
+    wavelength : float, metres
+    slope : (x, y)
+        Of the incident light along lens x and y.
+    fresnel : (x, y)
+        Fresnel numbers along the middle of the field.
+    slit : (x, y), radians
+        λ over the width that is lit of lens 2.
+    order : (x, y), radians
+        Steps between the directions that equal cells send coherent light to, λ/p on a square lattice.
+    field_lens : bool
+    exact, thin : FarField or None
+        Pupil method and angular spectrum; None where it could not be computed.
+    rays : RaySpread
+        Through the exact surfaces.
+    thin_share, thin_share_of_rays : float
+        Light to the partner through ideal lenses as waves (NaN where not computed), and as rays.
+    refused : mapping of way to sentence
+    """
+
+    design: str
+    wavelength: float
+    slope: Pair2
+    fresnel: Pair2
+    slit: Pair2
+    order: Pair2
+    field_lens: bool
+    exact: FarField | None
+    thin: FarField | None
+    rays: exit_pupil.RaySpread
+    thin_share: float
+    thin_share_of_rays: float
+    refused: dict[str, str]
+
+    @property
+    def far_field(self) -> FarField:
+        """The one that holds here."""
+        found = self.exact or self.thin
+        assert found is not None, "one of them was computed, or `wave` raised"
+        return self.thin if self.thin is not None and not self.pupil_holds else found
+
+    @property
+    def pupil_holds(self) -> bool:
+        """Whether the pupil method is the one that holds."""
+        return self.exact is not None and min(self.fresnel) >= HOLDS
+
+    @property
+    def share(self) -> float:
+        """Of the light on lens 1's optical zone that leaves through the partner, aberration and diffraction counted.
+
+        Rays through the exact surfaces times what waves change in it through ideal lenses.
+        """
+        change = self.thin_share / self.thin_share_of_rays if np.isfinite(self.thin_share) else 1.0
+        return self.thin_share if not self.pupil_holds else min(1.0, self.rays.share * change)
+
+    def picture(self, format: Literal["png", "svg"] = "png") -> bytes:
+        """Far field along both lens axes, waves over rays, as the bytes of a picture."""
+        from clacad.waves.picture import picture
+
+        return picture(self, format)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON: radians and metres."""
+        return {
+            "design": self.design, "wavelength": self.wavelength, "slope": list(self.slope), "fresnel_number": list(self.fresnel),
+            "slit": list(self.slit), "order": list(self.order), "field_lens": self.field_lens, "share": self.share,
+            "way": self.far_field.way, "exact": None if self.exact is None else self.exact.to_dict(),
+            "thin": None if self.thin is None else self.thin.to_dict() | {"share": self.thin_share},
+            "rays": self.rays.to_dict(), "thin_share_of_rays": self.thin_share_of_rays, "refused": dict(self.refused),
+        }  # fmt: skip
+
+
+def wave(
+    design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
+) -> WaveReport:
+    """Light as a wave through one telescopelet of a design: far field, Strehl ratio, share, beside the rays.
+
+    Parameters
+    ----------
+    design : Design
+    field : (x, y), radians
+        Angles of the incident light off the middle of the field, along the sheet's x and y.
+    wavelength : float or None, metres
+        None: the design's, 550 nm where it gives a bare index.
+    field_lens : bool
+        As if a lens at the common focus imaged lens 1 onto lens 2 (ideal lenses only).
+
+    Returns
+    -------
+    WaveReport
+
+    Raises
+    ------
+    BadRequest
+        A direction that no light obeys the law of, a wavelength outside the material's data, or a field lens where the
+        focus is virtual.
+    LimitRefused
+        The way that holds needs a larger grid than is computed; says which.
+    DesignError, NoSuchLens
+        The design cannot be built.
+    """
+    return look(situation(design, field, wavelength, field_lens=field_lens), design.name)
+
+
+def look(lit: Situation, name: str) -> WaveReport:
+    """As `wave`, of a window lit from one direction."""
+    try:
+        return _look(lit, name)
+    except ValueError as why:
+        raise why if isinstance(why, BadRequest) else BadRequest(str(why)) from why
+
+
+def _look(lit: Situation, name: str) -> WaveReport:
+    refused: dict[str, str] = {}
+    exact, thin, thin_share, side = None, None, np.nan, exit_pupil.FEWEST
+    try:
+        thin, thin_share = _thin(lit)
+    except LimitRefused as why:
+        if not lit.pupil_suits:
+            raise
+        refused["angular spectrum"] = str(why)
+    if lit.pupil_suits:
+        side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
+    else:
+        refused["pupil"] = lit.unsuited
+    found = exit_pupil.pupil(lit.window, lit.direction, lit.wavelength, side)
+    if not found.alive.any():
+        raise BadRequest("no light of this direction gets through the exact surfaces by the law")
+    if lit.pupil_suits:
+        exact = exit_pupil.far_field(found, lit.wave)
+    slit = lit.wave / equivalent_widths(lit.lit)
+    return WaveReport(
+        name, lit.wavelength, lit.slope, lit.fresnel, _pair(slit), order_steps(lit.window.lattice, lit.wave), lit.field_lens, exact, thin,
+        exit_pupil.rays_of(found, lit.window, lit.direction, lit.wavelength), float(thin_share), lit.share, refused,
+    )  # fmt: skip
+
+
+def outlook(lit: Situation) -> dict[str, float]:
+    """What `look` would take: rays and points along a side, processor seconds, bytes.
+
+    Raises
+    ------
+    LimitRefused
+        As `wave`.
+    BadRequest
+    """
+    try:
+        side = exit_pupil.FEWEST
+        if lit.pupil_suits:
+            side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
+        axes = [(0,), (1,)] if lit.along_axes else [(0, 1)]
+        points = []
+        try:
+            for one in axes:
+                slope = [lit.slope[k] for k in one]
+                points += [grid_for(lit.planes(one), slope, lit.wave).points] * len(one)
+        except LimitRefused:
+            if not lit.pupil_suits:
+                raise
+    except ValueError as why:
+        raise BadRequest(str(why)) from why
+    held = 0.0 if not points else float(sum(points) if lit.along_axes else points[0] * points[1])
+    return {
+        "rays": float(side), "points": float(max(points, default=0)),
+        "seconds": SECONDS + exit_pupil.SECONDS * side**2 + SECONDS_A_POINT * held,
+        "bytes": 200.0 * side**2 + 80.0 * held,
+    }  # fmt: skip
+
+
+def _thin(lit: Situation) -> tuple[FarField, float]:
+    """Far field and share of the ideal pair: axis by axis where cells allow, else on a square grid."""
+    scale = abs(float(np.prod(focal_ratio(lit.window.thin))))
+    ideal = area(lit.lit) ** 2 / scale
+    widths = np.ptp(lit.lit, axis=0)
+    if lit.along_axes:
+        x, y = (propagate(lit.planes((k,)), (lit.slope[k],), lit.wave) for k in (0, 1))
+        brightest = peak(x.field, (x.spacing,)) * peak(y.field, (y.spacing,))
+        marginals = (
+            marginal(x.field, 0, x.spacing, lit.wave, float(widths[0])),
+            marginal(y.field, 0, y.spacing, lit.wave, float(widths[1])),
+        )
+        points = (*x.points, *y.points)
+        return FarField("angular spectrum", marginals, brightest / ideal, points), x.share * y.share
+    both = propagate(lit.planes((0, 1)), lit.slope, lit.wave)
+    step = both.spacing
+    a, b = (marginal(both.field, k, step, lit.wave, float(widths[k])) for k in (0, 1))
+    return FarField(
+        "angular spectrum", (a, b), peak(both.field, (step, step)) / ideal, both.points
+    ), both.share
+
+
+def _pair(values: Floats) -> Pair2:
+    return float(values[0]), float(values[1])

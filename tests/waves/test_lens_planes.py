@@ -1,0 +1,146 @@
+"""Waves through ideal lenses with rims: golden cases of another program, laws of loss, the grid that is needed."""
+
+from __future__ import annotations
+
+import json
+from math import sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clacad.storage.errors import LimitRefused
+from clacad.waves.far_field import Marginal, marginal
+from clacad.waves.lens_planes import (
+    MOST,
+    Emerging,
+    Grid,
+    LensPlane,
+    chief_ray,
+    grid_for,
+    propagate,
+    telescope,
+)
+
+CASES = json.loads((Path(__file__).parents[1] / "data/wave.json").read_text())["cases"]
+GREEN = 550e-9
+
+
+def slit(width: float) -> np.ndarray:
+    return np.array([[-0.5 * width], [0.5 * width]])
+
+
+def pair(pitch: float, eta: float, separation: float, *, field_lens: bool = False) -> list[LensPlane]:
+    first = separation / (1.0 - eta)
+    return telescope(
+        ((first,), (-eta * first,)), (0.0,), (0.0,), separation, slit(pitch), field_lens=field_lens
+    )
+
+
+def pitch_of(fresnel: float, separation: float = 0.01) -> float:
+    """Pitch of a pair with eta = -1 and this Fresnel number, (p/2)²/(λ s/2)."""
+    return 2.0 * sqrt(fresnel * GREEN * 0.5 * separation)
+
+
+def seen(wave: Emerging, width: float) -> Marginal:
+    return marginal(wave.field, 0, wave.spacing, GREEN, width)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c['fresnel_number']:.3g} at {c['slope']:.2g}")
+def test_shares_and_half_maxima_are_those_of_another_wave_program(case):
+    pitch, eta, slope = case["pitch"], case["eta"], case["slope"]
+    planes = pair(pitch, eta, case["separation"], field_lens=case["field_lens"])
+    wave = propagate(planes, (slope,), case["wavelength"])
+    assert wave.share == pytest.approx(case["partner_share"], rel=0.01)
+    width = pitch * min(1.0, abs(eta))
+    far = marginal(wave.field, 0, wave.spacing, case["wavelength"], width)
+    scale = case["wavelength"] / width
+    assert far.width / scale == pytest.approx(case["fwhm_in_lambda_over_w"], rel=0.01)
+    # that program's lenses bend by their phase, these by slopes: they differ by half a slope cubed
+    law = chief_ray(planes, (slope,))[1][0]
+    assert law == pytest.approx(slope / eta, rel=1e-12)
+    for found, asked in zip(far.half_maximum, case["half_maximum_slopes"], strict=True):
+        assert law + found == pytest.approx(asked, rel=0.01)
+
+
+@pytest.mark.parametrize("fresnel", [1.82, 5.7, 9.1, 22.7, 91.0, 182.0])
+def test_what_neighbours_take_of_a_beam_that_fills_its_cell_is_0164_over_the_root_of_the_fresnel_number(
+    fresnel,
+):
+    share = propagate(pair(pitch_of(fresnel), -1.0, 0.01), (0.0,), GREEN).share
+    assert 1.0 - share == pytest.approx(0.164 / sqrt(fresnel), rel=0.1)
+
+
+@pytest.mark.parametrize("fresnel", [22.7, 60.0, 182.0])
+@pytest.mark.parametrize("part", [0.0, 0.15, 0.3])
+def test_above_fresnel_number_20_waves_and_rays_leave_in_the_same_direction(fresnel, part):
+    pitch = pitch_of(fresnel)
+    far = seen(propagate(pair(pitch, -1.0, 0.01), (part * pitch / 0.01,), GREEN), pitch)
+    assert abs(far.middle) < 0.02 * GREEN / pitch
+
+
+def test_a_field_lens_brings_the_rim_of_lens_1_to_that_of_lens_2():
+    pitch = pitch_of(22.7272727)
+    without, with_it = (
+        propagate(pair(pitch, -1.0, 0.01, field_lens=one), (0.0,), GREEN) for one in (False, True)
+    )
+    assert without.share == pytest.approx(0.966, abs=0.001)
+    assert with_it.share == pytest.approx(0.997, abs=0.001)
+    assert seen(with_it, pitch).width == pytest.approx(0.888 * GREEN / pitch, rel=0.005)
+
+
+def test_a_field_lens_needs_a_real_focus_in_every_axis():
+    with pytest.raises(ValueError, match="eta below 0"):
+        pair(5e-4, 0.5, 0.01, field_lens=True)
+    focal = ((0.005, 0.004), (0.005, 0.006))
+    zone = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * 2.5e-4
+    with pytest.raises(ValueError, match="different depths"):
+        telescope(focal, (0.0, 0.0), (0.0, 0.0), 0.01, zone, field_lens=True)
+
+
+def test_light_that_no_second_rim_stops_is_all_there():
+    first, last = pair(pitch_of(5.0), -1.0, 0.01)
+    open_ = LensPlane(last.distance, (0.0,), last.vertex, 8.0 * last.stop)
+    assert propagate([first, open_], (0.0,), GREEN).share == pytest.approx(1.0, abs=0.005)
+
+
+def test_square_cells_on_a_square_grid_give_the_product_of_their_axes():
+    pitch, slope = pitch_of(4.0), (0.2 * pitch_of(4.0) / 0.01, 0.0)
+    zone = 0.5 * pitch * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    both = propagate(telescope(((5e-3,) * 2,) * 2, (0.0,) * 2, (0.0,) * 2, 0.01, zone), slope, GREEN)
+    axes = [propagate(pair(pitch, -1.0, 0.01), (t,), GREEN) for t in slope]
+    assert both.share == pytest.approx(axes[0].share * axes[1].share, rel=0.003)
+    for k, one in enumerate(axes):
+        far = marginal(both.field, k, both.spacing, GREEN, pitch)
+        assert far.half_energy == pytest.approx(seen(one, pitch).half_energy, rel=0.01)
+
+
+@pytest.mark.parametrize("eta", [-4.0, -1.0, -0.25, 0.5, 2.0])
+def test_the_grid_asked_for_is_fine_and_wide_enough(eta):
+    planes, slope = pair(2.2e-4, eta, 0.01), (0.3 * 2.2e-4 / 0.01,)
+    grid = grid_for(planes, slope, GREEN)
+    usual = propagate(planes, slope, GREEN)
+    finer = propagate(planes, slope, GREEN, Grid(8 * grid.points, 0.5 * grid.spacing))
+    assert usual.share == pytest.approx(finer.share, abs=5e-4)
+
+
+def test_a_grid_beyond_the_limit_is_refused_with_the_grid_needed():
+    """At the sampling limit: the largest pitch that is computed passes, the next one is refused, at once."""
+
+    def needed(pitch: float) -> int:
+        return grid_for(pair(pitch, -1.0, 0.01), (0.0,), GREEN).points
+
+    low, high = 1e-3, 1.0
+    while high / low > 1.0 + 1e-9:
+        middle = sqrt(low * high)
+        try:
+            needed(middle)
+            low = middle
+        except LimitRefused:
+            high = middle
+    assert 0.8 * MOST**2 < needed(low) <= MOST**2
+    # phase steps of a quarter turn: spacing λ f/(2 p), 16 half pitches of room, rounded up to three binary digits
+    assert needed(low) == pytest.approx(16.0 * low**2 / (GREEN * 0.005), rel=0.25)
+    with pytest.raises(LimitRefused, match=r"grid of \d+ points .*16777216 are computed") as refused:
+        needed(high)
+    assert int(str(refused.value).split("grid of ")[1].split()[0]) > MOST**2

@@ -1,0 +1,153 @@
+"""`clacad.wave`: exact surfaces and ideal lenses as waves, beside their rays and the effect `diffraction`."""
+
+from __future__ import annotations
+
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clacad
+from clacad.sheet.bundle import bundle
+from clacad.storage.errors import BadRequest, LimitRefused
+from clacad.waves import wave
+from clacad.waves.exit_pupil import far_field, pupil, rays_needed
+
+DESIGNS = Path(__file__).parents[2] / "designs"
+AXIS = np.array([0.0, 0.0, 1.0])
+
+
+def shipped(name: str, **changes) -> clacad.Design:
+    return clacad.load(DESIGNS / f"{name}.toml").replace(
+        {k.replace("__", "."): v for k, v in changes.items()}
+    )
+
+
+def slow_pair(**changes) -> clacad.Design:
+    """A pair of long lenses, so that hardly anything but diffraction is left."""
+    return shipped("window-100mm", **{"lattice__pitch": 1.0, "pair__separation": 40.0, **changes})
+
+
+def sinc_quartile() -> float:
+    """Width that holds half of sinc²: from the sine integral."""
+    from scipy.optimize import brentq
+    from scipy.special import sici
+
+    def within(a: float) -> float:
+        x = pi * a
+        return 2.0 * (sici(2.0 * x)[0] - np.sin(x) ** 2 / x) / pi
+
+    return 2.0 * brentq(lambda a: within(a) - 0.5, 0.1, 0.5)
+
+
+def test_a_good_pair_has_the_far_field_of_the_slit_that_is_lit():
+    found = wave(slow_pair())
+    assert found.exact.strehl == pytest.approx(1.0, abs=0.002)
+    for one, slit in zip(found.exact.marginals, found.slit, strict=True):
+        assert slit == pytest.approx(550e-9 / 1e-3)
+        assert one.width == pytest.approx(0.8859 * slit, rel=0.005)
+        assert one.half_energy == pytest.approx(sinc_quartile() * slit, rel=0.01)
+
+
+def test_the_phase_rises_as_the_rays_lean():
+    """Malus and Dupin: rays stand across wave fronts."""
+    window = clacad.prescribe(shipped("paper-a-covered"))
+    way = np.array([0.01, 0.004, 1.0]) / np.linalg.norm([0.01, 0.004, 1.0])
+    found = pupil(window, way, 550e-9, 128)
+    shape = (128, 128)
+    alive = found.alive.reshape(shape)
+    path = (found.phase * 550e-9 / (2.0 * pi) / window.unit).reshape(shape)
+    place, off = found.place.reshape(*shape, 2), found.off.reshape(*shape, 2)
+    for axis in (0, 1):
+        both = alive.take(range(127), axis) & alive.take(range(1, 128), axis)
+        rise = np.diff(path, axis=axis)[both]
+        moved = np.diff(place, axis=axis)[both]
+        lean = 0.5 * (off.take(range(127), axis) + off.take(range(1, 128), axis))[both]
+        expected = (lean * moved).sum(axis=1)
+        assert np.abs(rise - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_of_much_aberration_waves_hold_as_much_light_as_rays_do():
+    found = wave(shipped("paper-a-covered"))
+    assert found.far_field is found.exact
+    assert found.exact.strehl < 0.1
+    for one, rays in zip(found.exact.marginals, found.rays.half_energy, strict=True):
+        assert one.half_energy == pytest.approx(rays, rel=0.06)
+
+
+def test_a_small_wave_error_lowers_the_peak_as_its_variance_says():
+    window = clacad.prescribe(shipped("window-100mm"))
+    found = pupil(window, AXIS, 550e-9, rays_needed(window, AXIS, 550e-9))
+    variance = float(found.phase[found.alive].var())
+    assert 0.001 < variance < 0.1
+    assert far_field(found, 550e-9 / window.unit).strehl == pytest.approx(np.exp(-variance), abs=0.002)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.006])
+def test_the_effect_diffraction_spreads_ideal_light_as_waves_do(slope):
+    """Its draws for rays beside waves that know of no ray; Fresnel number 91."""
+    design = shipped("window-100mm", lattice__pitch=1.0)
+    found = wave(design, (np.arctan(slope), 0.0))
+    window = clacad.prescribe(design)
+    rays = bundle(window, 1 << 15, 0.0, middle=np.array([slope, 0.0, 1.0])).rays
+    seen = clacad.trace(window, rays, rung="thin", effects=("diffraction",), path="numpy")
+    obeying = seen.direction[seen.fate == clacad.Fate.ALIVE]
+    low, middle, high = np.quantile(obeying[:, :2], (0.25, 0.5, 0.75), axis=0)
+    law = design.law.refract(rays.direction[:1])[0]
+    for k, one in enumerate(found.thin.marginals):
+        assert high[k] - low[k] == pytest.approx(one.half_energy, rel=0.04)
+        assert middle[k] - law[k] == pytest.approx(one.middle, abs=0.02 * found.slit[k])
+
+
+def test_the_effect_diffraction_over_exact_surfaces_spreads_light_as_the_pupil_does_and_a_little_more():
+    """Rays add a wave error's slopes to diffraction; an error of a fiftieth of a wave hardly widens the wave's core."""
+    found = wave(shipped("window-100mm"))
+    window = clacad.prescribe(shipped("window-100mm"))
+    rays = bundle(window, 1 << 15, 0.0).rays
+    seen = clacad.trace(window, rays, effects=("diffraction",), path="numpy")
+    low, high = np.quantile(seen.direction[seen.fate == clacad.Fate.ALIVE, :2], (0.25, 0.75), axis=0)
+    for k, one in enumerate(found.exact.marginals):
+        assert 0.99 * one.half_energy < high[k] - low[k] < 1.06 * one.half_energy
+
+
+def test_the_way_that_holds_follows_fresnel_number_and_foci():
+    assert wave(slow_pair()).far_field.way == "pupil"
+    few = wave(slow_pair(lattice__pitch=0.5))
+    assert (few.far_field.way, few.exact) == ("angular spectrum", None)
+    assert "Fresnel number 5.68" in few.refused["pupil"]
+    virtual = wave(shipped("galilean", lattice__pitch=2.0, pair__separation=20.0))
+    assert min(virtual.fresnel) > 10.0
+    assert virtual.far_field.way == "angular spectrum"
+    assert "virtual" in virtual.refused["pupil"]
+
+
+def test_turned_cells_are_done_on_a_square_grid():
+    """A square lattice under lenses turned by 45 degrees loses as much as one that is not, to a neighbour or two."""
+    upright = wave(shipped("window-100mm", lattice__pitch=0.3))
+    turned = wave(shipped("window-100mm", lattice__pitch=0.3, law__euler=[45.0, 0.0, 0.0]))
+    assert turned.thin_share == pytest.approx(upright.thin_share, rel=0.005)
+    assert turned.thin.marginals[0].half_energy == pytest.approx(
+        turned.thin.marginals[1].half_energy, rel=1e-3
+    )
+    assert turned.slit[0] == pytest.approx(upright.slit[0])  # of the width with the same core
+
+
+def test_a_field_lens_keeps_light_of_slopes_that_else_go_to_neighbours():
+    angle = (np.arctan(0.02), 0.0)
+    without, with_it = (wave(shipped("window-100mm"), angle, field_lens=one) for one in (False, True))
+    assert without.thin_share < 0.6
+    assert with_it.thin_share > 0.98
+    assert with_it.far_field.way == "angular spectrum"
+    with pytest.raises(BadRequest, match="eta below 0"):
+        wave(shipped("galilean"), field_lens=True)
+
+
+def test_light_that_no_part_of_obeys_the_law_is_refused_with_the_field():
+    with pytest.raises(BadRequest, match="the field ends 50 and 50 mrad"):
+        wave(shipped("window-100mm"), (np.arctan(0.051), 0.0))
+
+
+def test_rays_beyond_what_is_computed_are_refused_with_what_is_needed():
+    with pytest.raises(LimitRefused, match=r"needs \d+ x \d+ rays"):
+        wave(shipped("paper-a-covered"), wavelength=1e-8)
