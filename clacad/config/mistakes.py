@@ -33,6 +33,7 @@ CODES: dict[str, str] = {
     "CL118": "override that cannot be applied",
     "CL119": "unknown material, or its index table does not reach the wavelength",
     "CL120": "a pair that cannot be built",
+    "CL121": "outline, corner, hole or pin that makes no plate",
 }
 """Meaning of each stable code of a design mistake."""
 

@@ -24,6 +24,7 @@ from clacad.prescription.faces_and_bodies import (
     slab_body,
 )
 from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
+from clacad.prescription.plates import asked_outline, with_plate
 from clacad.prescription.radii import (
     LensPair,
     NoSuchLens,
@@ -129,11 +130,7 @@ def _conic(design: Design, index: float) -> Pair2 | None:
 
 def _lattice(design: Design) -> Lattice:
     spec = design.lattice
-    outline: Circle | Rectangle | None = None
-    if spec.outline is not None:
-        size = spec.outline.size
-        outline = Circle(size[0]) if spec.outline.shape == "circle" else Rectangle(*size)
-    return Lattice(spec.kind, spec.pitch, spec.count, outline)
+    return Lattice(spec.kind, spec.pitch, spec.count, asked_outline(spec.outline, design.body))
 
 
 def _separation(intent: Intent) -> float:
@@ -439,12 +436,12 @@ def _assemble_window(
         name=design.name,
     )
     window = replace(window, outline=side_outline(window))
-    if design.pair.form == "slab" and window.lattice.outline is not None and moved != (0.0, 0.0):
+    cut = window.lattice.outline
+    if design.pair.form == "slab" and isinstance(cut, Circle | Rectangle) and moved != (0.0, 0.0):
         # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`
-        window = replace(
-            window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved))
-        )
+        window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved)))
         _refuse_empty(window.lattice, moved)
+    window = with_plate(window, design.body)
     return window if design.pair.form == "biconvex" else _with_land(window, intent)
 
 

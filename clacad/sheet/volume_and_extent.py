@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -81,6 +82,8 @@ def _footprint_area(window: Window, body: Body) -> float | None:
     outline = window.outline
     if outline is None:
         return window.lattice.cell_count * window.lattice.cell_area
+    if isinstance(outline, Plate):
+        return outline.area
     if len({face.array for face in (body.front, body.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0):
         x0, x1, y0, y1 = window.lattice.extent()
         dx, dy = window.shifts[1]
@@ -201,6 +204,8 @@ def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]
     arrays = [face.array for face in (body.front, body.back) if face.array is not None]
     one = set(arrays)
     dx, dy = window.shifts[arrays[0]] if len(one) == 1 else (0.0, 0.0)
+    if isinstance(window.outline, Plate):
+        return window.outline.box
     if isinstance(window.outline, Circle):
         r = 0.5 * window.outline.diameter
         return dx - r, dx + r, dy - r, dy + r

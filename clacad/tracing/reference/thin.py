@@ -16,6 +16,7 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.lattice import Circle, Rectangle, less_steps, relocate
+from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Layout, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
@@ -140,7 +141,10 @@ def _patch(
     box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
     centre = (0.0, 0.0) if layout.window.form == "slab" else shift
     outline = layout.window.outline
-    if outline is not None:
+    if isinstance(outline, Plate):
+        x0, x1, y0, y1 = outline.box
+        box = (min(box[0], x0), max(box[1], x1), min(box[2], y0), max(box[3], y1))
+    elif outline is not None:
         hx, hy = (
             (0.5 * outline.diameter, 0.5 * outline.diameter)
             if isinstance(outline, Circle)
@@ -300,6 +304,8 @@ def _next_border(layout: Layout, local: Floats, ray: Floats) -> tuple[Floats, In
 def _in_outline(layout: Layout, patch: ThinPatch, xy: Floats) -> Bools:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
+    if isinstance(outline, Plate):
+        return outline.inside(xy)
     x, y = (xy - np.asarray(patch.centre)).T
     if isinstance(outline, Circle):
         return np.asarray(np.hypot(x, y) <= 0.5 * outline.diameter)
