@@ -89,16 +89,17 @@ def _rectangular(size: Pair2, body: BodySpec) -> Plate:
 def _with_holes(vertices: tuple[Vertex, ...], size: Pair2, body: BodySpec) -> Plate:
     """The boundary with its holes, each wholly in the material and off the others."""
     plate = Plate(vertices)
-    holes: list[Hole] = []
-    for n, spec in enumerate(body.holes):
-        holes += [
-            _fitting(plate, holes, Hole(x, y, spec.diameter), f"body.holes.{n}") for x, y in spec.places(size)
-        ]
+    asked = [
+        (Hole(x, y, spec.diameter), f"body.holes.{n}")
+        for n, spec in enumerate(body.holes)
+        for x, y in spec.places(size)
+    ]
     if body.pins is not None:
         diameter = body.pins.diameter + body.pins.play
-        holes += [_fitting(plate, [], Hole(x, y, diameter, "pin"), "body.pins") for x, y in body.pins.at]
-        for n, hole in enumerate(holes):
-            _fitting(plate, holes[:n], hole, "body.pins")
+        asked += [(Hole(x, y, diameter, "pin"), "body.pins") for x, y in body.pins.at]
+    holes: list[Hole] = []
+    for hole, key in asked:
+        holes.append(_fitting(plate, holes, hole, key))
     return Plate(vertices, tuple(holes))
 
 

@@ -161,6 +161,7 @@ def errors_table(
         "rotation of array 2 about the normal of A": [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else [],
         "tilt of array 2 against A": [f"±{1e3 * allowed.tilt:.3g} mrad"] if allowed.tilt else [],
         "lens to lens": [f"±{mm_text(allowed.separation)} mm"] if two and allowed.separation else [],
+        "play of the pins (x and y)": [] if design.body.pins is None else [f"±{mm_text(design.body.pins.play * millimetres(design.unit_m))} mm"],
         "centre thickness of the bodies": [f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0],
         "radii of array 1, array 2": [f"±{100 * v:.3g} %" for v in allowed.radius if v > 0.0],
     }  # fmt: skip

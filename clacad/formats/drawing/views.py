@@ -136,8 +136,8 @@ def plan(window: Window) -> Canvas:
     left, top = 105.0, 24.0
     if isinstance(window.outline, Plate):
         _plate_plan(canvas, window.outline, (x1, y1), (left, top), mm * scale)
-        canvas.datum((left + 0.5 * wide, top + tall), (0.0, 14.0), "B")
-        canvas.datum((left + wide, top + 0.5 * tall), (13.0, 0.0), "C")
+        canvas.datum((left + 0.3 * wide, top + tall), (0.0, 14.0), "B")
+        canvas.datum((left + wide, top + 0.3 * tall), (13.0, 0.0), "C")
     elif isinstance(window.outline, Circle):
         canvas.circle((left + 0.5 * wide, top + 0.5 * tall), 0.5 * wide, "body")
         canvas.datum((left + wide, top + 0.5 * tall), (13.0, 0.0), "B")
