@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bytes, Floats, Ints
 from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset, TemplateMaker
+from clacad.sheet.edge_columns import RADIUS
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
-from clacad.sheet.plate import RADIUS, Plate
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 

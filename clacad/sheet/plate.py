@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 
 CLEARANCE = 1e-3
 """Part of the pitch that a cell keeps from every edge and hole of its plate."""
@@ -28,9 +29,6 @@ SLIVER = 4e-6
 
 QUARTER = sqrt(2.0) - 1.0
 """Bulge of a quarter of a circle: tan(90°/4)."""
-
-# Columns of an edge: from, to, centre and radius of an arc, +1 where it runs counter-clockwise, −1 clockwise, 0 straight.
-X0, Y0, X1, Y1, CX, CY, RADIUS, SENSE, EDGE_NUMBERS = range(9)
 
 Vertex = tuple[float, float, float]
 """x, y, and the bulge of the side that begins there."""

@@ -7,7 +7,8 @@ from math import atan, ceil, pi
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.sheet.plate import CX, CY, SENSE, X0, Y0, Plate, Vertex
+from clacad.sheet.edge_columns import CX, CY, SENSE, X0, Y0
+from clacad.sheet.plate import Plate, Vertex
 
 CHORDS = 8
 """Sides an arc of 90° is held against others by: they leave it by 1/50 of its radius, a thousandth of what a mill needs."""

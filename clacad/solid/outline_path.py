@@ -8,8 +8,9 @@ from math import atan2, pi, sqrt, tau
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.sheet.edge_columns import CX, CY, SENSE
 from clacad.sheet.lattice import Circle, Outline
-from clacad.sheet.plate import CX, CY, SENSE, Plate
+from clacad.sheet.plate import Plate
 from clacad.solid.face_pattern import SNAP
 from clacad.solid.rational_conics import Arc, line
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from called_parts import called
 
+from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.plate import (
-    EDGE_NUMBERS,
     Hole,
     Plate,
     counter_clockwise,

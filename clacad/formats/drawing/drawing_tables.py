@@ -17,8 +17,9 @@ from clacad.formats.drawing.views import mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag
+from clacad.sheet.edge_columns import RADIUS, SENSE, X0, Y0
 from clacad.sheet.lattice import Circle
-from clacad.sheet.plate import RADIUS, SENSE, X0, Y0, Plate
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:

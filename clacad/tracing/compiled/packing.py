@@ -9,8 +9,8 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.lattice import runs
-from clacad.sheet.plate import EDGE_NUMBERS
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.

@@ -6,7 +6,7 @@ from math import copysign, inf, sqrt
 
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
-from clacad.sheet.plate import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
+from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 
 
 @exact
