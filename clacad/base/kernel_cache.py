@@ -27,7 +27,7 @@ FunctionCache: Any = numba.core.caching.FunctionCache
 
 SOURCES = (
     "tracing/reference/*.py", "tracing/triangles/*.py", "tracing/layout.py", "tracing/ledger.py", "**/*compiled*.py", "**/compiled/*.py",
-    "optics/*.py", "optics/surface/*.py", "sheet/window.py", "rendering/scene_arrays.py",
+    "optics/*.py", "optics/surface/*.py", "sheet/window.py", "sheet/edge_columns.py", "rendering/scene_arrays.py",
 )  # fmt: skip
 """Files that kernels are made of: their own, and those whose constants are compiled in."""
 

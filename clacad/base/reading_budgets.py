@@ -81,6 +81,7 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType({
     "prescription": Budget("sequential prescriptions (ZMX)", MEGABYTE, 20_000, "lines"),
     "rays": Budget("rays (npz), unpacked", 80 * GIGABYTE, 1_000_000_000, "rays", None),
     "picture": Budget("pictures (PNG, JPEG, WebP, TIFF, BMP, GIF)", 500 * MEGABYTE, 1 << 27, "pixels", None),
+    "outline": Budget("outlines of plates (DXF)", 8 * MEGABYTE, 1_000_000, "lines", None),
     "design": Budget("designs and scenes (TOML, JSON)", 1 << 20, 200_000, "lines and keys", None),
     "cell-table": Budget("tables of cells (CSV, NPZ)", GIGABYTE, 10_000_000, "cells", None),
     "manifest": Budget("manifests (JSON)", 16 << 20, 20_000, "files", None),

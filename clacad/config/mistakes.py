@@ -38,6 +38,7 @@ CODES: dict[str, str] = {
     "CL123": "a lens of an aimed sheet used too far from its vertex",
     "CL124": "a table of cells that cannot be read",
     "CL125": "a sheet whose cells differ beside what is not built with it",
+    "CL141": "outline, corner, hole or pin that makes no plate",
 }
 """Meaning of each stable code of a design mistake."""
 

@@ -12,6 +12,7 @@ from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
+from clacad.design.plate_keys import CornersSpec, HoleSpec, PinsSpec, hole_table, vertex_lists
 from clacad.design.search_record import SearchRecord
 from clacad.design.sections import DAYLIGHT, NO_TOLERANCES, AimedAt, Allowed, Frame, Outline, PairSpec
 from clacad.design.varying import VaryingSpec, varying_table
@@ -58,6 +59,14 @@ def _written(value: Any, key: Key, design: Design) -> Any:
     kind = key.kind
     if isinstance(value, SearchRecord):
         return value.to_dict()
+    if isinstance(value, CornersSpec):
+        return {value.shape: value.size}
+    if isinstance(value, PinsSpec):
+        return {"diameter": value.diameter, "at": [list(p) for p in value.at], "play": value.play}
+    if isinstance(value, tuple) and value and isinstance(value[0], HoleSpec):
+        return [hole_table(hole) for hole in value]
+    if isinstance(value, Outline) and value.shape == "polygon":
+        return {"polygon": vertex_lists(value.points)}
     if isinstance(value, Outline):
         return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
     if isinstance(value, AimedAt):

@@ -36,6 +36,13 @@ def _has_point(aperture: Any) -> bool:
     return not isinstance(aperture, str) and aperture is not None and isinstance(aperture[0], tuple)
 
 
+def _plate(a: Ask) -> bool:
+    """Whether bodies end at a polygon, or have holes, corners or pins."""
+    outline = a("lattice.outline")
+    polygon = outline is not None and bool(outline) and outline[0][0] not in ("circle", "rectangle")
+    return polygon or any(bool(a(f"body.{key}")) for key in ("holes", "corners", "pins"))
+
+
 def _tolerated(a: Ask) -> bool:
     """Whether any tolerance is stated."""
     return any(a(f"tolerances.{key}") not in (None, 0.0, (0.0, 0.0)) for key in _TOLERATED)
@@ -65,6 +72,7 @@ FEATURES: Final = (
     Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
     Feature("aimed at a point", "lattice.aperture", lambda a: _has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
     Feature("confocal best", "pair.confocal", lambda a: a("pair.confocal") == "best", 'confocal = "exact"'),
+    Feature("plate with holes, corners or pins", "body.holes", _plate, "plain edges"),
     Feature("baffle", "body.baffle", lambda a: bool(a("body.baffle")), "baffle = false"),
 )  # fmt: skip
 
@@ -80,6 +88,10 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
     ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
     (VARYING, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
     (VARYING, "aimed at a point"): "lenses 2 are traced for light of one direction over the sheet",
+    (
+        VARYING,
+        "plate with holes, corners or pins",
+    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
     (VARYING, "confocal best"): "its radii are for light along the axis alone",
     (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
 }

@@ -26,6 +26,7 @@ from clacad.config.value_kinds import (
     not_this,
 )
 from clacad.design.given_faces import FACES
+from clacad.design.plate_keys import CORNERS, HOLES, PINS, POLYGON
 from clacad.design.search_record import SEARCH
 from clacad.design.varying import VARYING
 
@@ -184,7 +185,13 @@ LATTICE: Final[dict[str, Key]] = {
     "seam_depth": Key(_ABOVE_0, "plano, slab: how far the land lies below the deepest optical point"),
     "outline": Key(
         InlineTable(
-            (("circle", _ABOVE_0), ("rectangle", Several(_ABOVE_0, ("width", "height")))), exactly_one=True
+            (
+                ("circle", _ABOVE_0),
+                ("rectangle", Several(_ABOVE_0, ("width", "height"))),
+                ("polygon", POLYGON),
+                ("dxf", Text("the name of a DXF file in the design's folder", 200)),
+            ),
+            exactly_one=True,
         ),
         "outer shape; cells wholly inside are kept",
     ),
@@ -203,6 +210,9 @@ LATTICE: Final[dict[str, Key]] = {
 }
 BODY: Final[dict[str, Key]] = {
     "border": Key(_FROM_0, "width of the land round the sheet", 0.0),
+    "corners": Key(CORNERS, "rounded or chamfered corners of a rectangular plate"),
+    "holes": Key(HOLES, "round holes through every plate, in its border", ()),
+    "pins": Key(PINS, "dowel pins that align both plates: holes through both, and their play"),
     "neck": Key(_ABOVE_0, "least thickness left at a border between cells"),
     "baffle": Key(Flag(), "opaque honeycomb between the arrays", False),
     "baffle_wall": Key(_ABOVE_0, "wall thickness of the baffle"),
@@ -319,7 +329,7 @@ SYNONYMS: Final[dict[str, str]] = {
     "n": "pair.index", "refractive_index": "pair.index", "glass": "pair.material", "lambda": "pair.wavelength",
     "gap": "pair.separation", "distance": "pair.separation", "recipe": "pair.confocal", "type": "pair.form",
     "period": "lattice.pitch", "size": "lattice.count", "cells": "lattice.count", "shape": "lattice.outline",
-    "wall": "body.baffle_wall", "units": "unit", "version": "format", "title": "name",
+    "wall": "body.baffle_wall", "units": "unit", "dowels": "body.pins", "mounting": "body.holes", "chamfer": "body.corners", "version": "format", "title": "name",
 }  # fmt: skip
 """What people call a key elsewhere."""
 

@@ -16,9 +16,11 @@ from clacad.config.mistakes import Mistake, in_order
 from clacad.config.toml_text import parse, read_text, too_deep
 from clacad.config.value_kinds import Refusal, kind_of, not_this, shown
 from clacad.design.cell_table import TableSpec, digest, table_path
+from clacad.design.drawn_outline import with_points
 from clacad.design.filled_outline import filling_count
 from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
+from clacad.design.plate_keys import box_about_origin, corners_read, holes_read, pins_read
 from clacad.design.rules import Asked, broken
 from clacad.design.search_record import search_read
 from clacad.design.sections import (
@@ -77,11 +79,12 @@ def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]
 def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path: str) -> dict[str, Any]:
     """Lay overrides over the data, check everything, convert it; every mistake at its place."""
     changed, places, mistakes = override.apply(data, texts)
-    values, found = _checked(changed)
-    mistakes += found
+    resolved, unread = with_points(changed, path)
+    values, found = _checked(resolved)
+    mistakes += found + unread
     if mistakes:
         raise DesignError(in_order(located(mistakes, source, path, places)))
-    return _built(values, changed, None if texts else source, path)
+    return _built(values, resolved, None if texts or resolved is not changed else source, path)
 
 
 def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
@@ -225,7 +228,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     law["varying"] = _varying(law["varying"], path, source)
     if lattice["outline"] is not None:
         ((shape, size),) = lattice["outline"]
-        lattice["outline"] = Outline(shape, (size, size) if shape == "circle" else size)
+        lattice["outline"] = _outline(shape, size)
         if lattice["count"] is None:
             lattice["count"] = filling_count(lattice["kind"], lattice["pitch"], lattice["outline"].size)
     if not isinstance(lattice["aperture"], str) and isinstance(lattice["aperture"][0], tuple):
@@ -233,6 +236,11 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     if body["frame"] is not None:
         frame = dict(body["frame"])
         body["frame"] = Frame(frame["width"], frame.get("height"))
+    body |= {
+        "corners": corners_read(body["corners"]),
+        "holes": holes_read(body["holes"]),
+        "pins": pins_read(body["pins"]),
+    }
     if check["confocality"] is None:
         by_construction = pair["confocal"] == "exact" and pair["prescription"] == "derived"
         check["confocality"] = 0.002 if by_construction else 0.02
@@ -245,3 +253,12 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         "tolerances": TolerancesSpec(**tolerances), "light": LightSpec(**light), "notes": values["notes"], "given": data,
         "source": source, "path": path,
     }  # fmt: skip
+
+
+def _outline(shape: str, size: Any) -> Outline:
+    """The outline of one of the shapes as the keys read it."""
+    if shape == "circle":
+        return Outline("circle", (size, size))
+    if shape == "rectangle":
+        return Outline("rectangle", size)
+    return Outline("polygon", box_about_origin(size), size)

@@ -12,6 +12,7 @@ from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
 from clacad.design.combinations import FEATURES, built_sheets, why_not
 from clacad.design.given_faces import faces_read
+from clacad.design.plate_keys import box_about_origin
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta, varying_read
 
 SMALLEST_PITCH_M: Final = 1e-7
@@ -251,6 +252,8 @@ def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
     outline, pitch, kind, count = (a(f"lattice.{key}") for key in ("outline", "pitch", "kind", "count"))
     if outline is None or pitch is None or kind is None or count is None:
         return
+    if outline[0][0] in ("polygon", "dxf"):
+        return  # what of a polygon and its holes holds cells is known when they are placed
     if max(count) > MOST_CUT:
         yield Mistake("CL106", f"{a.says('lattice.count')} is out of range where an outline cuts", "lattice.count",
                       allowed=f"up to {MOST_CUT} each way with lattice.outline, which keeps the cells within it alone")  # fmt: skip
@@ -280,15 +283,68 @@ def count_or_outline(a: Asked) -> Iterator[Mistake]:
                       "filled")  # fmt: skip
         return
     outline, pitch, kind = a("lattice.outline"), a("lattice.pitch"), a("lattice.kind")
-    if outline is None or pitch is None or kind is None:
+    if outline is None or pitch is None or kind is None or outline[0][0] == "dxf":
         return
     shape, size = outline[0]
-    size = (size, size) if shape == "circle" else size
+    size = (size, size) if shape == "circle" else size if shape == "rectangle" else box_about_origin(size)
     most = max(across / along for across, along in zip(size, pitch, strict=True))
     if most > LARGEST_COUNT / 2:  # rows of hexagons stand closer than the pitch
         yield Mistake("CL117", f"{a.says('lattice.outline')} is {most:.3g} cells wide", "lattice.outline",
                       allowed=f"at most {LARGEST_COUNT / 2:.3g} cells",
                       hint="a smaller outline or a larger pitch")  # fmt: skip
+
+
+def outline_is_simple(a: Asked) -> Iterator[Mistake]:
+    """A polygon encloses an area, and no side of it meets another."""
+    outline = a("lattice.outline")
+    if outline is None or outline[0][0] != "polygon":
+        return
+    from clacad.sheet.simple_outline import fault
+
+    why = fault(outline[0][1])
+    if why:
+        yield Mistake("CL141", f"lattice.outline is no outline: {why}", "lattice.outline",
+                      allowed="corners of a closed polygon in order, the first not repeated, whose sides meet at corners alone")  # fmt: skip
+
+
+def plate_has_a_border(a: Asked) -> Iterator[Mistake]:
+    """Corners, holes and pins need land round the cells, and a shape that has them."""
+    outline, border = a("lattice.outline"), a("body.border")
+    shape = "rectangle" if outline is None else outline[0][0]
+    for key in ("body.corners", "body.holes", "body.pins"):
+        if a(key) and outline is None and not border:
+            yield Mistake("CL113", f"{key} needs land round the cells", key,
+                          allowed="body.border > 0, or lattice.outline")  # fmt: skip
+    if a("body.corners") and shape != "rectangle":
+        yield Mistake("CL114", f"body.corners does not belong to a {shape}", "body.corners",
+                      allowed="a rectangular plate: lattice.outline = {rectangle = ...}, or body.border alone",
+                      hint="give a polygon's corners themselves: [x, y, bulge] bends a side")  # fmt: skip
+    if a("body.pins") and a("pair.form") == "slab":
+        yield Mistake("CL114", "body.pins does not belong to a slab: it is one body", "body.pins",
+                      allowed='pair.form = "biconvex" | "plano"', hint="leave it out")  # fmt: skip
+    for n, table in enumerate(a("body.holes") or ()):
+        yield from _one_way_to_place(dict(table), n, shape)
+
+
+def _one_way_to_place(hole: dict[str, Any], n: int, shape: str) -> Iterator[Mistake]:
+    """Holes stand at points, on a circle or in the corners, one of the three."""
+    ways = [key for key in ("at", "circle", "corners") if key in hole]
+    key = f"body.holes.{n}"
+    if len(ways) != 1:
+        yield Mistake("CL112" if ways else "CL103", f"body.holes[{n}] says {'two ways' if ways else 'nothing'} of where its holes are",
+                      key, allowed="exactly one of at = [[x, y], ...], circle = diameter with count, corners = distance from both sides")  # fmt: skip
+    elif ways == ["circle"] and "count" not in hole:
+        yield Mistake(
+            "CL103",
+            f"body.holes[{n}] lacks the key count",
+            key,
+            allowed="count = a whole number from 1 to 360",
+        )
+    elif ways != ["circle"] and {"count", "start"} & set(hole):
+        yield Mistake("CL113", f"body.holes[{n}]: count and start belong to circle", key, allowed="circle = a length > 0, or leave them out")  # fmt: skip
+    if ways == ["corners"] and shape != "rectangle":
+        yield Mistake("CL114", f"body.holes[{n}].corners does not belong to a {shape}", key,
+                      allowed="at = [[x, y], ...], or circle = diameter with count")  # fmt: skip
 
 
 def baffle_has_walls(a: Asked) -> Iterator[Mistake]:
@@ -357,6 +413,8 @@ RULES: Final[tuple[Rule, ...]] = (
     seam_leaves_a_lens,
     outline_holds_a_cell,
     count_or_outline,
+    outline_is_simple,
+    plate_has_a_border,
     baffle_has_walls,
     varying_law_has_lenses,
     sheet_is_built,

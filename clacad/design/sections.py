@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from clacad.design.given_faces import FaceSpec
+from clacad.design.plate_keys import CornersSpec, HoleSpec, PinsSpec, Vertex
 from clacad.design.search_record import SearchRecord
 from clacad.design.varying import VaryingSpec
 
@@ -122,10 +123,15 @@ class PairSpec:
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """Outer shape of the sheet: a circle of diameter size[0] or a rectangle size[0] by size[1]."""
+    """Outer shape of the sheet: a circle of diameter size[0], a rectangle size[0] by size[1], or a closed polygon.
 
-    shape: Literal["circle", "rectangle"]
+    Of a polygon `points` are the corners (x, y, bulge of the side that begins there), lengths; `size` is that of the
+    box about the origin that holds it.
+    """
+
+    shape: Literal["circle", "rectangle", "polygon"]
     size: Pair2
+    points: tuple[Vertex, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +203,10 @@ class BodySpec:
         Rms height of the optical faces' roughness.
     slope_rms : float, radians
         Rms slope error of the optical faces.
+    corners : CornersSpec or None
+        Of a rectangular plate; None: sharp.
+    holes : tuple of HoleSpec
+    pins : PinsSpec or None
     """
 
     border: float
@@ -206,6 +216,14 @@ class BodySpec:
     frame: Frame | None
     roughness: float
     slope_rms: float
+    corners: CornersSpec | None = None
+    holes: tuple[HoleSpec, ...] = ()
+    pins: PinsSpec | None = None
+
+    @property
+    def shaped(self) -> bool:
+        """Whether corners, holes or pins are asked for."""
+        return self.corners is not None or bool(self.holes) or self.pins is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,6 +129,14 @@ MISTAKES: dict[str, Text] = {
         "The message has the reason; `clacad explain combinations` prints what goes with what.", "",
         "Leave out one of the two.",
     ),
+    "CL141": (
+        "An outline, a corner, a hole or a pin makes no plate.",
+        "The outline is not one closed line that keeps off itself, a corner is larger than half a side, or a hole cuts the edge, another "
+        "hole, or a cell of a sheet whose number of cells is given.",
+        "distance of a hole's middle from every edge > diameter/2, from another hole's > half the sum of the diameters; cells keep pitch/1000",
+        "Move or shrink the hole as the message says, widen body.border, or give lattice.outline: cells that it or a hole cuts are then "
+        "left out. A drawing: one closed polyline, or LINEs and ARCs that close, alone on a layer OUTLINE, with $INSUNITS.",
+    ),
     "CL130": (
         "A lens surface has no point over part of its cell.", "The lens would end in the air with nothing at its place.",
         "half the cell's diagonal < radius", "A smaller pitch, a larger separation, or a web or land for the lens to end in.",

@@ -41,6 +41,9 @@ WORDS: dict[str, tuple[str, str]] = {
     "field lens": ("A lens at the common focus that images lens 1 onto lens 2: for η < 0 all light within the field p(1 − η)/(2s) meets the partner, min(1, 1/|η|) of it. Shown by the explorer.", "explore -o page.html"),
     "wish": ("What `clacad new --for` is asked: eta, width or circle; and if you like delta, euler, viewing and object distances, process, material, form, kind and field.", "new --for"),
     "trade-off": ("What other sizes would give: half the pitch doubles diffraction, λ/(p min(1, 1/|η|)), and halves the pixel, p/D; nearer lenses widen the field, p(1 + |η|)/(2s), and err by (p/s)³; tilt makes steps of p tan θ.", "new --for"),
+    "plate": ("The side outline of both bodies with the holes through it: corners, holes and pins of [body], or a polygon or drawing as lattice.outline. It stands where it is drawn, and the cells wholly inside it, off its holes, are kept.", "body.holes"),
+    "bulge": ("How a side of a polygon bends: the tangent of a quarter of its arc's angle, as in DXF; > 0 outwards where corners run counter-clockwise, 1 a half circle, 0 straight.", "lattice.outline"),
+    "play": ("By how much a hole for a pin exceeds the pin's diameter: plate 2 may lie up to ± play off plate 1, and be turned by ± 2 play/L, L between the farthest pins; every place is as likely.", "body.pins"),
     "f-number": ("Focal length over the full width of a lens's optical zone along that lens axis.", ""),
 }  # fmt: skip
 """Meaning, and the key of the design file (or the option) it belongs to."""

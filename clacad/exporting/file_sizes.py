@@ -16,6 +16,7 @@ from clacad.exporting.tessellations import Meshes, instanceable, weld
 from clacad.formats.mesh.repeated_pieces import FLAT_LIMIT, Places
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -205,6 +206,8 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
     if not window.uniform:  # as many cells like the one farthest out, each written out
         like = like_cell(window, outer_cells(window)[0])
         return int(OWN_CELLS * step_bytes(like, "fused", pcurves))
+    if isinstance(window.outline, Plate):
+        return _plate_step_bytes(window, window.outline, mode, pcurves)
     if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode
         small, large = _smaller_sheet(window, 8), _smaller_sheet(window, 16)
         one, two = step_text_length(small, mode, pcurves), step_text_length(large, mode, pcurves)
@@ -222,6 +225,20 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
     return int((a - linear - square + 0.5 * linear * (n1 + n2) + square * n1 * n2) * digits)
 
 
+EDGE_BYTES = 1900
+"""Text of one side face of a plate, its edges and curves included, about."""
+
+
+def _plate_step_bytes(
+    window: Window, plate: Plate, mode: Literal["fused", "instanced"], pcurves: bool
+) -> int:
+    """Size of the STEP file of a plate: that of its cells, as many in a plain sheet, and its edges."""
+    cells = window.lattice.cell_count
+    side = max(1, round(cells**0.5))
+    plain = window.with_cells((side, max(1, round(cells / side))))
+    return step_bytes(plain, mode, pcurves) + EDGE_BYTES * len(plate.edges) * len(window.bodies)
+
+
 def _smaller_sheet(window: Window, n: int) -> Window:
     """A sheet of about n × n of the same cells, with the same border."""
     lattice = window.lattice
@@ -231,7 +248,7 @@ def _smaller_sheet(window: Window, n: int) -> Window:
         count = (ceil(lattice.count[0] * share), ceil(lattice.count[1] * share))
         return replace(window, lattice=replace(lattice, count=count, outline=disc), outline=disc)
     small = window.with_cells((min(n, lattice.count[0]), min(n, lattice.count[1])))
-    if window.outline is None or isinstance(window.outline, Circle):
+    if not isinstance(window.outline, Rectangle):
         return small
     x0, x1, y0, y1 = lattice.extent()
     u0, u1, v0, v1 = small.lattice.extent()

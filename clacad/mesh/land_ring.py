@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bytes, Floats, Ints
 from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset, TemplateMaker
+from clacad.sheet.edge_columns import RADIUS
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
 
@@ -30,7 +32,7 @@ def outline_polygon(window: Window) -> Floats:
         return np.array([(x, -y), (x, y), (-x, y), (-x, -y)])
     assert isinstance(outline, Circle)
     r = 0.5 * outline.diameter
-    n = int(np.clip(ceil(pi * sqrt(500.0 * r / min(lattice.pitch))), 360, 8192)) // 4 * 4
+    n = _sides_of_circle(window, r)
     angle = (2 * np.arange(n) + 1) * (pi / n)
     unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     equal = r * sqrt(2.0 * pi / n / sin(2.0 * pi / n))
@@ -40,6 +42,22 @@ def outline_polygon(window: Window) -> Floats:
     if across >= equal * np.cos(pi / n) * (1.0 - 1e-6):
         equal = r / np.cos(pi / n) * (1.0 + 1e-6)
     return np.asarray(equal * unit)
+
+
+def _sides_of_circle(window: Window, radius: float) -> int:
+    """Sides that a circle of a radius (length) becomes."""
+    many = ceil(pi * sqrt(500.0 * radius / min(window.lattice.pitch)))
+    return int(np.clip(many, 360, 8192)) // 4 * 4
+
+
+def outline_polygons(window: Window) -> tuple[Floats, ...]:
+    """All loops of the window's outline as polygons (n, 2), the land on their left: the outer one first, then the holes.
+
+    Arcs of a plate become sides that enclose the same area.
+    """
+    if not isinstance(window.outline, Plate):
+        return (outline_polygon(window),)
+    return window.outline.polygons(_sides_of_circle(window, float(window.outline.edges[:, RADIUS].max())))
 
 
 def row_states(
@@ -127,8 +145,9 @@ def make_land(
     CannotBuild
         CL136: a cell reaches beyond the outline.
     """
-    polygon = outline_polygon(window) + np.array(centre)
-    scale = float(np.abs(polygon).max())
+    free = isinstance(window.outline, Plate)  # no cell touches the edge of a plate, or comes beyond it
+    loops = [polygon + np.array(centre) for polygon in outline_polygons(window)]
+    polygon, scale = loops[0], float(np.abs(loops[0]).max())
     position: dict[Key, tuple[float, float]] = {}
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
@@ -137,18 +156,21 @@ def make_land(
         for key in (key for key in keys if key not in position):
             position[key] = _place(window, maker, shift, key)
         ends = np.array([position[keys[0]], position[keys[-1]]])
-        if len(_on_side(polygon, ends, scale)):
+        if not free and len(_on_side(polygon, ends, scale)):
             for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
                 touching[a, b] = (i, j, k, n)
         else:
             directed += [(b, a) for a, b in zip(keys[:-1], keys[1:])]
-    _refuse_outside(window, np.array(list(position.values())).reshape(-1, 2), polygon, scale)
-    rim = _rim(polygon, position, touching, scale)
+    if free:
+        rim = _free_rim(loops, position)
+    else:
+        _refuse_outside(window, np.array(list(position.values())).reshape(-1, 2), polygon, scale)
+        rim = _rim(polygon, position, touching, scale)
     directed += [(a, b) for _, a, b, cell in rim if cell is None]
-    loops = link_loops(directed, position)
-    keys = list(dict.fromkeys(key for loop in loops for key in loop))
+    rings = link_loops(directed, position)
+    keys = list(dict.fromkeys(key for ring in rings for key in ring))
     number = {key: n for n, key in enumerate(keys)}
-    return LandRing(keys, position, triangulate_loops(loops, number, position), rim)
+    return LandRing(keys, position, triangulate_loops(rings, number, position), rim)
 
 
 def _place(window: Window, maker: TemplateMaker, shift: tuple[float, float], key: Key) -> tuple[float, float]:
@@ -219,6 +241,17 @@ def _rim(
             chain += [keys[m] for m in on[np.argsort(t[on])]]
         chain.append(corner[(n + 1) % len(polygon)])
         rim += [(n, p, q, touching.get((p, q))) for p, q in zip(chain[:-1], chain[1:])]
+    return rim
+
+
+def _free_rim(loops: list[Floats], position: dict[Key, tuple[float, float]]) -> list[Segment]:
+    """The sides of loops that no cell touches, numbered on from loop to loop."""
+    rim: list[Segment] = []
+    for loop in loops:
+        first, count = len(rim), len(loop)
+        keys: list[Key] = [(-1, first + n, -1) for n in range(count)]
+        position.update(zip(keys, map(tuple, loop.tolist()), strict=True))
+        rim += [(first + n, keys[n], keys[(n + 1) % count], None) for n in range(count)]
     return rim
 
 

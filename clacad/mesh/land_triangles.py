@@ -7,6 +7,7 @@ import numpy as np
 from clacad.mesh.body_mesh import Plain, Tiled, no_plain
 from clacad.mesh.cell_template import BACK_LAND, FRONT_LAND, WALL
 from clacad.mesh.land_ring import Key, LandRing, make_land
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 
 Vertex = tuple[int, int, int, int]  # owner cell, point, level
@@ -50,7 +51,8 @@ def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
     ValueError
         A cell reaches beyond the outline.
     """
-    centre = tiled[0].shift if len(tiled) == 1 and window.form != "slab" else (0.0, 0.0)
+    own = len(tiled) == 1 and window.form != "slab" and not isinstance(window.outline, Plate)
+    centre = tiled[0].shift if own else (0.0, 0.0)
     lands = [make_land(window, t.maker, t.shift, centre) for t in tiled]
     build = _Builder(step)
     if len(tiled) == 1:

@@ -176,8 +176,14 @@ def _table(aim: Aim, window: Window) -> Floats:
 
 def _refuse_combinations(design: Design) -> None:
     """What an aimed sheet cannot have; CL121."""
+    outline = design.lattice.outline
     reasons = {
         "body.baffle": (design.body.baffle, "a baffle, whose channels would have to widen", "no baffle"),
+        "body.holes": (
+            design.body.shaped or (outline is not None and outline.shape == "polygon"),
+            "holes, corners, pins or a polygon",
+            "plain edges",
+        ),
         "pair.confocal": (
             design.pair.confocal == "best" and not design.pair.given,
             'confocal = "best", which knows light along the axis alone',

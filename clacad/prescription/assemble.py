@@ -27,6 +27,7 @@ from clacad.prescription.faces_and_bodies import (
     slab_body,
 )
 from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
+from clacad.prescription.plates import asked_outline, with_plate
 from clacad.prescription.radii import (
     LensPair,
     NoSuchLens,
@@ -40,6 +41,7 @@ from clacad.prescription.residual import residual
 from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
 
 if TYPE_CHECKING:
@@ -110,7 +112,7 @@ def _intent(design: Design) -> Intent:
         neck = max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
     return Intent(
         design, law, law.rotation, design.law_spec.eta, design.law_spec.delta, index, material,
-        lattice_of(design), GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth), neck,
+        _lattice(design), GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth), neck,
     )  # fmt: skip
 
 
@@ -130,6 +132,13 @@ def _conic(design: Design, index: float) -> Pair2 | None:
     inside = pair.form == "plano" and pair.curved == "inside"
     k = -(index**2) if inside else -1.0 / index**2
     return k, k
+
+
+def _lattice(design: Design) -> Lattice:
+    """The pattern of cells, ended at a plate where one is asked for."""
+    plain = lattice_of(design)
+    outline = asked_outline(design.lattice.outline, design.body)
+    return replace(plain, outline=outline) if isinstance(outline, Plate) else plain
 
 
 def _separation(intent: Intent) -> float:
@@ -436,15 +445,14 @@ def _assemble_window(
     )
     window = _own_places(window, design)
     window = replace(window, outline=side_outline(window))
-    second = window.placements[1]
+    second, cut = window.placements[1], window.lattice.outline
     moved = second.shift if design.pair.form == "slab" else (0.0, 0.0)
     wider = max(second.scale(window.lattice))
-    if window.lattice.outline is not None and (moved != (0.0, 0.0) or wider > 1.0):
+    if isinstance(cut, Circle | Rectangle) and (moved != (0.0, 0.0) or wider > 1.0):
         # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`, and may be larger
-        window = replace(
-            window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved, wider))
-        )
+        window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
         _refuse_empty(window.lattice, moved, wider)
+    window = with_plate(window, design.body)
     return window if design.pair.form == "biconvex" else _with_land(window, intent)
 
 

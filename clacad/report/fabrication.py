@@ -14,6 +14,7 @@ from clacad.base.units import millimetres
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.lattice import Circle, polygon_area
+from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, body_volume, whole_extent
 from clacad.sheet.window import Window, optical_tile
 
@@ -88,10 +89,25 @@ def _sheet(window: Window, mm: float) -> list[FabricationLine]:
         )
     if isinstance(window.outline, Circle):
         lines.append(FabricationLine("array", "round outline, diameter", (window.outline.diameter * mm,)))
+    if isinstance(window.outline, Plate):
+        lines += _plate(window.outline, mm)
     shift = window.shifts[1]
     if shift != (0.0, 0.0):
         lines.append(
             FabricationLine("array", "array 2 against array 1: dx, dy", (shift[0] * mm, shift[1] * mm))
+        )
+    return lines
+
+
+def _plate(plate: Plate, mm: float) -> list[FabricationLine]:
+    """What the workshop mills: edge and holes, each with its place."""
+    lines = [FabricationLine("array", "plate: straight and round edges", f"{len(plate.loops[0])}", "")]
+    for n, hole in enumerate(plate.holes, start=1):
+        what = "hole" if hole.purpose == "mount" else "pin hole"
+        lines.append(
+            FabricationLine(
+                "array", f"{what} {n}: x, y, diameter", (hole.x * mm, hole.y * mm, hole.diameter * mm)
+            )
         )
     return lines
 
@@ -203,6 +219,8 @@ def fabrication_dict(report: Report) -> dict[str, Any]:
 
 def _footprint(window: Window) -> float:
     mm = millimetres(window.unit)
+    if isinstance(window.outline, Plate):
+        return window.outline.area * mm * mm
     if isinstance(window.outline, Circle):
         return pi * (0.5 * window.outline.diameter * mm) ** 2
     x0, x1, y0, y1 = whole_extent(window)

@@ -17,6 +17,7 @@ import numpy as np
 
 from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
+from clacad.sheet.plate import Plate
 
 Kind = Literal["square", "rectangular", "hexagonal"]
 
@@ -40,6 +41,15 @@ def polygon_areas(points: Floats) -> Floats:
     return np.asarray(0.5 * np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1))
 
 
+def runs(columns: Ints) -> Ints:
+    """Runs (k, 2) of consecutive numbers, first and one past the last, the longest run first."""
+    if not len(columns):
+        return np.empty((0, 2), dtype=np.int64)
+    ends = np.flatnonzero(np.diff(columns) > 1)
+    first, last = np.append(columns[:1], columns[ends + 1]), np.append(columns[ends], columns[-1:]) + 1
+    return np.stack([first, last], axis=-1)[np.argsort(first - last, kind="stable")]
+
+
 @dataclass(frozen=True, slots=True)
 class Circle:
     """A round outline of the given diameter (length), centred on the origin."""
@@ -55,11 +65,13 @@ class Rectangle:
     height: float
 
 
-Outline = Circle | Rectangle
+Outline = Circle | Rectangle | Plate
 
 
 def inside_outline(outline: Outline, points: Floats) -> Bools:
     """Which points (..., 2), lengths, lie in an outline, its edge and what rounding leaves beyond it included."""
+    if isinstance(outline, Plate):
+        return outline.inside(points)
     x, y = points[..., 0], points[..., 1]
     room = 0.5 * (1 + 1e-12)
     if isinstance(outline, Circle):
@@ -69,6 +81,8 @@ def inside_outline(outline: Outline, points: Floats) -> Bools:
 
 def _half_sizes(outline: Outline) -> tuple[float, float]:
     """How far an outline reaches from the middle along x and y (lengths)."""
+    if isinstance(outline, Plate):
+        return outline.reach
     if isinstance(outline, Circle):
         return 0.5 * outline.diameter, 0.5 * outline.diameter
     return 0.5 * outline.width, 0.5 * outline.height
@@ -85,7 +99,7 @@ class Lattice:
         Hexagonal: p_x is centre to centre = flat to flat, p_y is ignored; cells point up.
     count : (n1, n2)
         Hexagonal: n2 rows of n1 cells, odd rows moved by +p/2; indices are axial (i, j).
-    outline : Circle, Rectangle or None
+    outline : Circle, Rectangle, Plate or None
         Only cells whose whole footprint lies inside are kept.
     """
 
@@ -169,8 +183,24 @@ class Lattice:
         inside = (j >= 0) & (j < n2) & (i >= first) & (i < first + n1)
         if self.outline is None:
             return np.asarray(inside)
+        if isinstance(self.outline, Plate):
+            held = self._on_plate(self.outline)
+            rows, columns = np.where(inside, j, 0), np.where(inside, i - first, 0)
+            return np.asarray(inside & held[rows, columns])
         corners = self.centres(index)[..., None, :] + self.tile()
         return np.asarray(inside & inside_outline(self.outline, corners).all(axis=-1))
+
+    def _on_plate(self, plate: Plate) -> Bools:
+        """Which cells a plate holds, (n2, n1), rows from their first cell on; worked out once."""
+        key = (self.kind, self.pitch, self.count)
+        if key not in plate.kept:
+            j, i = np.divmod(np.arange(self.count[0] * self.count[1]), self.count[0])
+            first = -(j // 2) if self.hexagonal else np.zeros_like(j)
+            centres = self.centres(np.stack([i + first, j], axis=-1))
+            held = plate.holds(self.tile(), centres, plate.room(self.pitch))
+            plate.kept[key] = held.reshape(self.count[1], self.count[0])
+        found: Bools = plate.kept[key]
+        return found
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
@@ -207,9 +237,11 @@ class Lattice:
     @property
     def holds_a_cell(self) -> bool:
         """Whether any cell is kept."""
+        if isinstance(self.outline, Plate):
+            return bool(self._on_plate(self.outline).any())
         return bool(self.contains(self._middle()).any())
 
-    def least_outline(self) -> Outline:
+    def least_outline(self) -> Circle | Rectangle:
         """Give the smallest outline, of the kind that the lattice has, round the cell nearest to the middle."""
         corners = np.abs(self.centres(self._middle())[:, None, :] + self.tile())
         nearest = corners[np.argmin(np.hypot(corners[..., 0], corners[..., 1]).max(axis=1))]

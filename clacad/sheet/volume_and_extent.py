@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, polygon_area
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -131,6 +132,8 @@ def _footprint_area(window: Window, body: Body) -> float | None:
     outline = window.outline
     if outline is None:
         return window.lattice.cell_count * window.lattice.cell_area
+    if isinstance(outline, Plate):
+        return outline.area
     if len({face.array for face in (body.front, body.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0):
         x0, x1, y0, y1 = window.lattice.extent()
         dx, dy = window.shifts[1]
@@ -252,6 +255,8 @@ def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]
     one = set(arrays)
     place = window.placements[arrays[0]] if len(one) == 1 else CellPlacement()
     dx, dy = place.shift
+    if isinstance(window.outline, Plate):
+        return window.outline.box
     if isinstance(window.outline, Circle):
         r = 0.5 * window.outline.diameter
         return dx - r, dx + r, dy - r, dy + r

@@ -10,11 +10,12 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.sheet.lattice import Circle, Lattice, Outline, Step
+from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle, Step
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.outline_faces import flat_faces, outline_faces
-from clacad.solid.outline_path import outline_path
+from clacad.solid.outline_path import outline_path, plate_paths
 from clacad.solid.repeated_cell import Cell, CellFace, make_cell
 from clacad.solid.shells import MERGE, Shells, Writer
 from clacad.solid.tiling_borders import Layer, Surround
@@ -159,17 +160,18 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
     """Describe layers of columns within an outline; `hollow` leaves the cells out and keeps the land round them."""
     shells = Shells(writer, merge, split=hollow)
     rim = -1 if outline is None else shells.owner()
-    centre = parts[0].shift if len(parts) == 1 else np.zeros(2)
+    centre = parts[0].shift if len(parts) == 1 and not isinstance(outline, Plate) else np.zeros(2)
     path = None if outline is None else outline_path(outline, scale, centre)
     tilings = []
     for part in parts:
-        if path is not None and outline is not None:
+        if path is not None and isinstance(outline, Circle | Rectangle):  # a plate keeps no cell that it cuts
             _refuse_beyond(part, lattice, outline, scale, centre)
         tiling = Columns(shells, part, lattice, scale, Surround(path, rim, hollow))
         tiling.describe()
         tilings.append(tiling)
     if path is not None:
-        outline_faces(shells, path, tuple(tilings), rim, hollow)
+        holes = plate_paths(outline, scale)[1:] if isinstance(outline, Plate) else ()
+        outline_faces(shells, (path, *holes), tuple(tilings), rim, hollow)
         return shells
     for tiling in tilings:
         for f, face in enumerate(tiling.cell.faces):
@@ -178,7 +180,9 @@ def describe_layers(parts: tuple[Layer, ...], lattice: Lattice, outline: Outline
     return shells
 
 
-def _refuse_beyond(part: Layer, lattice: Lattice, outline: Outline, scale: float, centre: Floats) -> None:
+def _refuse_beyond(
+    part: Layer, lattice: Lattice, outline: Circle | Rectangle, scale: float, centre: Floats
+) -> None:
     """Refuse a cell that the outline does not hold: the outline would cut through a lenslet.
 
     Raises

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from clacad.base.units import millimetres
 from clacad.sheet.gap import NoFixture, plane_of
 from clacad.sheet.lattice import Circle
+from clacad.sheet.plate import Plate
 from clacad.solid.lettering import lettering
 from clacad.topology.build_complex import one_tiling
 
@@ -80,6 +81,12 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
         room = radius + lowest
         height = 0.5 * room
         width = 2.0 * float(np.sqrt(max(0.0, radius**2 - (0.25 * room - lowest + height) ** 2)))
+    elif isinstance(window.outline, Plate):
+        centre = np.zeros(2)
+        lowest = min(window.lattice.extent()[2] + dy for dy in (0.0, window.shifts[1][1]))
+        room = lowest - window.outline.box[2]
+        height = 0.5 * room
+        width = window.outline.free_width(lowest - 0.8 * room, lowest - 0.2 * room)
     else:
         room = 0.5 * window.outline.height + lowest
         height, width = 0.5 * room, window.outline.width - room

@@ -99,14 +99,16 @@ class _Stop:
 class _FaceOutline:
     """The outline of one face: stops and spans in order, from corner 0 round."""
 
-    def __init__(self, shells: Shells, path: Path, tiling: Columns, face: int, owner: int) -> None:
+    def __init__(
+        self, shells: Shells, path: Path, tiling: Columns, face: int, owner: int, touched: bool
+    ) -> None:
         self.face, self._shells, self._path, self._owner = face, shells, path, owner
         flat = tiling.cell.faces[face]
         land = tiling.outside_face(face)
         self.level = land.level
         assert self.level is not None
         self._key = ("plane" if flat.plane else "outside", face)
-        touches = {touch.position: touch for touch in tiling.touches}
+        touches = {touch.position: touch for touch in tiling.touches} if touched else {}
         places = sorted({(side, 0.0) for side in range(len(path.arcs))} | set(touches))
         self.stops = [
             _Stop(
@@ -151,12 +153,29 @@ class _FaceOutline:
         return [n for n, span in enumerate(self.spans) if span.side == side]
 
 
-def outline_faces(shells: Shells, path: Path, tilings: tuple[Columns, ...], owner: int, hollow: bool) -> None:
-    """Make the side faces of an outline, and the flat faces between it and the cells."""
+def outline_faces(
+    shells: Shells, paths: tuple[Path, ...], tilings: tuple[Columns, ...], owner: int, hollow: bool
+) -> None:
+    """Make the side faces of an outline and of the holes in it, and the flat faces between them and the cells.
+
+    paths : the outline, then the holes, which run clockwise
+    """
+    for n, path in enumerate(paths):
+        _loop_sides(shells, path, tilings, owner, hollow, n == 0)
+    for f in (0, 1):
+        tiling = next(t for t in tilings if not t.cell.faces[f].open)
+        flat = tiling.cell.faces[f]
+        flat_faces(shells, f, tiling.outside_face(f), "plane" if flat.plane else "outside")
+
+
+def _loop_sides(
+    shells: Shells, path: Path, tilings: tuple[Columns, ...], owner: int, hollow: bool, touched: bool
+) -> None:
+    """Make the side faces along one closed path; `touched`: cells may touch it."""
     rings = []
     for f in (0, 1):
         tiling = next(t for t in tilings if not t.cell.faces[f].open)
-        rings.append(_FaceOutline(shells, path, tiling, f, owner))
+        rings.append(_FaceOutline(shells, path, tiling, f, owner, touched))
     sides = range(len(path.arcs))
     posts = {side: _post(shells, rings, side, hollow) for side in sides}
     for side in sides:
@@ -169,10 +188,6 @@ def outline_faces(shells: Shells, path: Path, tilings: tuple[Columns, ...], owne
             _side_face(shells, path, owner, side, rings, loop)
         else:
             _land_sides(shells, path, owner, side, (rings[0], rings[1]), posts)
-    for f in (0, 1):
-        tiling = next(t for t in tilings if not t.cell.faces[f].open)
-        flat = tiling.cell.faces[f]
-        flat_faces(shells, f, tiling.outside_face(f), "plane" if flat.plane else "outside")
 
 
 def _at(post: int | None, upwards: bool, u: float) -> LoopEdge:
@@ -274,15 +289,25 @@ def flat_faces(shells: Shells, f: int, face: CellFace, key: str) -> None:
     up, across = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     surface = shells.writer.surface(Plane(np.array([0.0, 0.0, face.level]), up, across), np.zeros(3))
     for loops in pieces.values():
-        for loop, points, owner in (item for item in loops if polygon_area(item[1]) > 0.0):
-            # the middle of an edge stands for a hole: corners may touch
-            within = [
-                hole
-                for hole, place, _ in loops
-                if polygon_area(place) <= 0.0 and encloses(points, 0.5 * (place[0] + place[1]))
-            ]
+        for (loop, _, owner), within in _with_their_holes(loops):
             bounds = [loop, *within] if face.side < 0 else [reverse(bound) for bound in (loop, *within)]
             shells.face(owner, surface, face.side < 0, bounds, "land" if key == "outside" else "plane")
+
+
+def _with_their_holes(
+    loops: list[tuple[Loop, Floats, int]],
+) -> list[tuple[tuple[Loop, Floats, int], list[Loop]]]:
+    """Outer loops with the holes in each: a hole belongs to the smallest loop round it, for land may lie among cells."""
+    areas = [polygon_area(points) for _, points, _ in loops]
+    outer = sorted((n for n, area in enumerate(areas) if area > 0.0), key=lambda n: areas[n])
+    within: dict[int, list[Loop]] = {n: [] for n in outer}
+    for n, (hole, place, _) in enumerate(loops):
+        if areas[n] <= 0.0:
+            middle = 0.5 * (place[0] + place[1])  # of an edge: corners may touch
+            around = next((k for k in outer if encloses(loops[k][1], middle)), None)
+            if around is not None:
+                within[around].append(hole)
+    return [(loops[n], within[n]) for n in sorted(outer)]
 
 
 def _chained(shells: Shells, key: tuple[str, int]) -> list[tuple[Loop, Floats, int]]:

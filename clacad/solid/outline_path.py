@@ -8,7 +8,9 @@ from math import atan2, pi, sqrt, tau
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.sheet.edge_columns import CX, CY, SENSE
 from clacad.sheet.lattice import Circle, Outline
+from clacad.sheet.plate import Plate
 from clacad.solid.face_pattern import SNAP
 from clacad.solid.rational_conics import Arc, line
 
@@ -23,15 +25,18 @@ class Path:
     centre : (2,), mm
     radius : float or None
         Of a round outline.
+    touched : bool
+        Whether cells may touch it.
     """
 
     arcs: tuple[Arc, ...]
     centre: Floats
     radius: float | None
+    touched: bool = True
 
     def position(self, point: Floats) -> tuple[int, float] | None:
         """Side and parameter (0 ≤ u < 1) of a point (2,) of the path; None when it is not on it."""
-        for side, arc in enumerate(self.arcs):
+        for side, arc in enumerate(self.arcs if self.touched else ()):
             a, b = arc.poles[0, :2], arc.poles[-1, :2]
             width = SNAP / float(np.hypot(*(b - a)))
             if self.radius is None:
@@ -95,7 +100,9 @@ def _blossom(control: Floats, s: float, t: float) -> Floats:
 
 
 def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
-    """Path of an outline (design units, `scale` mm per unit) about a centre (2,), mm."""
+    """Path of an outline (design units, `scale` mm per unit) about a centre (2,), mm; of a plate its outer boundary."""
+    if isinstance(outline, Plate):
+        return plate_paths(outline, scale)[0]
     if isinstance(outline, Circle):
         r = 0.5 * outline.diameter * scale
         starts, corners = [(0.0, -r), (r, 0.0), (0.0, r), (-r, 0.0)], [(r, -r), (r, r), (-r, r), (-r, -r)]
@@ -108,3 +115,25 @@ def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
     w, h = 0.5 * outline.width * scale, 0.5 * outline.height * scale
     points = np.array([(-w, -h, 0.0), (w, -h, 0.0), (w, h, 0.0), (-w, h, 0.0)]) + np.append(centre, 0.0)
     return Path(tuple(line(a, b) for a, b in zip(points, np.roll(points, -1, axis=0))), centre, None)
+
+
+def plate_paths(plate: Plate, scale: float) -> tuple[Path, ...]:
+    """Paths of a plate's boundary and of its holes, the material on their left; no cell touches them (mm)."""
+    return tuple(
+        Path(tuple(_arc(edge * scale, edge[SENSE]) for edge in loop), np.zeros(2), None, touched=False)
+        for loop in plate.loops
+    )
+
+
+def _arc(edge: Floats, sense: float) -> Arc:
+    """One edge of a plate, mm: a line, or an arc of at most 90° as one rational quadratic."""
+    a, b = edge[:2], edge[2:4]
+    if sense == 0.0:
+        return line(np.append(a, 0.0), np.append(b, 0.0))
+    centre = edge[CX : CY + 1]
+    u, v = a - centre, b - centre
+    # the tangents at both ends meet over the middle of the arc: cos² of the half angle times as near the centre
+    half_square = 0.5 * (1.0 + float(u @ v) / float(np.hypot(*u) * np.hypot(*v)))
+    top = centre + 0.5 * (u + v) / half_square
+    poles = np.array([[*a, 0.0], [*top, 0.0], [*b, 0.0]])
+    return Arc(poles, np.array([1.0, sqrt(half_square), 1.0]))

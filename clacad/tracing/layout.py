@@ -17,6 +17,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
 SAMPLES = 49
@@ -81,9 +82,11 @@ class BodyPlan:
         Sheet-frame bounds of the footprint.
     inner : (half_x, half_y, radius)
         A convex region about `centre` that lies inside the footprint: a rectangle cut by a circle.
-    outline : ("none" | "circle" | "rectangle", half_x, half_y)
+    outline : ("none" | "circle" | "rectangle" | "plate", half_x, half_y)
     centre : (x, y)
         Of the outline and of `inner`, sheet frame.
+    plate : Plate or None
+        Where the outline is one: it stands in the sheet frame.
     """
 
     front: FacePlan
@@ -98,6 +101,7 @@ class BodyPlan:
     inner: tuple[float, float, float]
     outline: tuple[str, float, float]
     centre: tuple[float, float]
+    plate: Plate | None = None
 
     @property
     def arrays(self) -> tuple[int, ...]:
@@ -263,6 +267,7 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
         inner=inner,
         outline=outline,
         centre=centre,
+        plate=window.outline if isinstance(window.outline, Plate) else None,
     )
 
 
@@ -376,12 +381,12 @@ def _footprint(window: Window, body: Body) -> Footprint:
         place = window.placements[body.front.array if body.front.array is not None else arrays.pop()]
         box = place.extent(window.lattice)
         middle = (0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]))
-        return (
-            box,
-            _inside_cells(window.lattice, max(place.scale(window.lattice)), box),
-            ("none", 0.0, 0.0),
-            middle,
-        )
+        inner = _inside_cells(window.lattice, max(place.scale(window.lattice)), box)
+        return box, inner, ("none", 0.0, 0.0), middle
+    if isinstance(window.outline, Plate):
+        x0, x1, y0, y1 = window.outline.box
+        middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
+        return (x0, x1, y0, y1), (*window.outline.free_box, np.inf), ("plate", 0.0, 0.0), middle
     cx, cy = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
     if isinstance(window.outline, Circle):
         half = 0.5 * window.outline.diameter

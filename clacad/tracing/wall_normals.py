@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.sheet.plate import nearest_edges
 from clacad.tracing.layout import BodyPlan, Layout
 
 NUDGE = 16 * 2.0**-52
@@ -45,6 +46,8 @@ def _outline(body: BodyPlan, xy: Floats) -> list[tuple[Floats, Floats]]:
     shape, half_x, half_y = body.outline
     if shape == "none":
         return []
+    if body.plate is not None:
+        return [nearest_edges(body.plate.edges, xy)]
     point = xy - np.asarray(body.centre)
     if shape == "circle":
         radius = np.maximum(np.hypot(point[:, 0], point[:, 1]), 1e-300)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height
 
 
@@ -22,6 +23,8 @@ def heights(window: Window, body: Body, x: Floats, y: float) -> tuple[Floats, Fl
         found.append(np.where(inside, z, face.vertex[2] if face.array is None else beyond))
     front, back = found
     missing = ~(np.isfinite(front) & np.isfinite(back))
+    if isinstance(window.outline, Plate):
+        missing |= ~window.outline.inside(np.stack([x, np.full_like(x, y)], axis=-1))
     return np.where(missing, np.nan, front), np.where(missing, np.nan, back)
 
 

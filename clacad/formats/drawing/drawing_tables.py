@@ -18,7 +18,9 @@ from clacad.formats.drawing.views import mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.surface import EvenPolynomial, conic_constants, principal_radii, sag
+from clacad.sheet.edge_columns import RADIUS, SENSE, X0, Y0
 from clacad.sheet.lattice import Circle
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:
@@ -125,6 +127,44 @@ def _sag(face: Face, at: float, axis: int, mm: float) -> str:
     return f"{value:.6g}" if np.isfinite(value) else "none"
 
 
+MOST_EDGES = 32
+"""Edges of a plate that a table lists; a longer boundary is drawn to scale alone."""
+
+
+def plate_tables(design: Design, window: Window) -> list[Canvas]:
+    """Holes of a plate, and the corners of its boundary, about the middle of the cells (mm); none of a plain outline."""
+    plate = window.outline
+    if not isinstance(plate, Plate):
+        return []
+    mm, pins = millimetres(window.unit), design.body.pins
+    made = []
+    rows = []
+    for number, hole in enumerate(plate.holes, 1):
+        use = "mounting" if hole.purpose == "mount" or pins is None else (
+            f"pin {mm_text(pins.diameter * mm)}, play {mm_text(pins.play * mm)}"
+        )  # fmt: skip
+        rows.append([str(number), *(mm_text(v * mm + 0.0) for v in (hole.x, hole.y, hole.diameter)), use])
+    if rows:
+        made.append(
+            table("holes, through (mm about the sheet's origin)", ["hole", "x", "y", "diameter", "for"], rows)
+        )
+    edges = plate.loops[0]
+    if len(edges) <= MOST_EDGES:
+        rows = [
+            [str(n), mm_text(edge[X0] * mm + 0.0), mm_text(edge[Y0] * mm + 0.0),
+             "straight" if edge[SENSE] == 0.0 else f"{'out' if edge[SENSE] > 0.0 else 'in'}wards, R {mm_text(edge[RADIUS] * mm)}"]
+            for n, edge in enumerate(edges, 1)
+        ]  # fmt: skip
+        made.append(
+            table(
+                "boundary, counter-clockwise with +x to the right (mm)",
+                ["corner", "x", "y", "to the next"],
+                rows,
+            )
+        )
+    return made
+
+
 def errors_table(
     design: Design, window: Window, allowed: Allowances, study: Mapping[str, Any] | None
 ) -> Canvas:
@@ -137,6 +177,7 @@ def errors_table(
         "rotation of array 2 about the normal of A": [f"±{1e3 * allowed.rotation:.3g} mrad"] if allowed.rotation else [],
         "tilt of array 2 against A": [f"±{1e3 * allowed.tilt:.3g} mrad"] if allowed.tilt else [],
         "lens to lens": [f"±{mm_text(allowed.separation)} mm"] if two and allowed.separation else [],
+        "play of the pins (x and y)": [] if design.body.pins is None else [f"±{mm_text(design.body.pins.play * millimetres(design.unit_m))} mm"],
         "centre thickness of the bodies": [f"±{mm_text(v)} mm" for v in allowed.thickness[: len(window.bodies)] if v > 0.0],
         "radii of array 1, array 2": [f"±{100 * v:.3g} %" for v in allowed.radius if v > 0.0],
     }  # fmt: skip
@@ -235,7 +276,9 @@ def notes(window: Window, allowed: Allowances, slope_rms: float, width: float) -
         else "roughness not stated by the design"
     )
     slope = f", slope error at most {1e3 * slope_rms:.3g} mrad rms" if slope_rms > 0.0 else ""
-    sides = "B: the round side" if isinstance(window.outline, Circle) else (
+    sides = (
+        "B: the outermost side towards -y; C: towards -x; holes and corners are placed about the middle of the cells"
+    ) if isinstance(window.outline, Plate) else "B: the round side" if isinstance(window.outline, Circle) else (
         "B: the -y side; C: the -x side; the mark is at the corner +x, +y"
     )  # fmt: skip
     said = [

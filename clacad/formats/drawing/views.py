@@ -22,6 +22,7 @@ from clacad.formats.drawing.canvas import Canvas
 from clacad.sheet.bundle import central_cell
 from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle
+from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import body_extent, whole_extent
 from clacad.sheet.window import Body, Window
 
@@ -133,7 +134,11 @@ def plan(window: Window) -> Canvas:
         380.0, tall + 92.0, "the sheet seen along the light, with axes and outer sizes, to scale", scale
     )
     left, top = 105.0, 24.0
-    if isinstance(window.outline, Circle):
+    if isinstance(window.outline, Plate):
+        _plate_plan(canvas, window.outline, (x1, y1), (left, top), mm * scale)
+        canvas.datum((left + 0.3 * wide, top + tall), (0.0, 14.0), "B")
+        canvas.datum((left + wide, top + 0.3 * tall), (13.0, 0.0), "C")
+    elif isinstance(window.outline, Circle):
         canvas.circle((left + 0.5 * wide, top + 0.5 * tall), 0.5 * wide, "body")
         canvas.datum((left + wide, top + 0.5 * tall), (13.0, 0.0), "B")
     else:
@@ -157,6 +162,29 @@ def plan(window: Window) -> Canvas:
     canvas.text((6, bottom + 54), "seen along the light, from the side of lens 1", "start", "note")
     canvas.scale_note((374, bottom + 54))
     return canvas
+
+
+def _plate_plan(
+    canvas: Canvas, plate: Plate, corner: tuple[float, float], at: tuple[float, float], scale: float
+) -> None:
+    """A plate seen along the light, +x to the left: its edge, its numbered holes, the mark at the corner +x, +y.
+
+    corner : (x, y), lengths, that lies at the point `at`, px; scale : px per length
+    """
+
+    def place(points: Floats) -> Floats:
+        return _points(at[0] + (corner[0] - points[:, 0]) * scale, at[1] + (corner[1] - points[:, 1]) * scale)
+
+    boundary = place(plate.polygons(180)[0])
+    canvas.polygon(boundary, "body")
+    first = boundary[np.argmin(boundary.sum(axis=1))]
+    canvas.polygon(np.array([first + (2.0, 2.0), first + (14.0, 2.0), first + (2.0, 14.0)]), "mark")
+    canvas.text((at[0] - 6.0, at[1] + 10.0), "mark", "end", "note")
+    for number, hole in enumerate(plate.holes, 1):
+        x, y = place(np.array([[hole.x, hole.y]]))[0].tolist()
+        radius = 0.5 * hole.diameter * scale
+        canvas.circle((x, y), radius, "body")
+        canvas.text((x + radius + 3.0, y - radius), str(number), "start", "note")
 
 
 def telescopelet(

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats
+from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.sheet.lattice import Circle
+from clacad.sheet.plate import Plate, bulges
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Face, Window, column, lens_height, optical_tile
 from clacad.storage.archive import Attributes, parse_xml
@@ -131,10 +133,39 @@ def _points(polygon: Floats) -> str:
 
 
 def _ground(window: Window, x0: float, x1: float, y0: float, y1: float, scale: float) -> str:
+    if isinstance(window.outline, Plate):
+        return f'<path d="{" ".join(_svg_loop(loop, scale) for loop in window.outline.loops)}" fill="#000000"/>\n'
     if isinstance(window.outline, Circle):
         cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
         return f'<circle cx="{cx!r}" cy="{cy!r}" r="{0.5 * window.outline.diameter * scale!r}" fill="#000000"/>\n'
     return f'<rect x="{x0!r}" y="{y0!r}" width="{x1 - x0!r}" height="{y1 - y0!r}" fill="#000000"/>\n'
+
+
+def _svg_loop(loop: Floats, scale: float) -> str:
+    """One loop of a plate as an SVG path; holes run the other way and stay free."""
+    words = [f"M {loop[0, X0] * scale!r} {loop[0, Y0] * scale!r}"]
+    for edge in loop.tolist():
+        end = f"{edge[X1] * scale!r} {edge[Y1] * scale!r}"
+        radius = edge[RADIUS] * scale
+        sweep = int(
+            edge[SENSE] > 0.0
+        )  # y runs upwards within the turned group: counter-clockwise is the positive angle
+        words.append(f"L {end}" if edge[SENSE] == 0.0 else f"A {radius!r} {radius!r} 0 0 {sweep} {end}")
+    return " ".join([*words, "Z"])
+
+
+def _dxf_loop(loop: Floats, scale: float) -> list[tuple[int, str]]:
+    """One loop of a plate as a closed polyline with bulges on layer OUTLINE."""
+    lines = [(0, "POLYLINE"), (8, "OUTLINE"), (66, "1"), (70, "1")]
+    for edge, bulge in zip(loop.tolist(), bulges(loop).tolist(), strict=True):
+        lines += [
+            (0, "VERTEX"),
+            (8, "OUTLINE"),
+            (10, repr(edge[X0] * scale)),
+            (20, repr(edge[Y0] * scale)),
+            (42, repr(bulge)),
+        ]
+    return [*lines, (0, "SEQEND")]
 
 
 def _centres(window: Window, face: Face, scale: float) -> Iterator[tuple[float, float]]:
@@ -155,7 +186,10 @@ def write_dxf(window: Window, body: Body, face: Face, label: str, path: Path, sc
     lines = [(999, f"clacad aperture mask {label}, unit mm"), (0, "SECTION"), (2, "BLOCKS"), (0, "BLOCK"), (8, "0"), (2, "LENS"),
              (70, "0"), (10, "0"), (20, "0"), *_polyline(lens, "APERTURE"), (0, "ENDBLK"), (0, "ENDSEC"),
              (0, "SECTION"), (2, "ENTITIES")]  # fmt: skip
-    if isinstance(window.outline, Circle):
+    if isinstance(window.outline, Plate):
+        for loop in window.outline.loops:
+            lines += _dxf_loop(loop, scale)
+    elif isinstance(window.outline, Circle):
         lines += [(0, "CIRCLE"), (8, "OUTLINE"), (10, repr(0.5 * (x0 + x1))), (20, repr(0.5 * (y0 + y1))),
                   (40, repr(0.5 * window.outline.diameter * scale))]  # fmt: skip
     else:

@@ -16,7 +16,8 @@ import numpy as np
 
 from clacad.formats.pov.pov_text import GAP, NotForPov, matrix, number
 from clacad.optics.surface import Quadric
-from clacad.sheet.lattice import Circle
+from clacad.sheet.lattice import Circle, runs
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
 
 SAMPLES = 33
@@ -223,10 +224,15 @@ def _rows(window: Window) -> Iterator[str]:
     lattice = window.lattice
     if lattice.outline is None:
         return
-    runs = [lattice.row(j) for j in range(lattice.count[1])]
+    if isinstance(lattice.outline, Plate):
+        found = [(j, *run) for j in range(lattice.count[1]) for run in runs(lattice.row(j)[:, 0]).tolist()]
+        for name, column in zip(("ROW", "FIRST", "END"), zip(*found, strict=True), strict=True):
+            yield f"#declare {name} = array[{len(column)}] {{ {', '.join(map(str, column))} }}"
+        return
+    whole = [lattice.row(j) for j in range(lattice.count[1])]
     for name, ends in (
-        ("FIRST", [int(run[0, 0]) if len(run) else 0 for run in runs]),
-        ("END", [int(run[-1, 0]) + 1 if len(run) else 0 for run in runs]),
+        ("FIRST", [int(run[0, 0]) if len(run) else 0 for run in whole]),
+        ("END", [int(run[-1, 0]) + 1 if len(run) else 0 for run in whole]),
     ):
         yield f"#declare {name} = array[{len(ends)}] {{ {', '.join(map(str, ends))} }}"
 
@@ -252,12 +258,18 @@ def _all_cells(
     slant = " + 0.5*J" if lattice.hexagonal else ""
     yield "union {"
     rows = beyond if not lattice.hexagonal else 0
-    yield f"  #declare J = {-rows}; #while (J < {lattice.count[1] + rows})"
+    of_runs = isinstance(lattice.outline, Plate) and first == "FIRST[J]"
+    counter, start, end_of_rows = "J", -rows, f"{lattice.count[1] + rows}"
+    if of_runs:  # a row of a plate may fall into several runs of cells
+        counter, start, end_of_rows, first, end = "R", 0, "dimension_size(ROW, 1)", "FIRST[R]", "END[R]"
+    yield f"  #declare {counter} = {start}; #while ({counter} < {end_of_rows})"
+    if of_runs:
+        yield "    #declare J = ROW[R];"
     yield f"    #declare I = {first}; #while (I < {end})"
     place = f"{number(x0 * units)} + (I{slant})*{number(px * units)}, {number(y0 * units)} + J*{number(py * units)}, 0"
     yield f"      object {{ {name} translate <{place}> }}"
     yield "    #declare I = I + 1; #end"
-    yield "  #declare J = J + 1; #end"
+    yield f"  #declare {counter} = {counter} + 1; #end"
     yield f"  {look}"
     yield "}"
 
@@ -270,6 +282,8 @@ def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str
     low, high = number(units * span.low), number(units * span.high)
     arrays = {face.array for face in (body.front, body.back) if face.array is not None}
     x, y = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
+    if isinstance(window.outline, Plate):
+        return _plate(window.outline, units, low, high)
     if isinstance(window.outline, Circle):
         radius = number(0.5 * units * window.outline.diameter)
         ends = ", ".join(f"<{number(units * x)}, {number(units * y)}, {z}>" for z in (low, high))
@@ -287,6 +301,30 @@ def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str
         f"<{number(units * u)}, {number(units * v)}, {z}>" for u, v, z in ((x0, y0, low), (x1, y1, high))
     ]
     return f"box {{ {', '.join(corners)} }}"
+
+
+ROUND = 720
+"""Sides that a whole turn of a plate's round edges becomes."""
+
+
+def _plate(plate: Plate, units: float, low: str, high: str) -> str:
+    """A plate between two heights: the prism of its boundary less a cylinder for each hole."""
+    corners = plate.polygons(ROUND)[0]
+    points = ", ".join(
+        f"<{number(units * x)}, {number(units * y)}>" for x, y in [*corners.tolist(), corners[0].tolist()]
+    )
+    # a prism is swept along y over points of the plane x, z: y and z change places
+    body = (
+        f"prism {{ linear_sweep linear_spline {low}, {high}, {len(corners) + 1}, {points} "
+        "matrix <1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0> }"
+    )
+    room = f"({high} - {low})"
+    holes = "".join(
+        f" cylinder {{ <{number(units * hole.x)}, {number(units * hole.y)}, {low} - {room}>, "
+        f"<{number(units * hole.x)}, {number(units * hole.y)}, {high} + {room}>, {number(0.5 * units * hole.diameter)} }}"
+        for hole in plate.holes
+    )
+    return f"difference {{ {body}{holes} }}" if holes else body
 
 
 def _beside(window: Window, array: int, units: float, span: HeightRange, look: str) -> Iterator[str]:

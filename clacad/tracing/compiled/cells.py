@@ -22,7 +22,10 @@ def kept(lat: Floats, rows: Ints, i: float, j: float) -> bool:
     if not (0.0 <= j < len(rows)):
         return False
     row = int(j)
-    return bool(rows[row, 0] <= i < rows[row, 1])
+    for k in range(0, rows.shape[1], 2):
+        if rows[row, k] <= i < rows[row, k + 1]:
+            return True
+    return False
 
 
 @exact

@@ -10,6 +10,7 @@ from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy, to_array
 from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.plate import in_plate, next_edge
 from clacad.tracing.compiled.records import (
     BASE,
     CELL,
@@ -72,10 +73,13 @@ def _proud(lens: float, land: float, front: bool) -> float:
 
 
 @exact
-def in_footprint(bodies: Floats, b: int, x: float, y: float, over_cell: bool) -> bool:
+def in_footprint(sheet: Packed, b: int, x: float, y: float, over_cell: bool) -> bool:
     """Whether a sheet point lies over the body."""
+    bodies = sheet.bodies
     if bodies[b, slot.OUTLINE] == slot.NO_OUTLINE:
         return over_cell
+    if bodies[b, slot.OUTLINE] == slot.PLATE:
+        return in_plate(sheet.edges, x, y)
     x, y = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y]
     if bodies[b, slot.OUTLINE] == slot.CIRCLE:
         return bool(x * x + y * y <= bodies[b, slot.OUT_X] * bodies[b, slot.OUT_X])
@@ -97,7 +101,7 @@ def _solid(sheet: Packed, b: int, ray: Ray, t: float, work: Floats) -> bool:
     z, x, y = ray.z + t * ray.N, t * ray.L, t * ray.M
     main = int(bodies[b, slot.ENTRY])
     over = kept(sheet.lattice, sheet.rows, work[CELL + 2 * main], work[CELL + 2 * main + 1])
-    if not in_footprint(bodies, b, ray.x + x, ray.y + y, over):
+    if not in_footprint(sheet, b, ray.x + x, ray.y + y, over):
         return False
     below, above = _lens_over(sheet, 2 * b, work, x, y), _lens_over(sheet, 2 * b + 1, work, x, y)
     if bodies[b, slot.COLUMNAR] != 0.0 and not below <= above:
@@ -148,7 +152,7 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
 @exact
 def divide_outline(bodies: Floats, b: int, ray: Ray, times: Floats, causes: Ints, count: int) -> int:
     """Add the distances at which a ray of the sheet's frame crosses the outline; return the number of all."""
-    if bodies[b, slot.OUTLINE] == slot.NO_OUTLINE:
+    if bodies[b, slot.OUTLINE] == slot.NO_OUTLINE or bodies[b, slot.OUTLINE] == slot.PLATE:
         return count
     x, y, _, L, M, _ = ray
     x, y = x - bodies[b, slot.MID_X], y - bodies[b, slot.MID_Y]
@@ -167,6 +171,14 @@ def divide_outline(bodies: Floats, b: int, ray: Ray, times: Floats, causes: Ints
     times[count], times[count + 1] = rest / q, q / square
     causes[count], causes[count + 1] = WALL, WALL
     return count + 2
+
+
+@exact
+def edge_ahead(sheet: Packed, b: int, ray: Ray, since: float) -> float:
+    """Where a ray of the sheet's frame next crosses an edge of the plate that body b ends at; infinite without a plate."""
+    if sheet.bodies[b, slot.OUTLINE] != slot.PLATE:
+        return inf
+    return next_edge(sheet.edges, ray.x, ray.y, ray.L, ray.M, since + sheet.lattice[slot.TINY])
 
 
 @exact
@@ -318,6 +330,9 @@ def first_change(
         kind = ABOVE
     while walking:
         border, across, across_array, sense = _next_border(sheet, b, along, work)
+        edge = edge_ahead(sheet, b, along, since)
+        if edge < border:  # it ends a piece too, but leads to no other column
+            border, across = edge, -1
         end = min(border, limit)
         count = _divide(sheet, b, along, work, causes)
         count = sort_divisions(work, causes, count, max(since - lat[slot.TINY], 0.0), since, end)
@@ -335,7 +350,8 @@ def first_change(
             if t > end:
                 since, cause = t, WALL
                 continue
-        step_on(across, sense, work, STEP + 2 * across_array)
+        if across >= 0:
+            step_on(across, sense, work, STEP + 2 * across_array)
     write_event(lat, kind, since, work, event)
 
 

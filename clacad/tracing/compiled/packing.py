@@ -9,6 +9,8 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.sheet.edge_columns import EDGE_NUMBERS
+from clacad.sheet.lattice import runs
 from clacad.sheet.need_window import need_equal_cells
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
@@ -28,8 +30,8 @@ MID_X, MID_Y, INNER_X, INNER_Y, INNER_R, OUTLINE, OUT_X, OUT_Y, ENTRY, JUMP_FROM
 BODY_NUMBERS = 22
 
 # What OUTLINE says.
-NO_OUTLINE, CIRCLE, RECTANGLE = range(3)
-OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE}
+NO_OUTLINE, CIRCLE, RECTANGLE, PLATE = range(4)
+OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE, "plate": PLATE}
 
 # The lattice's numbers.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
@@ -54,12 +56,14 @@ class Packed(NamedTuple):
     ----------
     faces : (f, FACE_NUMBERS), bodies : (b, BODY_NUMBERS), lattice : (LATTICE_NUMBERS,)
         Columns as named in this module; lengths in design units.
-    rows : (n2, 2) ints
-        First kept cell of each row of the lattice and one past its last. Outlines are convex, so a row is
-        one run. Empty for a plain lattice (PLAIN), whose rows are all alike.
+    rows : (n2, 2 k) ints
+        First kept cell of each row of the lattice and one past its last. Of a convex outline a row is one run; a plate may
+        cut it into k, the longest first. Empty for a plain lattice (PLAIN), whose rows are all alike.
     indices : (b,) or (2 b + 1,)
         Refractive index of each body. Where lost light is counted there follow: whether faces reflect (0 or 1),
         and the attenuation of each body.
+    edges : (e, EDGE_NUMBERS)
+        Of the plate that the bodies end at, columns as in `clacad.sheet.plate`; none where the outline is no plate.
     """
 
     faces: Floats
@@ -67,6 +71,7 @@ class Packed(NamedTuple):
     lattice: Floats
     rows: Ints
     indices: Floats
+    edges: Floats
 
 
 def pack(layout: Layout) -> Packed:
@@ -82,6 +87,7 @@ def pack(layout: Layout) -> Packed:
         lattice=_lattice(layout),
         rows=_rows(layout),
         indices=np.array([body.index for body in layout.window.bodies]),
+        edges=np.zeros((0, EDGE_NUMBERS)) if (plate := layout.bodies[0].plate) is None else plate.edges,
     )
     return made
 
@@ -89,7 +95,8 @@ def pack(layout: Layout) -> Packed:
 def in_single(sheet: Packed) -> Packed:
     """The same numbers in single precision."""
     rounded: dict[str, Any] = {
-        name: getattr(sheet, name).astype(np.float32) for name in ("faces", "bodies", "lattice", "indices")
+        name: getattr(sheet, name).astype(np.float32)
+        for name in ("faces", "bodies", "lattice", "indices", "edges")
     }
     return sheet._replace(**rounded)
 
@@ -163,9 +170,8 @@ def _rows(layout: Layout) -> Ints:
     if lattice.outline is None:
         j = np.arange(lattice.count[1] if lattice.hexagonal else 0, dtype=np.int64)
         return np.stack([-(j // 2), lattice.count[0] - j // 2], axis=-1)
-    runs: Ints = np.zeros((lattice.count[1], 2), dtype=np.int64)
-    for k in range(lattice.count[1]):
-        row = lattice.row(k)
-        if len(row):
-            runs[k] = row[0, 0], row[-1, 0] + 1
-    return runs
+    found = [runs(lattice.row(k)[:, 0]) for k in range(lattice.count[1])]
+    table: Ints = np.zeros((lattice.count[1], 2 * max(1, *map(len, found))), dtype=np.int64)
+    for k, several in enumerate(found):
+        table[k, : several.size] = several.ravel()
+    return table

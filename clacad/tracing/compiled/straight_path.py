@@ -554,7 +554,7 @@ def straight(
     `Packed.indices`) the rows SHARE and DEPTH gather what bare faces let through of unpolarised light and what the
     bodies absorb, and no hit is stored.
     """
-    faces, bodies, lat, _, indices = sheet
+    faces, bodies, lat, _, indices, _ = sheet
     m = len(chosen)
     array, met, counted = 0, 0, len(indices) > len(bodies)
     for i in range(m if counted else 0):

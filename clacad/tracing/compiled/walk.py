@@ -202,15 +202,15 @@ def _through_body(
 @exact
 def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
     """Whether a ray that has risen past the body did so over its footprint."""
-    lat, bodies = sheet.lattice, sheet.bodies
+    lat = sheet.lattice
     array = int(w[AT_ARRAY])
     sx, sy = sheet_xy(lat, array, w[CI], w[CJ], w[X], w[Y])
-    main = int(bodies[b, slot.ENTRY])
+    main = int(sheet.bodies[b, slot.ENTRY])
     i, j, _, _ = to_array(
         lat, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
     )  # fmt: skip
     over = kept(lat, sheet.rows, i, j)
-    return in_footprint(bodies, b, sx + distance * w[DX], sy + distance * w[DY], over)
+    return in_footprint(sheet, b, sx + distance * w[DX], sy + distance * w[DY], over)
 
 
 @exact

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.sheet.lattice import less_steps
+from clacad.sheet.plate import next_crossing
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
@@ -100,6 +101,10 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
             break
         piece = _piece(layout, grids, beam, xy, active)
         border, across = _next_border(layout, piece)
+        if body.plate is not None:  # its edges end a piece too, but lead to no other column
+            after = since[active] + layout.tiny
+            edge = next_crossing(body.plate.edges, piece.xy, piece.direction[:, :2], after)
+            border, across = np.minimum(border, edge), np.where(edge < border, -1, across)
         end = np.minimum(border, limit[active])
         since[active], cause[active], changed = _scan(
             layout, body, piece, since[active], cause[active], end, inside
@@ -121,7 +126,8 @@ def _most_columns(layout: Layout, body: BodyPlan) -> int:
     """More columns than a straight line can cross inside the body's box."""
     across = 2.0 * float(layout.widths.min())
     width, depth = body.box[1] - body.box[0], body.box[3] - body.box[2]
-    return 64 + 4 * len(body.arrays) * int((width + depth) / across + 4)
+    edges = 0 if body.plate is None else 2 * len(body.plate.edges)
+    return 64 + edges + 4 * len(body.arrays) * int((width + depth) / across + 4)
 
 
 def _grid(layout: Layout, beam: Beam, array: int) -> _Grid:
@@ -231,7 +237,7 @@ def _zone_borders(layout: Layout, array: int, start: Floats, direction: Floats) 
 
 def _outline_crossings(body: BodyPlan, piece: _Piece) -> list[Floats]:
     shape, half_x, half_y = body.outline
-    if shape == "none":
+    if shape in ("none", "plate"):
         return []
     point, ray = piece.xy - np.asarray(body.centre), piece.direction[:, :2]
     if shape == "rectangle":

@@ -146,6 +146,8 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
     shape, half_x, half_y = body.outline
     if shape == "none":
         return kept
+    if body.plate is not None:
+        return body.plate.inside(xy)
     x, y = xy[:, 0] - body.centre[0], xy[:, 1] - body.centre[1]
     if shape == "circle":
         return np.asarray(x * x + y * y <= half_x * half_x)

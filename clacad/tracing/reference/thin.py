@@ -17,6 +17,7 @@ from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Rectangle, less_steps
+from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Layout, array_numbers, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
@@ -154,7 +155,10 @@ def _patch(
     box = place.extent(layout.lattice)
     centre = (0.0, 0.0) if layout.window.form == "slab" else place.shift
     outline = layout.window.outline
-    if outline is not None:
+    if isinstance(outline, Plate):
+        x0, x1, y0, y1 = outline.box
+        box = (min(box[0], x0), max(box[1], x1), min(box[2], y0), max(box[3], y1))
+    elif outline is not None:
         hx, hy = (
             (0.5 * outline.diameter, 0.5 * outline.diameter)
             if isinstance(outline, Circle)
@@ -318,6 +322,8 @@ def _next_border(layout: Layout, array: int, local: Floats, ray: Floats) -> tupl
 def _in_outline(layout: Layout, patch: ThinPatch, xy: Floats) -> Bools:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
+    if isinstance(outline, Plate):
+        return outline.inside(xy)
     x, y = (xy - np.asarray(patch.centre)).T
     if isinstance(outline, Circle):
         return np.asarray(np.hypot(x, y) <= 0.5 * outline.diameter)

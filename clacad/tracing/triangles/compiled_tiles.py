@@ -11,6 +11,7 @@ from clacad.tracing.compiled.cells import kept
 from clacad.tracing.compiled.column import (
     border_ahead,
     divide_outline,
+    edge_ahead,
     ends_of_body,
     enter_cell,
     in_footprint,
@@ -39,6 +40,9 @@ from clacad.tracing.triangles.tiles import (
 
 NOT_LOOKED_UP, NONE = -2, -1
 """Of the facet that an array is in: yet to be found; there is none."""
+
+NO_STEP = -2
+"""Instead of a border that is crossed: an edge of the plate, which leads to no other cell."""
 
 
 @exact
@@ -130,6 +134,9 @@ def first_facet_change(
     entered = 0.0  # where the piece begins
     while walking:
         end, across, edge, at, sense = _next_edge(tiles, sheet, b, along, (entered, limit), work, causes)
+        ahead = edge_ahead(sheet, b, along, entered)
+        if ahead < end:
+            end, across, edge = ahead, NO_STEP, -1
         end = max(end, entered)
         changed, since, cause = _first_stretch(
             tiles, sheet, b, along, inside, (entered, end, since, cause), work, causes
@@ -153,7 +160,7 @@ def first_facet_change(
             causes[FACET + at] = NOT_LOOKED_UP
         elif edge >= 0:
             causes[FACET + at] = tiles.beside[causes[FACET + at], edge]
-        else:
+        elif across != NO_STEP:
             break
     write_event(lat, kind, since, work, event)
     event[FACET_NORMAL], event[FACET_NORMAL + 1], event[FACET_NORMAL + 2] = normal
@@ -237,7 +244,7 @@ def _first_stretch(
             continue
         t = 0.5 * (since + to)
         level = z + t * N
-        over = in_footprint(bodies, b, sx + t * L, sy + t * M, over_cell)
+        over = in_footprint(sheet, b, sx + t * L, sy + t * M, over_cell)
         now = over and low + t * low_rise <= level <= high + t * high_rise
         if now != inside:
             return True, since, cause

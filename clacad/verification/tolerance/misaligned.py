@@ -16,6 +16,7 @@ from clacad.base.types import Bools, Floats
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.surface import Surface, resized
 from clacad.sheet.feasibility import thicker
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 from clacad.tracing.trace import Interface, trace_sequence
 
@@ -158,8 +159,20 @@ def _second(window: Window, errors: Errors) -> Motion:
     if window.form == "slab":
         up += errors.get("thickness.1", 0.0)
     shift = np.array([errors.get("decentre.2.x", 0.0), errors.get("decentre.2.y", 0.0), up])
-    turn = _turned(errors.get("tilt.x", 0.0), errors.get("tilt.y", 0.0), errors.get("rotation", 0.0))
-    return Motion(turn, shift, pivot)
+    loose = errors.get("pins.turn", 0.0)
+    turn = _turned(errors.get("tilt.x", 0.0), errors.get("tilt.y", 0.0), errors.get("rotation", 0.0) + loose)
+    about_pins = (_turned(0.0, 0.0, loose) - np.eye(3)) @ np.append(
+        pivot[:2] - _middle_of_pins(window, pivot), 0.0
+    )
+    play = np.array([errors.get("pins.x", 0.0), errors.get("pins.y", 0.0), 0.0])
+    return Motion(turn, shift + play + about_pins, pivot)
+
+
+def _middle_of_pins(window: Window, pivot: Floats) -> Floats:
+    """The point (2,) about which pins let a plate turn; the pivot itself without pins."""
+    holes = window.outline.holes if isinstance(window.outline, Plate) else ()
+    pins = [(hole.x, hole.y) for hole in holes if hole.purpose == "pin"]
+    return np.mean(pins, axis=0) if pins else pivot[:2]
 
 
 def _turned(about_x: float, about_y: float, about_z: float) -> Floats:

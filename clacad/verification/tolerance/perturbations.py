@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import dist
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -33,13 +34,15 @@ class Parameter:
     name : str
         Such as "decentre.2.x": the key, the array, the direction or face.
     key : str
-        Key of [tolerances] it comes from.
+        Key of [tolerances] it comes from; "play" of body.pins.
     half : float
         Stated tolerance: ±half, in design units, radians or as a ratio; 0 … half where one-sided.
     unit : str
         Design unit, "rad" or "".
     one_sided : bool
         Whether only positive errors exist (roughness).
+    uniform : bool
+        Whether every error up to the end is as likely, whatever the design's distribution (the play of a pin).
     """
 
     name: str
@@ -47,6 +50,7 @@ class Parameter:
     half: float
     unit: str
     one_sided: bool = False
+    uniform: bool = False
 
 
 def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
@@ -65,7 +69,27 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     found += [Parameter(f"thickness.{body}", "thickness", spec.thickness[body - 1], unit) for body in bodies]
     found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
+    found += _play(design)
     return tuple(p for p in found if p.half > 0.0)
+
+
+def _play(design: Design) -> list[Parameter]:
+    """How far pins let array 2 move against array 1.
+
+    A pin of diameter d in holes of d + p has p/2 of room all round in either plate, so there plate 2 moves up to p against
+    plate 1: by p along x and along y. Where the pins farthest from one another, L apart, let it move opposite ways, it
+    turns by 2 p/L about the middle of the pins. Nothing draws a plate to the middle of its play: every place is as likely.
+    The three are drawn independently; together they hold every place that the pins allow, and some that they do not.
+    """
+    pins = design.body.pins
+    if pins is None:
+        return []
+    apart = max(dist(a, b) for a in pins.at for b in pins.at)
+    return [
+        Parameter("pins.x", "play", pins.play, design.unit, uniform=True),
+        Parameter("pins.y", "play", pins.play, design.unit, uniform=True),
+        Parameter("pins.turn", "play", 2.0 * pins.play / apart, "rad", uniform=True),
+    ]
 
 
 def curved_faces(window: Window) -> list[tuple[int, str]]:
@@ -89,8 +113,8 @@ def draw(
     seed : int, 0 … 2^64 − 1
     sample : int ≥ 0
     distribution : "normal" or "uniform"
-        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the end. One-sided parameters
-        take the absolute value.
+        Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the end, as it always is for parameters
+        that are. One-sided parameters take the absolute value.
     """
     found = {}
     for p in chosen:
@@ -98,7 +122,9 @@ def draw(
         word = np.random.Philox(key=seed, counter=[0, 0, crc32(p.name.encode()), sample]).random_raw()
         uniform = ((int(word) >> 11) + 0.5) * 2.0**-53
         value = (
-            NormalDist().inv_cdf(uniform) / SIGMAS if distribution == "normal" else 2.0 * uniform - 1.0
+            2.0 * uniform - 1.0
+            if p.uniform or distribution == "uniform"
+            else NormalDist().inv_cdf(uniform) / SIGMAS
         ) * p.half
         found[p.name] = abs(value) if p.one_sided else value
     return found
