@@ -33,6 +33,10 @@ CODES: dict[str, str] = {
     "CL118": "override that cannot be applied",
     "CL119": "unknown material, or its index table does not reach the wavelength",
     "CL120": "a pair that cannot be built",
+    "CL126": "a field lens for a pair without a real common focus",
+    "CL127": "a field lens in a form, lattice or tilt that it is not made for",
+    "CL128": "a field lens too steep for its cell",
+    "CL129": "field faces without room between them",
 }
 """Meaning of each stable code of a design mistake."""
 

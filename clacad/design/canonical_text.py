@@ -12,7 +12,7 @@ from clacad.config.edit_text import value_text
 from clacad.config.quantities import Quantity
 from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
-from clacad.design.sections import NO_TOLERANCES, Allowed, Frame, Outline, PairSpec
+from clacad.design.sections import NO_TOLERANCES, Allowed, FieldSpec, Frame, Outline, PairSpec
 
 if TYPE_CHECKING:
     from clacad.design.model import Design
@@ -49,6 +49,10 @@ def _left_out(name: str, pair: PairSpec) -> bool:
     """Whether a key of [pair] has no place in the text; a later key at its default has none, so that hashes stay."""
     if name == "curved":
         return pair.form != "plano"
+    if name == "field_lens":
+        return not pair.field_lens
+    if name == "field":
+        return pair.field == FieldSpec()
     return name in OF_RECIPES if pair.given else name == "prescription"
 
 
@@ -58,6 +62,8 @@ def _written(value: Any, key: Key, design: Design) -> Any:
         return {value.shape: value.size[0] if value.shape == "circle" else list(value.size)}
     if isinstance(value, Frame):
         return {"width": value.width} | ({} if value.height is None else {"height": value.height})
+    if isinstance(value, FieldSpec):
+        return {part: given for part in ("conic", "gap") if (given := getattr(value, part)) is not None}
     if isinstance(value, tuple) and value and isinstance(value[0], FaceSpec):
         return [face_table(face) for face in value]
     if isinstance(value, tuple) and value and isinstance(value[0], Allowed):

@@ -162,6 +162,11 @@ PAIR: Final[dict[str, Key]] = {
     ),
     "face": Key(FACES, "given: the faces in the order light meets them, in their own lens frames", ()),
     "vertex": Key(Several(_LATERAL, _XY), "given: lens 2's offset (d_x, d_y) instead of delta f1"),
+    "field_lens": Key(Flag(), "lenses at the common focus, which image lens 1 onto lens 2", False),
+    "field": Key(
+        InlineTable((("conic", _CONIC), ("gap", _ABOVE_0))),
+        "field lens: conic constant of its faces, and air gap between the plates of a slab",
+    ),
 }
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),

@@ -20,6 +20,7 @@ from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
 from clacad.design.sections import (
+    FieldSpec,
     Allowed,
     BodySpec,
     CheckSpec,
@@ -201,6 +202,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     if pair["web"] is None and pair["form"] == "biconvex" and lattice["seam"] == 0.0:
         pair["web"] = 0.0
     pair["face"] = faces_read(pair["face"])
+    pair["field"] = FieldSpec(**dict(pair["field"] or ()))
     law["euler_degrees"] = law.pop("euler")
     if lattice["outline"] is not None:
         ((shape, size),) = lattice["outline"]

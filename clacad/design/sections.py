@@ -43,6 +43,22 @@ class LawSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """What is asked of the field lens.
+
+    Parameters
+    ----------
+    conic : float or None
+        Conic constant of its faces; None: 0 between the two plates of a slab, −n² on a plate in air.
+    gap : float or None, length
+        Air gap between the plates of a slab, vertex to vertex; None: pitch/25, or 1.25 times the process's clearance.
+    """
+
+    conic: float | None = None
+    gap: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PairSpec:
     """How a lenslet pair is built.
 
@@ -78,6 +94,10 @@ class PairSpec:
         The given faces in the order light meets them: 2 of a slab, else 4.
     vertex : (2,) tuple of float or None, length
         Given offset of lens 2 in the lens frame; None: δ f1.
+    field_lens : bool
+        Whether an array of lenses at the common focus images lens 1 onto lens 2.
+    field : FieldSpec
+        How it is built.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -95,6 +115,8 @@ class PairSpec:
     prescription: Literal["derived", "given"] = "derived"
     face: tuple[FaceSpec, ...] = ()
     vertex: Pair2 | None = None
+    field_lens: bool = False
+    field: FieldSpec = FieldSpec()
 
     @property
     def given(self) -> bool:
