@@ -241,12 +241,13 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
         if a("lattice.kind") == "hexagonal":
             yield Mistake("CL127", "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
                           "would cut across", "lattice.kind", allowed="square | rectangular", hint="eta_x = eta_y")  # fmt: skip
-        for k in (0, 2) if euler[1] else (0,):
-            angle = euler[k] if euler[1] else euler[0] + euler[2]
-            if angle % 90.0:
-                yield Mistake("CL127", f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
-                              "the cylinders of the field lens", f"law.euler.{k}", allowed="0 deg, or a multiple of 90 deg",
-                              hint="eta_x = eta_y, or lenses along the cells")  # fmt: skip
+        if (angle := euler[0] + euler[2]) % 90.0:
+            yield Mistake("CL127", f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
+                          "the cylinders of the field lens", "law.euler.0", allowed="phi + psi = 0 deg, or a multiple of 90 deg",
+                          hint="eta_x = eta_y, or lenses along the cells")  # fmt: skip
+        if euler[1] != 0.0 and form == "biconvex":
+            yield Mistake("CL127", f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
+                          "would fall into steps", "law.euler.1", allowed="theta = 0", hint="eta_x = eta_y, or theta = 0")  # fmt: skip
     if a("pair.prescription") == "given":
         yield Mistake("CL127", "a field lens beside given faces is not made: its faces follow from eta", "pair.field_lens",
                       allowed='false, or prescription = "derived"')  # fmt: skip

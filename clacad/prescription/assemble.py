@@ -285,9 +285,9 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     reduced = lenses.focal_length[0][0] + lenses.focal_length[1][0]
     chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
     legs = ((min(lenses.focal_length[0]), 1.0), (plate.thickness, intent.index))
-    field, shifts = plate_body(intent, plate, (chief.across(legs[:1]), chief.across(legs)))
+    field, shift = plate_body(intent, plate, (chief.across(legs[:1]), chief.across(legs)))
     bodies = (bodies[0], field, bodies[1])
-    return _assemble_window(intent, bodies, moved, lenses, offset, separation, shifts, plate.told)
+    return _assemble_window(intent, bodies, moved, lenses, offset, separation, shift, plate.told)
 
 
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
@@ -398,10 +398,9 @@ def _plano_with_field(intent: Intent, lenses: LensPair, separation: float) -> Wi
         )
         for k in (0, 1)
     ]
-    field, shifts = plate_body(intent, plate, (chief.across(legs[:2]), chief.across(legs[:3])))
+    field, shift = plate_body(intent, plate, (chief.across(legs[:2]), chief.across(legs[:3])))
     bodies = (arrays[0], field, arrays[1])
-    window = _assemble_window(intent, bodies, moved, lenses, offset, separation, shifts, plate.told)
-    return window
+    return _assemble_window(intent, bodies, moved, lenses, offset, separation, shift, plate.told)
 
 
 def _plano(intent: Intent) -> Window:
@@ -501,11 +500,11 @@ def _entry(window: Window, intent: Intent) -> Floats:
 
 def _assemble_window(
     intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: LensPair, offset: Floats, separation: float,
-    field: tuple[Pair2, ...] = (), told: Mapping[str, Any] | None = None,
+    field: Pair2 | None = None, told: Mapping[str, Any] | None = None,
 ) -> Window:  # fmt: skip
     """Window of placed bodies: thin pair, land, outline; lengths in design units.
 
-    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacements of the
+    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement of the
     field lens's cells; told : what the recipe says of it.
     """
     design = intent.design
@@ -518,16 +517,16 @@ def _assemble_window(
     )
     land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
     window = Window(
-        form=design.pair.form,
+        form="plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form,  # what it is as built
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
-        shifts=((0.0, 0.0), moved, *field),
+        shifts=((0.0, 0.0), moved) if field is None else ((0.0, 0.0), moved, field),
         unit=design.unit_m,
         z_range=(0.0, 0.0),
         law=intent.law,
         thin=ThinPair(
             thin_focal, _triple(thin_offset), intent.turn, thin_shift,
-            thin_field(intent.eta, separation) if field else (),
+            () if field is None else thin_field(intent.eta, separation),
         ),
         land=land,
         baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,
@@ -536,13 +535,13 @@ def _assemble_window(
         name=design.name,
     )
     window = replace(window, outline=side_outline(window))
-    if design.pair.form == "slab" and window.lattice.outline is not None and moved != (0.0, 0.0):
+    if window.form == "slab" and window.lattice.outline is not None and moved != (0.0, 0.0):
         # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`
         window = replace(
             window, lattice=replace(window.lattice, outline=_within(window.lattice.outline, moved))
         )
         _refuse_empty(window.lattice, moved)
-    return window if design.pair.form == "biconvex" else _with_land(window, intent)
+    return _with_land(window, intent)
 
 
 def _within(outline: Circle | Rectangle, moved: Pair2) -> Circle | Rectangle:
@@ -576,7 +575,7 @@ def _triple(v: Floats) -> tuple[float, float, float]:
 
 
 def _with_land(window: Window, intent: Intent) -> Window:
-    """Give the structured faces of a plano or slab window the land they need (seam, border, outline).
+    """Give the structured faces of plano lenses, slabs and field lenses the land they need (seam, border, outline).
 
     It lies `seam_depth` below the deepest point of the array's optical zone, so it is never inside the
     range of the border heights.
@@ -595,7 +594,11 @@ def _with_land(window: Window, intent: Intent) -> Window:
             faces.append(face)
         return replace(body, front=faces[0], back=faces[1])
 
-    return replace(window, bodies=tuple(landed(body) for body in window.bodies))
+    plates = [window.form != "biconvex" or body.name == "field" for body in window.bodies]
+    return replace(
+        window,
+        bodies=tuple(landed(body) if plate else body for body, plate in zip(window.bodies, plates, strict=True)),
+    )
 
 
 def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float) -> Mapping[str, Any]:

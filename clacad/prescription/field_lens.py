@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from clacad.prescription.assemble import Intent
 
 ARRAY = 2
-"""Number of the field lens's array; lens 1 and lens 2 have 0 and 1. A back face whose cells stand elsewhere has the next."""
+"""Number of the field lens's array; lens 1 and lens 2 have 0 and 1."""
 
 STEEPEST = 1.05
 """Least radius of a field face over half the width of its cell."""
@@ -157,8 +157,8 @@ class Placed:
 
     moved : (x, y), lengths
         Displacement of array 2's cells.
-    field : tuple of (x, y), lengths
-        Displacement of the cells of arrays 2, 3 …
+    field : (x, y), lengths
+        Displacement of the field lens's cells.
     offset : (2,) lengths
         Of lens 2 off lens 1's axis, lens frame.
     told : mapping
@@ -167,7 +167,7 @@ class Placed:
 
     bodies: tuple[Body, ...]
     moved: Pair2
-    field: tuple[Pair2, ...]
+    field: Pair2
     offset: Floats
     told: dict[str, object]
 
@@ -209,7 +209,7 @@ def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
         "R": radius, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic, "gap": plates.gap,
         "thickness": thickness, "equal_plates": _equal(first, second),
     }  # fmt: skip
-    return Placed((first, second), _pair(moved), (_pair(centre),), offset, told)
+    return Placed((first, second), _pair(moved), _pair(centre), offset, told)
 
 
 def _equal(first: Body, second: Body) -> bool:
@@ -319,8 +319,8 @@ def one_plate(intent: Intent, separation: float, foci: Pair2, behind: float) -> 
     return Plate(foci, thickness, told)
 
 
-def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> tuple[Body, tuple[Pair2, ...]]:
-    """The plate's body, and the displacements of its arrays' cells.
+def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> tuple[Body, Pair2]:
+    """The plate's body, and the displacement of its cells (lengths).
 
     points : ((2,), (2,)) lengths, lens frame
         Where the ray in the middle of the field meets front and back.
@@ -341,18 +341,18 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
             plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
         else:
             plane = Face(Quadric(0.0, 0.0, 0.0, -1), _vertex(back[:2] - front[:2], float(back[2])), rotation, ARRAY)
-        return Body(lens, plane, intent.index, "field"), (_pair(front[:2]),)
+        return Body(lens, plane, intent.index, "field"), _pair(front[:2])
     assert isinstance(power_of, list)
     axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)
-    together = np.array_equal(front[:2], back[:2])
+    # a cylinder is the same all along: each face says where the cells stand across its own axis alone
+    middle = np.empty(2)
+    for axis, point in zip(axes, points, strict=True):
+        middle[axis] = point[axis]
     faces = [
-        Face(_cylinder(power_of[axis], axis, side, conic), (0.0, 0.0, float(at[2])), rotation, array)
-        for axis, side, at, array in zip(
-            axes, (+1, -1), (front, back), (ARRAY, ARRAY if together else ARRAY + 1), strict=True
-        )
+        Face(_cylinder(power_of[axis], axis, side, conic), (0.0, 0.0, float(at[2])), rotation, ARRAY)
+        for axis, side, at in zip(axes, (+1, -1), (front, back), strict=True)
     ]
-    shifts = (_pair(front[:2]),) if together else (_pair(front[:2]), _pair(back[:2]))
-    return Body(faces[0], faces[1], intent.index, "field"), shifts
+    return Body(faces[0], faces[1], intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
 
 
 # -- the ray in the middle of the field -------------------------------------------------------------

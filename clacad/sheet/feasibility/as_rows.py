@@ -134,7 +134,7 @@ def _conflict(eye: EyeAdvice) -> str:
 
 def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of one lens; `of_length` writes lengths in the unit `name`."""
-    about = f"lens {lens.array + 1}"
+    about = lens.name
     rows = [
         FactRow(about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"),
         FactRow(about, "focal length as built x, y", of_length(lens.built_focal_length), name,
@@ -167,7 +167,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
 
 def _shape_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Radii and conic constants, face by face where the faces differ."""
-    about, rows = f"lens {lens.array + 1}", []
+    about, rows = lens.name, []
     one = FaceShape("", lens.radius, lens.conic, None)
     for shape in lens.shapes or (one,):
         of = f"{shape.side}, " if shape.side else ""
