@@ -8,6 +8,7 @@ import numpy as np
 
 from clacad.optics.law import Law
 from clacad.optics.surface import Quadric
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.window import Body, Face, Land, ThinPair, Window
 
@@ -71,7 +72,7 @@ def biconvex(
         "biconvex",
         tuple(bodies),
         lattice,
-        ((0.0, 0.0), shift),
+        (CellPlacement(), CellPlacement(shift)),
         unit,
         (-1.0, separation + 1.0),
         law,

@@ -14,6 +14,7 @@ from clacad.base.types import Floats, Ints
 from clacad.exporting.compare import Promise
 from clacad.exporting.format_names import REPEATING
 from clacad.formats.mesh.repeated_pieces import Piece, Places
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import WALL, Body, Face, Land, Window, lens_height_and_normal
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def one_cell(window: Window) -> Window:
     """Reduce a window to a single cell at the origin of its own array's frame."""
     return replace(
         window.with_cells((1, 1)),
-        shifts=((0.0, 0.0), (0.0, 0.0)),
+        placements=(CellPlacement(), CellPlacement()),
         outline=None,
         land=_without_border(window.land),
     )

@@ -44,6 +44,7 @@ from clacad.prescription.radii import (
 )
 from clacad.prescription.residual import residual
 from clacad.prescription.thickness import auto_thickness
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
 
@@ -520,7 +521,9 @@ def _assemble_window(
         form="plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form,  # what it is as built
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
-        shifts=((0.0, 0.0), moved) if field is None else ((0.0, 0.0), moved, field),
+        placements=tuple(
+            CellPlacement(shift) for shift in ((0.0, 0.0), moved, *(() if field is None else (field,)))
+        ),
         unit=design.unit_m,
         z_range=(0.0, 0.0),
         law=intent.law,

@@ -5,6 +5,39 @@ from __future__ import annotations
 from clacad.sheet.window import Window
 
 
+class CellsDiffer(ValueError):
+    """Something that is made for equal cells was asked of a sheet whose cells differ.
+
+    Parameters
+    ----------
+    what : str
+        What was asked.
+    instead : str
+        What works on such a sheet.
+    """
+
+    code = "CL140"
+
+    def __init__(self, what: str, instead: str = "") -> None:
+        self.what = what
+        rest = f"; {instead}" if instead else ""
+        super().__init__(
+            f"{self.code}: {what} takes a sheet of equal cells, and in this one every cell differs{rest}"
+        )
+
+
+def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
+    """Refuse a window whose cells differ.
+
+    Raises
+    ------
+    CellsDiffer
+        They do; the message says what was asked and what works.
+    """
+    if not window.uniform:
+        raise CellsDiffer(what, instead)
+
+
 def need_window(value: object, verb: str, rest: str = "") -> None:
     """Refuse what is no window.
 

@@ -8,8 +8,9 @@ Frames
 *Cell frame* of array k: axes of the sheet, x and y from the centre of the cell, z of the sheet.
 *Lens frame* of a face: origin at the face's apex, axes turned by `Face.rotation` (lens → sheet).
 
-The cells of array k are the lattice's cells displaced by `Window.shifts[k]`. Every cell of an
-array is the same piece, so one cell describes all of them.
+The cells of array k stand where `Window.placements[k]` says. As a rule every cell of an array is the same
+piece, so that one cell describes all of them (`Window.uniform`); else `Window.vertices` tells where the lens
+of a cell stands, cell by cell.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, meet, upright_sag
+from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Lattice, Outline, Rectangle
 
 if TYPE_CHECKING:
@@ -51,11 +53,13 @@ class Face:
         The apex in the cell frame: x, y from the centre of the array's own cell, z in the sheet frame.
     rotation : (3, 3)
         Lens → sheet.
-    array : 0, 1 or None
+    array : int or None
         Which lens array's cells the face repeats on; None is an unstructured plane.
     land : float or None
         Sheet-frame z of the flat land of this face (web, seam, border); None: there is no land, so
         where the lenslet does not reach there is no face (a hole).
+    change : VertexChange or None
+        How far the lens of each cell stands from `vertex`; None: all stand alike.
     """
 
     surface: Surface
@@ -63,6 +67,7 @@ class Face:
     rotation: Floats = field(default_factory=lambda: IDENTITY)
     array: int | None = None
     land: float | None = None
+    change: VertexChange | None = None
 
     @property
     def untilted(self) -> bool:
@@ -143,6 +148,10 @@ class ThinPair:
         Lens → sheet, common to both lenses.
     shift : (2,) lengths
         Displacement of the cells of array 2 against those of array 1 in the thin model.
+    pitch : (p_x, p_y) or None, lengths
+        Pitch of array 2's cells; None: the lattice's.
+    change : VertexChange or None
+        How far lens 2 of each cell stands, in its own cell, from where the middle cell has it.
     field : tuple of FieldLens
         In the order of the light: none, one, or two where the meridians' foci lie apart.
     """
@@ -151,6 +160,8 @@ class ThinPair:
     offset: tuple[float, float, float]
     rotation: Floats
     shift: tuple[float, float]
+    pitch: tuple[float, float] | None = None
+    change: VertexChange | None = None
     field: tuple[FieldLens, ...] = ()
 
     @property
@@ -201,8 +212,8 @@ class Window:
     form : "biconvex", "plano" or "slab"
     bodies : tuple of Body
     lattice : Lattice
-    shifts : ((x, y), (x, y)), lengths
-        Displacement of the cells of array 0 (always 0, 0) and array 1 against the lattice.
+    placements : tuple of CellPlacement, one an array
+        Where the cells of each array stand; array 0's are the lattice's.
     unit : float
         One design unit in metres.
     wavelength : float or None
@@ -228,7 +239,7 @@ class Window:
     form: Form
     bodies: tuple[Body, ...]
     lattice: Lattice
-    shifts: tuple[tuple[float, float], tuple[float, float]]
+    placements: tuple[CellPlacement, ...]
     unit: float
     z_range: tuple[float, float]
     law: Law
@@ -263,8 +274,42 @@ class Window:
         """All faces in the order light meets them."""
         return tuple(face for body in self.bodies for face in (body.front, body.back))
 
+    @property
+    def shifts(self) -> tuple[tuple[float, float], ...]:
+        """Displacement (x, y) of the cells of each array against the lattice, lengths."""
+        return tuple(place.shift for place in self.placements)
+
+    @property
+    def uniform(self) -> bool:
+        """Whether all cells of each array are the same piece, partners displaced alike: one cell tells of all."""
+        own = any(place.pitch is not None for place in self.placements)
+        return not own and all(face.change is None for face in self.faces)
+
+    def lattice_of(self, array: int) -> Lattice:
+        """Pattern of the cells of an array about its own middle; which cells exist is asked of `lattice`."""
+        return self.placements[array].lattice(self.lattice)
+
+    def centres(self, array: int, index: Ints) -> Floats:
+        """Centres (..., 2) of the cells `index` (..., 2) of an array, sheet frame, lengths."""
+        return np.asarray(self.lattice_of(array).centres(index) + np.asarray(self.placements[array].shift))
+
+    def vertices(self, face: Face, index: Ints) -> Floats:
+        """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z of the sheet."""
+        places = np.broadcast_to(np.asarray(face.vertex), (*index.shape[:-1], 3)).copy()
+        if face.change is not None:
+            places[..., :2] += face.change.at(self.lattice, index)
+        return places
+
     def with_cells(self, count: tuple[int, int]) -> Window:
-        """Give the same design with another cell count, centred on the origin, without a cut outline."""
+        """Give the same design with another cell count, centred on the origin, without a cut outline.
+
+        Raises
+        ------
+        ValueError
+            The lenses of this window stand as a table says, which has other cells.
+        """
+        if any(face.change is not None and face.change.table is not None for face in self.faces):
+            raise ValueError("a window whose lenses stand as a table says has no other cell count")
         small = replace(self, lattice=self.lattice.with_count(count))
         return replace(small, outline=side_outline(small))
 
@@ -288,24 +333,26 @@ def side_outline(window: Window) -> Outline | None:
     return Rectangle(2.0 * reach_x, 2.0 * reach_y)
 
 
-def optical_tile(window: Window) -> Floats:
-    """Corners of the optical zone of a cell: the tile less seam/2 along every border, (m, 2), lengths."""
-    tile = window.lattice.tile()
-    half = window.lattice.half_widths
+def optical_tile(window: Window, array: int = 0) -> Floats:
+    """Corners of the optical zone of a cell of an array: the tile less seam/2 along every border, (m, 2), lengths."""
+    lattice = window.lattice_of(array)
+    tile = lattice.tile()
+    half = lattice.half_widths
     seam = window.land.seam
     if seam == 0.0:
         return tile
-    if window.lattice.hexagonal:
+    if lattice.hexagonal:
         return np.asarray(tile * (1.0 - 0.5 * seam / half[0]))
     return np.asarray(tile * np.array([1.0 - 0.5 * seam / half[0], 1.0 - 0.5 * seam / half[1]]))
 
 
-def in_optical_tile(window: Window, x: Floats, y: Floats) -> NDArray[np.bool_]:
-    """Tell which points (cell frame, (n,), lengths) lie in the optical zone of their cell, (n,) bool."""
+def in_optical_tile(window: Window, x: Floats, y: Floats, array: int = 0) -> NDArray[np.bool_]:
+    """Tell which points (cell frame, (n,), lengths) lie in the optical zone of their cell of an array, (n,) bool."""
     margin = 0.5 * window.land.seam
+    lattice = window.lattice_of(array)
     inside = np.ones(np.shape(x), dtype=bool)
-    for step, half in zip(window.lattice.steps, window.lattice.half_widths):
-        ox, oy = window.lattice.offset(*step)
+    for step, half in zip(lattice.steps, lattice.half_widths):
+        ox, oy = lattice.offset(*step)
         inside &= (x * ox + y * oy) / (2.0 * half) <= half - margin
     return inside
 

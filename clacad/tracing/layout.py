@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite, nan
+from math import cos, isfinite, nan, pi
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import sharpest_bend
+from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
@@ -45,6 +46,8 @@ class FacePlan:
         Bound of the lens's slope against the sheet plane.
     whole : bool
         The lens is a graph over all of its optical zone and stands proud of the land there.
+    change : VertexChange or None
+        How far the lens of each cell stands from `vertex`.
     """
 
     surface: Surface
@@ -56,6 +59,7 @@ class FacePlan:
     high: float
     slope: float
     whole: bool
+    change: VertexChange | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +117,15 @@ class Layout:
     normals : (k, 2)
         Unit normals of the borders of a cell, one of each opposite pair (2 or 3).
     halves : (k,) lengths
+        Of array 0.
     margin : float
         Land on the inside of every border: seam / 2.
-    whole_steps : (2,) ints, residual : (2,) lengths
-        Displacement of array 1 against array 0 = that many lattice steps plus the residual.
+    lattices : tuple of Lattice, one an array
+        Pattern of its cells about its own middle; which cells exist is asked of `lattice`.
+    widths : (arrays, k) lengths
+        `halves` of every array.
+    whole_steps : (arrays, arrays, 2) ints, residual : (arrays, arrays, 2) lengths
+        [a, b]: displacement of array b against array a = that many lattice steps plus the residual. Of arrays of one pitch.
     """
 
     window: Window
@@ -124,6 +133,8 @@ class Layout:
     normals: Floats
     halves: Floats
     margin: float
+    lattices: tuple[Lattice, ...]
+    widths: Floats
     whole_steps: Ints
     residual: Floats
 
@@ -156,23 +167,46 @@ def _laid_out(window: Window) -> Layout:
     borders = lattice.steps[: len(lattice.steps) // 2]
     offsets = np.array([lattice.offset(*step) for step in borders])
     lengths = np.hypot(offsets[:, 0], offsets[:, 1])
-    shift = np.subtract(window.shifts[1], window.shifts[0])
     sampled = _sample_cell(window)
-    steps, residual = relocate(lattice, shift[None, :])
     return Layout(
         window=window,
         bodies=tuple(_plan_body(window, body, sampled) for body in window.bodies),
         normals=offsets / lengths[:, None],
         halves=0.5 * lengths,
         margin=0.5 * window.land.seam,
-        whole_steps=steps[0],
-        residual=residual[0],
+        **array_numbers(lattice, window.placements),
     )
+
+
+def array_numbers(lattice: Lattice, placements: tuple[CellPlacement, ...]) -> dict[str, Any]:
+    """What a `Layout` says of its arrays: how each lies, and against each other one."""
+    arrays = len(placements)
+    steps, residual = np.zeros((arrays, arrays, 2), dtype=np.int64), np.zeros((arrays, arrays, 2))
+    for a in range(arrays):
+        for b in range(a + 1, arrays):
+            shift = np.subtract(placements[b].shift, placements[a].shift)
+            whole, rest = relocate(lattice, shift[None, :])
+            steps[a, b], residual[a, b] = whole[0], rest[0]
+            steps[b, a], residual[b, a] = -whole[0], -rest[0]
+    lattices = tuple(place.lattice(lattice) for place in placements)
+    widths = [_half_widths(one) for one in lattices]
+    return {"lattices": lattices, "widths": np.array(widths), "whole_steps": steps, "residual": residual}
+
+
+def _half_widths(lattice: Lattice) -> Floats:
+    """Distance (k,) of one border of each opposite pair from the middle of a cell, lengths."""
+    offsets = np.array([lattice.offset(*step) for step in lattice.steps[: len(lattice.steps) // 2]])
+    return np.asarray(0.5 * np.hypot(offsets[:, 0], offsets[:, 1]))
+
+
+def apexes(layout: Layout, face: FacePlan, cell: Ints) -> Floats | None:
+    """How far (m, 2) the lenses of cells (m, 2) stand from the face's vertex, lengths; None where all stand alike."""
+    return None if face.change is None else face.change.at(layout.lattice, cell)
 
 
 def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
     """Sheet-frame points (m, 3) from cell, local coordinates and sheet-frame z; for output only."""
-    centre = layout.lattice.centres(cell) + np.asarray(layout.window.shifts[array])
+    centre = layout.lattices[array].centres(cell) + np.asarray(layout.window.placements[array].shift)
     return np.column_stack([centre + local, z])
 
 
@@ -180,29 +214,39 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 
 
 class SampledCell(NamedTuple):
-    """Points of a cell where faces are sampled: x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,)."""
+    """Points of cells where faces are sampled.
+
+    x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,); how far the lenses stand off, (2, cells).
+    """
 
     x: Floats
     y: Floats
     spacing: float
     zone: Bools
+    moved: Floats = np.zeros((2, 0))
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
-    """A body as the tracer needs it: bounds from heights sampled over a cell, lengths over its own level."""
+    """A body as the tracer needs it: bounds from heights sampled over its cells, lengths over its own level."""
     level = body.front.vertex[2]
-    x, y, spacing, zone = sampled
-    front_z, front_slope = _sampled(body.front, x, y)
-    back_z, back_slope = _sampled(body.back, x, y)
-    solid = np.ones(x.shape, dtype=bool)
+    cells = _farthest_cells(window, body)
+    before, after = (_seen_by(window, face, sampled, cells) for face in (body.front, body.back))
+    spacing = max(before.spacing, after.spacing)
+    front_z, front_slope = _sampled(body.front, before.x, before.y)
+    back_z, back_slope = _sampled(body.back, after.x, after.y)
+    solids = [np.ones(seen.x.shape, dtype=bool) for seen in (before, after)]
     if body.columnar:
         with np.errstate(invalid="ignore"):
-            solid = front_z <= back_z
-    front = _plan_face(body.front, level, front_z, front_slope, zone, solid, spacing)
-    back = _plan_face(body.back, level, back_z, back_slope, zone, solid, spacing)
+            solids = [front_z <= back_z] * 2
+    front = _plan_face(body.front, level, front_z, front_slope, before, solids[0])
+    back = _plan_face(body.back, level, back_z, back_slope, after, solids[1])
     apart = max(float(np.hypot(*face.vertex[:2])) for face in (body.front, body.back))
-    covered = _covered((back_z - front_z)[zone], body, spacing, window.lattice.circumradius + apart)
-    if not body.columnar:
+    apart += max(float(np.hypot(*seen.moved).max(initial=0.0)) for seen in (before, after))
+    if body.columnar:
+        covered = _covered(
+            (back_z - front_z)[before.zone], body, spacing, window.lattice.circumradius + apart
+        )
+    else:
         covered = front.high < back.low and front.whole and back.whole
     box, inner, outline, centre = _footprint(window, body)
     pad = 1e-9 * window.lattice.circumradius
@@ -228,25 +272,51 @@ def _covered(gap: Floats, body: Body, spacing: float, reach: float) -> bool:
     return bool(np.isfinite(gap).all() and gap.min() > bend * spacing * spacing)
 
 
-def _sample_cell(window: Window) -> SampledCell:
+def _farthest_cells(window: Window, body: Body) -> Ints | None:
+    """Cells (m, 2) whose lenses stand farthest from where the faces have them; None where all stand alike."""
+    found = [
+        extreme_cells(face.change, window.lattice)
+        for face in (body.front, body.back)
+        if face.change is not None
+    ]
+    return np.unique(np.concatenate(found), axis=0) if found else None
+
+
+def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | None) -> SampledCell:
+    """The sampled points of a face's cell, as its lens sees them that stands where it has to; of all `cells` (m, 2)."""
+    if face.array is None:
+        return sampled
+    if window.placements[face.array].pitch is not None:
+        sampled = _sample_cell(window, face.array)
+    if cells is None:
+        return sampled
+    change = np.zeros((len(cells), 2)) if face.change is None else face.change.at(window.lattice, cells)
+    x, y = ((points - change[:, k, None]).ravel() for k, points in enumerate((sampled.x, sampled.y)))
+    # between two of the directions in which cells were looked for a lens may stand a little farther out
+    between = (1.0 - cos(pi / DIRECTIONS)) * float(np.hypot(*change.T).max())
+    return SampledCell(x, y, sampled.spacing + between, np.tile(sampled.zone, len(cells)), change.T)
+
+
+def _sample_cell(window: Window, array: int = 0) -> SampledCell:
     """Points over one cell, its borders and corners included."""
-    tile = window.lattice.tile()
+    lattice = window.lattice_of(array)
+    tile = lattice.tile()
     low, high = tile.min(axis=0), tile.max(axis=0)
     grid = np.stack(
         np.meshgrid(*(np.linspace(a, b, SAMPLES) for a, b in zip(low, high, strict=True))), axis=-1
     ).reshape(-1, 2)
     along = np.linspace(0.0, 1.0, SAMPLES)[:, None, None]
     edges = (tile * (1.0 - along) + np.roll(tile, -1, axis=0) * along).reshape(-1, 2)
-    if window.lattice.hexagonal:
-        step = window.lattice.steps[:3]
-        half = window.lattice.half_widths
+    if lattice.hexagonal:
+        step = lattice.steps[:3]
+        half = lattice.half_widths
         keep = np.ones(len(grid), dtype=bool)
         for s, h in zip(step, half):
-            ox, oy = window.lattice.offset(*s)
+            ox, oy = lattice.offset(*s)
             keep &= np.abs(grid @ np.array([ox, oy])) <= 2.0 * h * h
         grid = grid[keep]
     x, y = np.concatenate([grid, edges]).T
-    return SampledCell(x, y, float(np.max(high - low)) / (SAMPLES - 1), in_optical_tile(window, x, y))
+    return SampledCell(x, y, float(np.max(high - low)) / (SAMPLES - 1), in_optical_tile(window, x, y, array))
 
 
 def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -259,9 +329,10 @@ def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def _plan_face(
-    face: Face, level: float, z: Floats, slope: Floats, zone: Bools, solid: Bools, spacing: float
+    face: Face, level: float, z: Floats, slope: Floats, seen_from: SampledCell, solid: Bools
 ) -> FacePlan:
-    """A face over the body's level, with bounds from m sampled heights and slopes, `spacing` apart."""
+    """A face over the body's level, with bounds from m sampled heights and slopes."""
+    zone, spacing = seen_from.zone, seen_from.spacing
     land = nan if face.land is None else face.land - level
     seen = zone & solid & np.isfinite(z)
     steepest = SLOPE_MARGIN * float(slope[seen].max(initial=0.0))
@@ -271,6 +342,8 @@ def _plan_face(
     high = float(heights.max(initial=-np.inf)) + margin
     if face.array is None:
         low = high = face.vertex[2] - level
+    if face.change is not None and seen.any():  # nearer lenses show their apex
+        low, high = min(low, face.vertex[2] - level), max(high, face.vertex[2] - level)
     if isfinite(land):
         low, high = min(low, land), max(high, land)
     if not low <= high:  # no lens and no land anywhere: the body is empty
@@ -288,6 +361,7 @@ def _plan_face(
         high=high,
         slope=steepest,
         whole=bool(seen[zone].all()) and proud,
+        change=face.change,
     )
 
 
@@ -299,11 +373,15 @@ def _footprint(window: Window, body: Body) -> Footprint:
     """Bounding box, a region inside, the outline and the centre of both."""
     arrays = {face.array for face in (body.front, body.back) if face.array is not None}
     if window.outline is None:
-        shift = window.shifts[body.front.array if body.front.array is not None else arrays.pop()]
-        x0, x1, y0, y1 = window.lattice.extent()
-        box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
+        place = window.placements[body.front.array if body.front.array is not None else arrays.pop()]
+        box = place.extent(window.lattice)
         middle = (0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]))
-        return box, _inside_cells(window.lattice, box), ("none", 0.0, 0.0), middle
+        return (
+            box,
+            _inside_cells(window.lattice, max(place.scale(window.lattice)), box),
+            ("none", 0.0, 0.0),
+            middle,
+        )
     cx, cy = window.shifts[arrays.pop()] if len(arrays) == 1 else (0.0, 0.0)
     if isinstance(window.outline, Circle):
         half = 0.5 * window.outline.diameter
@@ -317,15 +395,16 @@ def _footprint(window: Window, body: Body) -> Footprint:
     return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, np.inf), ("rectangle", hx, hy), (cx, cy)
 
 
-def _inside_cells(lattice: Lattice, box: Box) -> tuple[float, float, float]:
-    """A region about the middle of `box` that lies in the union of the kept cells."""
+def _inside_cells(lattice: Lattice, scale: float, box: Box) -> tuple[float, float, float]:
+    """A region about the middle of `box` that lies in the union of the kept cells, those of an array `scale` times as wide."""
     half_x, half_y = 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
     if not lattice.hexagonal and lattice.outline is None:
         return half_x, half_y, np.inf
-    lost = 2.0 * lattice.circumradius  # a cell that is cut is left out
+    lost = 2.0 * scale * lattice.circumradius  # a cell that is cut is left out
     if isinstance(lattice.outline, Circle):
         # the box of the kept cells need not be centred on the outline to better than a cell
-        return half_x, half_y, 0.5 * lattice.outline.diameter - 2.0 * lost
+        return half_x, half_y, 0.5 * scale * lattice.outline.diameter - 2.0 * lost
     if isinstance(lattice.outline, Rectangle):
-        return 0.5 * lattice.outline.width - 2.0 * lost, 0.5 * lattice.outline.height - 2.0 * lost, np.inf
+        width, height = 0.5 * scale * lattice.outline.width, 0.5 * scale * lattice.outline.height
+        return width - 2.0 * lost, height - 2.0 * lost, np.inf
     return half_x - lost, half_y - lost, np.inf

@@ -16,7 +16,7 @@ import numpy as np
 
 from clacad.base.types import Rows, Rung
 from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
-from clacad.sheet.need_window import need_window
+from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
@@ -71,6 +71,12 @@ class Tracer:
         """Refuse what cannot be traced, and lay out."""
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
+        if self.rung == "mesh":
+            need_equal_cells(self.window, 'rung "mesh"', 'rungs "law", "thin" and "surfaces" trace it')
+        if self.effects:
+            need_equal_cells(self.window, "a trace with effects", "without them it is traced")
+        if self.precision == "float32" or self.path == "numba":
+            need_equal_cells(self.window, "the compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
             mesh = OWN_QUADS if self.mesh is None else self.mesh
             object.__setattr__(self, "facets", facets_of(self.window, mesh, self.normals))

@@ -42,6 +42,8 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 
     Without a path the rays are counted among those that waited.
     """
+    if not layout.window.uniform:
+        return False
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))
     if rung in LOADED:

@@ -32,6 +32,7 @@ from clacad.optics.surface.fresnel_coefficients import (
     deviation,
     transmission,
 )
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.vignetting import clip
 from clacad.tracing.trace import Interface, trace, trace_sequence
 
@@ -620,7 +621,7 @@ def test_reflections_of_a_plane_plate_are_the_airy_series():
     body = sheet.bodies[0]
     flat = replace(body, front=replace(body.front, surface=Quadric(0, 0, 0)),
                    back=replace(body.back, surface=Quadric(0, 0, 0, -1)))  # fmt: skip
-    plate = replace(sheet, bodies=(flat,), shifts=((0.0, 0.0), (0.0, 0.0)))
+    plate = replace(sheet, bodies=(flat,), placements=(CellPlacement(), CellPlacement()))
     angle = 0.3
     rays = Rays([[0.01, 0.013, -1.0]], [[math.sin(angle), 0.0, math.cos(angle)]])
     out = trace_nonsequential(plate, rays, np.array([0]), Rules(losses=True, order=2, indices=(body.index,)))

@@ -6,6 +6,7 @@ import numpy as np
 
 from clacad.optics.law import Law
 from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.window import IDENTITY, PLANE, Baffle, Body, Face, Land, ThinPair, Window
 
@@ -35,7 +36,7 @@ def _window(form, bodies, law, eta, rotation, shift, separation, **rest):
         form,
         bodies,
         lattice,
-        ((0.0, 0.0), shift),
+        (CellPlacement(), CellPlacement(shift)),
         1.0,
         (-2 * PITCH, separation + 2 * PITCH),
         law,

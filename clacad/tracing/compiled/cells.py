@@ -44,9 +44,9 @@ def to_array(
 ) -> tuple[float, float, float, float]:
     """Cell and local coordinates in another array of a point given in the cells of array `of`."""
     if array != of:
-        sign = 1.0 if array > of else -1.0
-        x, y = x - sign * lat[slot.RESIDUAL], y - sign * lat[slot.RESIDUAL + 1]
-        i, j = i - sign * lat[slot.WHOLE_STEPS], j - sign * lat[slot.WHOLE_STEPS + 1]
+        at = slot.BETWEEN + 4 * (slot.MOST_ARRAYS * of + array)
+        x, y = x - lat[at], y - lat[at + 1]
+        i, j = i - lat[at + 2], j - lat[at + 3]
     di, dj, x, y = relocate(lat, x, y)
     return i + di, j + dj, x, y
 

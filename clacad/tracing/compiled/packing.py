@@ -9,6 +9,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.sheet.need_window import need_equal_cells
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.
@@ -31,8 +32,16 @@ OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE}
 
 # The lattice's numbers.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
-NORMAL, HALF, RESIDUAL, WHOLE_STEPS, SHIFT = 11, 17, 20, 22, 24
-OPAQUE, BAFFLE, PLAIN, LATTICE_NUMBERS = range(28, 32)
+NORMAL, HALF = 11, 17
+OPAQUE, BAFFLE, PLAIN, SHIFT = range(20, 24)
+
+MOST_ARRAYS = 3
+"""Arrays that a packed sheet has room for: from SHIFT two numbers an array, from BETWEEN four an ordered pair of arrays."""
+
+BETWEEN = SHIFT + 2 * MOST_ARRAYS
+"""How far the second array lies from the first: what is left over of whole steps, x and y, then whole steps, i and j."""
+
+LATTICE_NUMBERS = BETWEEN + 4 * MOST_ARRAYS * MOST_ARRAYS
 
 NO_BAFFLE = -1.0
 
@@ -64,6 +73,7 @@ def pack(layout: Layout) -> Packed:
     kept: Packed | None = layout.kept.get("packed")
     if kept is not None:
         return kept
+    need_equal_cells(layout.window, "the compiled kernel")
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
     layout.kept["packed"] = made = Packed(
         faces=np.array(faces),
@@ -133,9 +143,12 @@ def _lattice(layout: Layout) -> Floats:
     row[BORDERS] = borders
     row[NORMAL : NORMAL + 2 * borders] = layout.normals.ravel()
     row[HALF : HALF + borders] = layout.halves
-    row[RESIDUAL : RESIDUAL + 2] = layout.residual
-    row[WHOLE_STEPS : WHOLE_STEPS + 2] = layout.whole_steps
-    row[SHIFT : SHIFT + 4] = np.ravel(layout.window.shifts)
+    arrays = len(layout.lattices)
+    row[SHIFT : SHIFT + 2 * arrays] = np.ravel(layout.window.shifts)
+    for of in range(arrays):
+        for array in range(arrays):
+            at = BETWEEN + 4 * (MOST_ARRAYS * of + array)
+            row[at : at + 4] = *layout.residual[of, array], *layout.whole_steps[of, array]
     row[OPAQUE] = float(layout.window.land.opaque)
     row[PLAIN] = float(not lattice.hexagonal and lattice.outline is None)
     row[BAFFLE] = NO_BAFFLE if layout.window.baffle is None else layout.window.baffle.wall

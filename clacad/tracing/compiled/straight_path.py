@@ -231,15 +231,17 @@ def _in_cell_at(lat: Floats, s: Floats, m: int, level: float, ox: float, oy: flo
 
 
 @exact
-def _carry(lat: Floats, s: Floats, m: int, level: float, index: float, change: float, origin: Vector) -> None:
+def _carry(
+    lat: Floats, s: Floats, m: int, level: float, index: float, arrays: tuple[int, int], origin: Vector
+) -> None:
     """Carry rays to a level and into the cells of the array there, whatever they may be.
 
     Parameters
     ----------
     level : float
         Over the body's level; what the rays' height is then called.
-    change : float
-        +1 from array 0 to 1, −1 back, 0 neither.
+    arrays : (int, int)
+        In whose cells the rays are, and in whose they shall be.
     origin : (x, y, z)
         The rays' origin, seen from the centre of their cell and the body's level.
     """
@@ -247,8 +249,9 @@ def _carry(lat: Floats, s: Floats, m: int, level: float, index: float, change: f
     real = s.dtype.type
     ox, oy, oz = origin
     rise, level, index, middle, one = real(level - oz), real(level), real(index), real(0.5), real(1.0)
-    rx, ry = real(ox - change * lat[slot.RESIDUAL]), real(oy - change * lat[slot.RESIDUAL + 1])
-    wi, wj = real(change * lat[slot.WHOLE_STEPS]), real(change * lat[slot.WHOLE_STEPS + 1])
+    at = slot.BETWEEN + 4 * (slot.MOST_ARRAYS * arrays[0] + arrays[1])
+    rx, ry = real(ox - lat[at]), real(oy - lat[at + 1])
+    wi, wj = real(lat[at + 2]), real(lat[at + 3])
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     per_pitch, per_row = one / pitch, one / row
     if lat[slot.HEXAGONAL] == 0.0:
@@ -514,15 +517,13 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
 
 
 @inlined
-def _enter_array(
-    sheet: Packed, f: int, s: Floats, m: int, index: float, change: float, origin: Vector
-) -> None:
-    """Carry rays to where they meet the cells of a structured face; `change` is 0 on the launch plane."""
+def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: int, origin: Vector) -> None:
+    """Carry rays from the cells of an array to where they meet those of a structured face."""
     face, body = sheet.faces[f], sheet.bodies[f // 2]
     columnar = body[slot.COLUMNAR] != 0.0
     if f > 0:
         level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
-        _carry(sheet.lattice, s, m, level, index, change, origin)
+        _carry(sheet.lattice, s, m, level, index, (array, int(face[slot.ARRAY])), origin)
     arrive(sheet.lattice, sheet.rows, s, m, face[slot.CLIMB])
     margin = sheet.lattice[slot.MARGIN]
     if not columnar and margin > 0.0:  # a lenslet with a seam is an island with walls
@@ -576,7 +577,7 @@ def straight(
             media = (1.0, index) if side == 0 else (index, 1.0)
             structured = face[slot.ARRAY] >= 0.0
             if structured and (side == 0 or not columnar):
-                _enter_array(sheet, f, s, m, media[0], face[slot.ARRAY] - array, (ox, oy, oz))
+                _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))
                 if f > 0:
                     array, ox, oy, oz = int(face[slot.ARRAY]), 0.0, 0.0, 0.0
                 if met == 0:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.sheet.lattice import less_steps
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
@@ -65,10 +65,11 @@ class _Grid(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Rays inside one column: for each array the start seen from the present cell, and whether it is kept."""
+    """Rays inside one column: for each array the present cell, the start seen from it, and whether it is kept."""
 
     starts: dict[int, Floats]
     kept: dict[int, Bools]
+    cells: dict[int, Ints]
     z: Floats
     direction: Floats
     xy: Floats
@@ -112,13 +113,13 @@ def first_change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Ev
         active = active[on]
         _step(layout, grids, active, across[on])
     cells = {g.array: g.cell + g.steps for g in grids}
-    starts = {g.array: less_steps(layout.lattice, g.local, g.steps) for g in grids}
+    starts = {g.array: less_steps(layout.lattices[g.array], g.local, g.steps) for g in grids}
     return Event(kind, since, cells, starts)
 
 
 def _most_columns(layout: Layout, body: BodyPlan) -> int:
     """More columns than a straight line can cross inside the body's box."""
-    across = layout.lattice.pitch[0] if layout.lattice.hexagonal else min(layout.lattice.pitch)
+    across = 2.0 * float(layout.widths.min())
     width, depth = body.box[1] - body.box[0], body.box[3] - body.box[2]
     return 64 + 4 * len(body.arrays) * int((width + depth) / across + 4)
 
@@ -131,9 +132,10 @@ def _grid(layout: Layout, beam: Beam, array: int) -> _Grid:
 
 
 def _piece(layout: Layout, grids: list[_Grid], beam: Beam, xy: Floats, active: Rows) -> _Piece:
-    starts = {g.array: less_steps(layout.lattice, g.local[active], g.steps[active]) for g in grids}
-    kept = {g.array: layout.lattice.contains(g.cell[active] + g.steps[active]) for g in grids}
-    return _Piece(starts, kept, beam.z[active], beam.direction[active], xy[active])
+    starts = {g.array: less_steps(layout.lattices[g.array], g.local[active], g.steps[active]) for g in grids}
+    cells = {g.array: g.cell[active] + g.steps[active] for g in grids}
+    kept = {array: layout.lattice.contains(cell) for array, cell in cells.items()}
+    return _Piece(starts, kept, cells, beam.z[active], beam.direction[active], xy[active])
 
 
 def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
@@ -144,7 +146,7 @@ def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
     for array, start in piece.starts.items():
         for n in range(count):
             here, speed = along_normal(layout, n, start), along_normal(layout, n, piece.direction)
-            t = (np.copysign(layout.halves[n], speed) - here) / speed
+            t = (np.copysign(layout.widths[array, n], speed) - here) / speed
             t = np.where(speed == 0.0, np.inf, t)
             closer = t < nearest
             nearest = np.where(closer, t, nearest)
@@ -205,21 +207,23 @@ def _divisions(layout: Layout, body: BodyPlan, piece: _Piece) -> tuple[Floats, K
             times.append((face.vertex[2] - piece.z) / piece.direction[:, 2])
             causes.append(lens)
         else:
-            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction)
+            apex = apexes(layout, face, piece.cells[face.array])
+            times += lens_roots(face, piece.starts[face.array], piece.z, piece.direction, apex)
             causes += [lens, lens]
         if not np.isnan(face.land):
             times.append((face.land - piece.z) / piece.direction[:, 2])
             causes.append(land)
     if layout.margin > 0.0:
-        times += [t for start in piece.starts.values() for t in _zone_borders(layout, start, piece.direction)]
+        for array, start in piece.starts.items():
+            times += _zone_borders(layout, array, start, piece.direction)
     times += _outline_crossings(body, piece)
     causes += [WALL] * (len(times) - len(causes))
     return np.array([np.where(np.isfinite(t), t, np.inf) for t in times]), np.array(causes, dtype=np.int8)
 
 
-def _zone_borders(layout: Layout, start: Floats, direction: Floats) -> list[Floats]:
+def _zone_borders(layout: Layout, array: int, start: Floats, direction: Floats) -> list[Floats]:
     out = []
-    for n, half in enumerate(layout.halves):
+    for n, half in enumerate(layout.widths[array]):
         here, speed = along_normal(layout, n, start), along_normal(layout, n, direction)
         out += [(edge - here) / speed for edge in (half - layout.margin, layout.margin - half)]
     return out
@@ -249,8 +253,9 @@ def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats)
     step = t[:, None] * direction[:, :2]
     points = {array: start[pick] + step for array, start in piece.starts.items()}
     kept = {array: mask[pick] for array, mask in piece.kept.items()}
-    front = _lens_over(layout, body.front, points, kept)
-    back = _lens_over(layout, body.back, points, kept)
+    cells = {array: cell[pick] for array, cell in piece.cells.items()}
+    front = _lens_over(layout, body.front, points, cells, kept)
+    back = _lens_over(layout, body.back, points, cells, kept)
     bottom, top = np.fmin(front, body.front.land), np.fmax(back, body.back.land)
     if body.columnar:
         rimless = ~(front <= back)
@@ -260,12 +265,15 @@ def _solid(layout: Layout, body: BodyPlan, piece: _Piece, pick: Rows, t: Floats)
     return np.asarray(over & (bottom <= z) & (z <= top))
 
 
-def _lens_over(layout: Layout, face: FacePlan, points: dict[int, Floats], kept: dict[int, Bools]) -> Floats:
+def _lens_over(
+    layout: Layout, face: FacePlan, points: dict[int, Floats], cells: dict[int, Ints], kept: dict[int, Bools]
+) -> Floats:
     """Height of a face's lens, NaN outside its optical zone and outside the kept cells."""
     if face.array is None:
         return np.full(len(next(iter(points.values()))), face.vertex[2])
     local = points[face.array]
-    lens = np.where(kept[face.array], height(face, local), np.nan)
+    apex = apexes(layout, face, cells[face.array])
+    lens = np.where(kept[face.array], height(face, local, apex), np.nan)
     if layout.margin > 0.0:
-        lens = np.where(in_zone(layout, local, layout.margin), lens, np.nan)
+        lens = np.where(in_zone(layout, local, layout.margin, face.array), lens, np.nan)
     return lens

@@ -35,9 +35,21 @@ class Hit:
     upright: Bools
 
 
-def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float, n2: float) -> Hit:
-    """Meet a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's level."""
-    vx, vy, vz = face.vertex
+def cross(
+    face: FacePlan,
+    local: Floats,
+    z: Floats,
+    direction: Floats,
+    n1: float,
+    n2: float,
+    apex: Floats | None = None,
+) -> Hit:
+    """Meet a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's level.
+
+    apex : (m, 2) lengths or None, here and below
+        How far each ray's lens stands from the face's vertex, see `apexes`.
+    """
+    vx, vy, vz = _vertex(face, apex)
     start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
     ray = to_surface(face.rotation, direction)
     met, point = meet_at(face.surface, to_surface(face.rotation, start), ray)
@@ -48,7 +60,7 @@ def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float
         with np.errstate(invalid="ignore"):
             upright &= met.gradient @ face.rotation[2] > 0.0
     return Hit(
-        local=point[:, :2] + (vx, vy),
+        local=np.column_stack([point[:, 0] + vx, point[:, 1] + vy]),
         z=point[:, 2] + vz,
         distance=met.distance,
         direction=to_sheet(face.rotation, out),
@@ -57,12 +69,13 @@ def cross(face: FacePlan, local: Floats, z: Floats, direction: Floats, n1: float
 
 
 def cross_at(
-    face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float
-) -> Hit:
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, distance: Floats, n1: float, n2: float,
+    apex: Floats | None = None,
+) -> Hit:  # fmt: skip
     """Refract at crossings (m,) that were found already, to be polished: `meet` gives the other one where a ray falls
     in the lens's frame while it rises in the sheet's.
     """
-    vx, vy, vz = face.vertex
+    vx, vy, vz = _vertex(face, apex)
     start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
     start, ray = to_surface(face.rotation, start), to_surface(face.rotation, direction)
     for _ in range(2):
@@ -75,12 +88,18 @@ def cross_at(
     out, _ = refract(ray, normal, root, n1, n2)
     point = to_sheet(face.rotation, point)
     return Hit(
-        local=point[:, :2] + (vx, vy),
+        local=np.column_stack([point[:, 0] + vx, point[:, 1] + vy]),
         z=point[:, 2] + vz,
         distance=distance,
         direction=to_sheet(face.rotation, out),
         upright=root > 0.0,
     )
+
+
+def _vertex(face: FacePlan, apex: Floats | None) -> tuple[float | Floats, float | Floats, float]:
+    """Apex of the lens of each ray: x and y, one or (m,), and z."""
+    x, y, z = face.vertex
+    return (x, y, z) if apex is None else (x + apex[:, 0], y + apex[:, 1], z)
 
 
 def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
@@ -101,21 +120,23 @@ def cross_land(direction: Floats, n1: float, n2: float) -> Floats:
     return refract(direction, gradient, direction[:, 2], n1, n2)[0]
 
 
-def height(face: FacePlan, local: Floats) -> Floats:
+def height(face: FacePlan, local: Floats, apex: Floats | None = None) -> Floats:
     """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN where there is none."""
     if face.array is None:
         return np.full(len(local), face.vertex[2])
+    if apex is not None:
+        local = local - apex
     lens = Face(face.surface, face.vertex) if face.rotation is None else Face(
         face.surface, face.vertex, face.rotation
     )  # fmt: skip
     return lens_height(lens, local[:, 0], local[:, 1])
 
 
-def in_zone(layout: Layout, local: Floats, margin: float) -> Bools:
-    """Which points (m, 2) of the cell frame lie at least `margin` inside their cell's borders."""
+def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Bools:
+    """Which points (m, 2) of the cell frame of an array lie at least `margin` inside their cell's borders."""
     inside = np.ones(len(local), dtype=bool)
     with np.errstate(invalid="ignore"):
-        for (ux, uy), half in zip(layout.normals, layout.halves, strict=True):
+        for (ux, uy), half in zip(layout.normals, layout.widths[array], strict=True):
             inside &= np.abs(ux * local[:, 0] + uy * local[:, 1]) <= half - margin
     return inside
 
@@ -131,13 +152,15 @@ def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:
     return np.asarray((np.abs(x) <= half_x) & (np.abs(y) <= half_y))
 
 
-def lens_roots(face: FacePlan, local: Floats, z: Floats, direction: Floats) -> tuple[Floats, Floats]:
+def lens_roots(
+    face: FacePlan, local: Floats, z: Floats, direction: Floats, apex: Floats | None = None
+) -> tuple[Floats, Floats]:
     """Both distances (m,) at which rays cross the whole of a lens's surface; +inf where they do not.
 
     They only divide the ray into stretches; what each stretch is, is asked of the heights. So a root of
     the half beyond the equator does no harm.
     """
-    vx, vy, vz = face.vertex
+    vx, vy, vz = _vertex(face, apex)
     start = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
     p, d = to_surface(face.rotation, start), to_surface(face.rotation, direction)
     surface = face.surface

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.sequence import unit_directions
+from clacad.sheet.cell_places import centre_pairs
 from clacad.sheet.lattice import relocate
 from clacad.tracing.layout import BodyPlan, Layout, sheet_position
 
@@ -104,7 +105,7 @@ def launch(
         x, x_low = _stepped(start[:, 0], scaled[:, 0], step_high, step_low)
         y, y_low = _stepped(start[:, 1], scaled[:, 1], step_high, step_low)
         carried = step_high * _length_ratio(scaled, ray)
-    cell, local_x, local_y = layout.lattice.locate(x, y, x_low, y_low)
+    cell, local_x, local_y = layout.lattices[0].locate(x, y, x_low, y_low)
     local = np.stack([local_x, local_y], axis=-1)
     return Beam(rows, 0, cell, local, plane - room.level, ray), carried
 
@@ -183,13 +184,28 @@ def to_array(layout: Layout, beam: Beam, array: int) -> Beam:
 
 def cell_in(layout: Layout, of: int, array: int, cell: Ints, local: Floats) -> tuple[Ints, Floats, Ints]:
     """Steps, local coordinates and cell, (m, 2) each, in `array` of points given relative to cells of array `of`."""
+    if layout.lattices[of] != layout.lattices[array]:
+        return _in_other_pitch(layout, of, array, cell, local)
     away = np.zeros(2, dtype=np.int64)
     if array != of:
-        sign = 1 if array > of else -1
-        local = local - sign * layout.residual
-        away = sign * layout.whole_steps
-    steps, local = relocate(layout.lattice, local)
+        local = local - layout.residual[of, array]
+        away = layout.whole_steps[of, array]
+    steps, local = relocate(layout.lattices[array], local)
     return steps, local, cell - away + steps
+
+
+def _in_other_pitch(
+    layout: Layout, of: int, array: int, cell: Ints, local: Floats
+) -> tuple[Ints, Floats, Ints]:
+    """`cell_in` from an array of one pitch to one of another: the point about the sheet's middle is held in pairs."""
+    here, there = (layout.window.placements[one].shift for one in (of, array))
+    along = [
+        pair_sum(centre, pair(local[:, k]), two_sum(here[k], -there[k]))
+        for k, centre in enumerate(centre_pairs(layout.lattices[of], cell))
+    ]
+    (x, x_low), (y, y_low) = along
+    found, local_x, local_y = layout.lattices[array].locate(x, y, x_low, y_low)
+    return found - cell, np.stack([local_x, local_y], axis=-1), found
 
 
 def on_to(layout: Layout, beam: Beam, left: BodyPlan, entered: BodyPlan) -> tuple[Beam, Floats]:

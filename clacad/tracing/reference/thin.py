@@ -15,8 +15,9 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
-from clacad.sheet.lattice import Circle, Rectangle, less_steps, relocate
-from clacad.tracing.layout import Layout, sheet_position
+from clacad.sheet.cell_places import CellPlacement, VertexChange, extreme_cells
+from clacad.sheet.lattice import Circle, Rectangle, less_steps
+from clacad.tracing.layout import Layout, array_numbers, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import along_normal
@@ -41,6 +42,8 @@ class ThinPatch:
         The room the patches and the land round them take, see `Extent`.
     centre : (x, y)
         Of the window's outline, sheet frame.
+    change : VertexChange or None
+        How far the lens of each cell stands from `vertex`.
     """
 
     array: int
@@ -52,16 +55,25 @@ class ThinPatch:
     high: float
     box: tuple[float, float, float, float]
     centre: tuple[float, float]
+    change: VertexChange | None = None
 
-    def over(self, local: Floats, z: Floats) -> Floats:
+    def lens_centre(self, layout: Layout, cell: Ints) -> tuple[float | Floats, float | Floats, float]:
+        """Centres of the lenses of cells (m, 2): x and y, one or (m,), and z."""
+        x, y, z = self.vertex
+        if self.change is None:
+            return x, y, z
+        moved = self.change.at(layout.lattice, cell)
+        return x + moved[:, 0], y + moved[:, 1], z
+
+    def over(self, layout: Layout, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
         axis = self.rotation[:, 2]
-        vx, vy, vz = self.vertex
+        vx, vy, vz = self.lens_centre(layout, cell)
         return np.asarray((local[:, 0] - vx) * axis[0] + (local[:, 1] - vy) * axis[1] + (z - vz) * axis[2])
 
-    def bend(self, local: Floats, z: Floats, direction: Floats) -> Floats:
-        """Unit directions (m, 3) behind the lens of rays that meet it at the given points."""
-        vx, vy, vz = self.vertex
+    def bend(self, layout: Layout, cell: Ints, local: Floats, z: Floats, direction: Floats) -> Floats:
+        """Unit directions (m, 3) behind the lens of rays that meet it at the given points of their cells."""
+        vx, vy, vz = self.lens_centre(layout, cell)
         p, q, _ = to_surface(self.rotation, np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])).T
         x, y, along = to_surface(self.rotation, direction).T
         lens = np.stack([x - p * self.power[0] * along, y - q * self.power[1] * along, along], axis=-1)
@@ -109,20 +121,23 @@ def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
 
 def thin_layout(layout: Layout) -> Layout:
     """The same window with array 2's cells where the thin pair has them."""
-    shift = layout.window.thin.shift
-    steps, residual = relocate(layout.lattice, np.array([shift]))
-    window = replace(layout.window, shifts=((0.0, 0.0), shift))
-    return replace(layout, window=window, whole_steps=steps[0], residual=residual[0])
+    pair = layout.window.thin
+    window = replace(layout.window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch)))
+    return replace(layout, window=window, **array_numbers(layout.lattice, window.placements))
 
 
 def thin_patches(layout: Layout) -> tuple[ThinPatch, ThinPatch]:
     """Both arrays of patches of a `thin_layout`: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
     pair = layout.window.thin
     first, second = (
-        _patch(layout, array, vertex, shift)
-        for array, vertex, shift in (
-            (0, (0.0, 0.0, 0.0), (0.0, 0.0)),
-            (1, (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2]), pair.shift),
+        _patch(layout, array, vertex, change)
+        for array, vertex, change in (
+            (0, (0.0, 0.0, 0.0), None),
+            (
+                1,
+                (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2]),
+                pair.change,
+            ),
         )
     )
     return first, second
@@ -132,13 +147,12 @@ def _patch(
     layout: Layout,
     array: int,
     vertex: tuple[float, float, float],
-    shift: tuple[float, float],
+    change: VertexChange | None,
 ) -> ThinPatch:
-    """Thin lens of an array whose `vertex` and `shift` are lengths, with the room that all its patches take."""
-    pair = layout.window.thin
-    x0, x1, y0, y1 = layout.lattice.extent()
-    box = (x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1])
-    centre = (0.0, 0.0) if layout.window.form == "slab" else shift
+    """Thin lens of an array whose `vertex` is in lengths, with the room that all its patches take."""
+    pair, place = layout.window.thin, layout.window.placements[array]
+    box = place.extent(layout.lattice)
+    centre = (0.0, 0.0) if layout.window.form == "slab" else place.shift
     outline = layout.window.outline
     if outline is not None:
         hx, hy = (
@@ -149,7 +163,10 @@ def _patch(
         cx, cy = centre
         box = (min(box[0], cx - hx), max(box[1], cx + hx), min(box[2], cy - hy), max(box[3], cy + hy))
     axis = pair.rotation[:, 2]
-    tile = layout.lattice.tile() - np.array(vertex[:2])
+    tile = layout.lattices[array].tile() - np.array(vertex[:2])
+    if change is not None:
+        moved = change.at(layout.lattice, extreme_cells(change, layout.lattice))
+        tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = pair.focal_length[array]
@@ -163,6 +180,7 @@ def _patch(
         high=float(heights.max()) + pad,
         box=box,
         centre=centre,
+        change=change,
     )
 
 
@@ -202,7 +220,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
     """Bend at a patch; end what is opaque or turned back. Returns who goes on and all directions."""
     beam = met.beam
     at = _position(layout, patch, beam)
-    bent = patch.bend(beam.local, beam.z, beam.direction)
+    bent = patch.bend(layout, beam.cell, beam.local, beam.z, beam.direction)
     out = np.where(met.lens[:, None], bent, beam.direction)
     opaque = met.land & met.solid & layout.window.land.opaque
     backward = ~opaque & (~(out[:, 2] > 0.0) | ~(patch.climb(beam.direction) > 0.0))
@@ -256,13 +274,13 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
     leave = box_span(layout, patch, sheet_xy(layout, beam), beam.direction)[1]
     active = np.flatnonzero((leave >= 0.0) & (span >= 0.0))
     climb = patch.climb(beam.direction)
-    borders = np.array(layout.lattice.steps)
+    own, borders = layout.lattices[patch.array], np.array(layout.lattice.steps)
     while len(active):
-        local = less_steps(layout.lattice, beam.local[active], steps[active])
-        ray = beam.direction[active]
-        kept = layout.lattice.contains(beam.cell[active] + steps[active])
-        end, across = _next_border(layout, local, ray)
-        rise = -patch.over(local, beam.z[active])
+        local = less_steps(own, beam.local[active], steps[active])
+        ray, cell = beam.direction[active], beam.cell[active] + steps[active]
+        kept = layout.lattice.contains(cell)
+        end, across = _next_border(layout, patch.array, local, ray)
+        rise = -patch.over(layout, cell, local, beam.z[active])
         crossing = rise / climb[active]
         above = since[active] * climb[active] >= rise  # already over this patch where the column begins
         slips = kept & above & (since[active] > 0.0)
@@ -276,9 +294,9 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
         steps[active[on]] += borders[across[on]]
         since[active[on]] = np.maximum(end[on], since[active[on]])
         active = active[on]
-    local = less_steps(layout.lattice, beam.local, steps) + at[:, None] * beam.direction[:, :2]
+    local = less_steps(own, beam.local, steps) + at[:, None] * beam.direction[:, :2]
     end_beam = replace(beam, cell=beam.cell + steps, local=local, z=beam.z + at * beam.direction[:, 2])
-    zone = in_zone(layout, local, layout.margin)
+    zone = in_zone(layout, local, layout.margin, patch.array)
     lens = found & ~slipped & zone
     xy = sheet_xy(layout, end_beam)
     border = ~found & _in_outline(layout, patch, xy)
@@ -286,9 +304,9 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
     return Met(end_beam, at, lens, land, ~(lens | land), land & ~slipped)
 
 
-def _next_border(layout: Layout, local: Floats, ray: Floats) -> tuple[Floats, Ints]:
+def _next_border(layout: Layout, array: int, local: Floats, ray: Floats) -> tuple[Floats, Ints]:
     nearest, across = np.full(len(local), np.inf), np.zeros(len(local), dtype=np.int64)
-    for n, half in enumerate(layout.halves):
+    for n, half in enumerate(layout.widths[array]):
         here, speed = along_normal(layout, n, local), along_normal(layout, n, ray)
         t = np.where(speed == 0.0, np.inf, (np.copysign(half, speed) - here) / speed)
         closer = t < nearest

@@ -1,0 +1,118 @@
+"""Where the cells of an array stand, and where in each of them its lens is.
+
+Cell (i, j) of every array is the partner of cell (i, j) of the others. A sheet whose cells are all alike has arrays of one
+pitch and lenses at one place in their cells (`Window.uniform`). A sheet that knows its viewer, or whose law varies, has
+arrays of other pitches and lenses that stand elsewhere in every cell:
+
+    centre of cell (i, j)     = pitch of the array × index + shift
+    vertex of its lens there  = Face.vertex + gradient × C + table[i, j]      C: centre of cell (i, j) of the lattice
+
+An array's pitch is a number of its own, not a factor on the lattice's: so the multiples of it that borders and centres
+are made of are formed exactly (`Lattice.locate`), however far out a cell lies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clacad.base.pairs import Pair, pair, pair_sum, two_product
+from clacad.base.types import Floats, Ints, Pair2
+from clacad.sheet.lattice import Lattice
+
+DIRECTIONS = 64
+"""Directions in which the farthest lenses are looked for."""
+
+
+@dataclass(frozen=True)
+class CellPlacement:
+    """Where the cells of one array stand.
+
+    Parameters
+    ----------
+    shift : (x, y), lengths
+        Displacement of the middle of the array against the lattice's.
+    pitch : (p_x, p_y) or None, lengths
+        The array's own; None: the lattice's. Hexagonal: p_y is ignored.
+    """
+
+    shift: Pair2 = (0.0, 0.0)
+    pitch: Pair2 | None = None
+
+    def lattice(self, base: Lattice) -> Lattice:
+        """The array's own pattern about its own middle; which cells exist is asked of `base`, for it alone has the outline."""
+        return base if self.pitch is None else replace(base, pitch=self.pitch, outline=None)
+
+    def scale(self, base: Lattice) -> Pair2:
+        """Pitch of the array over that of the lattice `base`, along x and y."""
+        if self.pitch is None:
+            return 1.0, 1.0
+        across = self.pitch[0] / base.pitch[0]
+        return across, across if base.hexagonal else self.pitch[1] / base.pitch[1]
+
+    def extent(self, base: Lattice) -> tuple[float, float, float, float]:
+        """Bounding box (x_min, x_max, y_min, y_max) of the array's kept cells, sheet frame, lengths."""
+        x0, x1, y0, y1 = base.extent()
+        (gx, gy), (sx, sy) = self.scale(base), self.shift
+        return x0 * gx + sx, x1 * gx + sx, y0 * gy + sy, y1 * gy + sy
+
+
+@dataclass(frozen=True, eq=False)
+class VertexChange:
+    """How far the lens of a cell stands from where `Face.vertex` has it: an affine part and a table.
+
+    Parameters
+    ----------
+    gradient : ((xx, xy), (yx, yy))
+        Length per length of the cell's centre in the lattice.
+    table : (n1, n2, 2) array or None, lengths
+        Added cell by cell; the first index of a hexagonal lattice is i + j // 2, the place in the row.
+    """
+
+    gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
+    table: Floats | None = None
+
+    def at(self, lattice: Lattice, index: Ints) -> Floats:
+        """Change (..., 2), lengths, of the cells `index` (..., 2); the table has 0 for cells that are not kept."""
+        x, y = np.moveaxis(lattice.centres(index), -1, 0)
+        (xx, xy), (yx, yy) = self.gradient
+        change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
+        return change if self.table is None else np.asarray(change + self._tabled(lattice, index))
+
+    def _tabled(self, lattice: Lattice, index: Ints) -> Floats:
+        assert self.table is not None
+        kept = lattice.contains(index)
+        i, j = index[..., 0], index[..., 1]
+        place = i + j // 2 if lattice.hexagonal else i
+        found = self.table[np.where(kept, place, 0), np.where(kept, j, 0)]
+        return np.where(kept[..., None], found, 0.0)
+
+
+def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
+    """List kept cells whose lenses stand farthest out, in each of 64 directions, (m, 2)."""
+    cells = row_ends(lattice) if change.table is None else lattice.cells()
+    moved = change.at(lattice, cells)
+    angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    far = [int(np.argmax(moved @ (np.cos(a), np.sin(a)))) for a in angle]
+    return np.unique(cells[far], axis=0)
+
+
+def row_ends(lattice: Lattice) -> Ints:
+    """List the first and the last kept cell of every row, (m, 2): whatever is affine in the cell is greatest at one of them."""
+    ends = [row[[0, -1]] for j in range(lattice.count[1]) if len(row := lattice.row(j))]
+    return np.unique(np.concatenate(ends), axis=0)
+
+
+def centre_pairs(lattice: Lattice, cell: Ints) -> tuple[Pair, Pair]:
+    """Centres of cells (m, 2) along x and y, unrounded: each a pair of (m,) lengths."""
+    i, j = cell[:, 0].astype(np.float64), cell[:, 1].astype(np.float64)
+    if lattice.hexagonal:
+        (x0, y0), row = lattice.first_centre, lattice.a2[1]
+        x, y = two_product(i + 0.5 * j, lattice.pitch[0]), two_product(j, row)
+        return pair_sum(x, pair(np.full(len(i), x0))), pair_sum(y, pair(np.full(len(i), y0)))
+    n1, n2 = lattice.count
+    return (
+        two_product(2.0 * i - (n1 - 1), 0.5 * lattice.pitch[0]),
+        two_product(2.0 * j - (n2 - 1), 0.5 * lattice.pitch[1]),
+    )

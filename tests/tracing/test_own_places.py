@@ -1,0 +1,181 @@
+"""Sheets whose cells differ: where the cells of an array stand, and where in them the lenses are."""
+
+import hashlib
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import clacad
+from clacad.optics.rays import Fate
+from clacad.sheet.cell_places import CellPlacement, VertexChange
+from clacad.sheet.need_window import CellsDiffer
+from clacad.tracing.layout import lay_out
+from clacad.tracing.reference.launch import cell_in
+
+SCALE = 1.0 + 1.0 / 40.0
+
+
+def stretched(name="window-100mm", scale=SCALE, shift=(0.013, -0.007), **changes):
+    """A window whose array 2 is wider by `scale`, its lenses over those of array 1."""
+    window = clacad.prescribe(clacad.load(f"designs/{name}.toml"))
+    pitch = tuple(p * scale for p in window.lattice.pitch)
+    place = CellPlacement(shift, pitch)
+    (gx, gy) = place.scale(window.lattice)
+    change = VertexChange(((1.0 - gx, 0.0), (0.0, 1.0 - gy)))
+
+    def moved(face):
+        if face.array != 1:
+            return face
+        x, y, z = face.vertex
+        return replace(face, vertex=(x - shift[0], y - shift[1], z), change=change)
+
+    bodies = tuple(replace(b, front=moved(b.front), back=moved(b.back)) for b in window.bodies)
+    return replace(window, bodies=bodies, placements=(CellPlacement(), place), **changes)
+
+
+def exact_axis(lattice, index, axis):
+    n, p = lattice.count[axis], lattice.pitch[axis]
+    return Fraction(2 * int(index) - (n - 1)) * Fraction(p) / 2
+
+
+@pytest.mark.parametrize("far", [0, 3, 10_000, 10**8])
+def test_points_change_from_array_to_array_as_exact_fractions_say(far):
+    window = stretched()
+    window = replace(window, lattice=replace(window.lattice, count=(2 * far + 7, 2 * far + 7)))
+    layout = lay_out(
+        replace(
+            window,
+            bodies=tuple(
+                replace(b, front=replace(b.front, change=None), back=replace(b.back, change=None))
+                for b in window.bodies
+            ),
+        )
+    )
+    rng = np.random.default_rng(far)
+    cell = rng.integers(0, 2 * far + 7, (200, 2))
+    local = rng.uniform(-0.25, 0.25, (200, 2))
+    for of, array in ((0, 1), (1, 0)):
+        _, there, found = cell_in(layout, of, array, cell, local)
+        for k in range(200):
+            for axis in (0, 1):
+                place = exact_axis(layout.lattices[of], cell[k, axis], axis) + Fraction(local[k, axis])
+                place += Fraction(window.shifts[of][axis]) - Fraction(window.shifts[array][axis])
+                own = place - exact_axis(layout.lattices[array], found[k, axis], axis)
+                half = Fraction(layout.lattices[array].pitch[axis]) / 2
+                assert -half <= own < half or abs(abs(own) - half) < Fraction(1, 2**60)
+                assert abs(Fraction(there[k, axis]) - own) <= Fraction(1, 2**53) * abs(own) + Fraction(
+                    1, 10**25
+                )
+
+
+def test_a_border_of_a_wider_array_belongs_to_the_cell_above_it():
+    window = stretched(shift=(0.0, 0.0))
+    layout = lay_out(window)
+    wide = layout.lattices[1]
+    index = np.array([[190, 100], [7, 3]])
+    low = wide.centres(index) - 0.5 * np.asarray(wide.pitch)
+    found, x, y = wide.locate(*low.T)
+    exact = [
+        [exact_axis(wide, i, k) - Fraction(wide.pitch[k]) / 2 for k, i in enumerate(row)] for row in index
+    ]
+    for row, (i, j), at in zip(low, found, exact, strict=True):
+        for k, cell in enumerate((i, j)):
+            assert cell == (
+                index[np.flatnonzero((low == row).all(axis=1))[0], k] - (Fraction(row[k]) < at[k])
+            )
+
+
+@pytest.mark.parametrize("rung", ["surfaces", "thin"])
+@pytest.mark.parametrize("name", ["window-100mm", "plano", "hexagonal", "tilted", "paper-a-covered"])
+def test_an_array_of_the_same_pitch_said_in_words_of_its_own_traces_the_same(name, rung):
+    """Pitch 1 × and no change of vertices take the other branch of every function, and must find the same light."""
+    window = clacad.prescribe(clacad.load(f"designs/{name}.toml"))
+    still = VertexChange()
+    own = CellPlacement(window.shifts[1], tuple(p * (1.0 + 2.0**-50) for p in window.lattice.pitch))
+    bodies = tuple(
+        replace(
+            b,
+            front=replace(b.front, change=still if b.front.array == 1 else None),
+            back=replace(b.back, change=still if b.back.array == 1 else None),
+        )
+        for b in window.bodies
+    )
+    differs = replace(
+        window, bodies=bodies, placements=(CellPlacement(), own),
+        thin=replace(window.thin, pitch=own.pitch, change=still),
+    )  # fmt: skip
+    assert window.uniform
+    assert not differs.uniform
+    rng = np.random.default_rng(5)
+    x0, x1, y0, y1 = window.lattice.extent()
+    at = np.column_stack(
+        [rng.uniform(x0, x1, 3000), rng.uniform(y0, y1, 3000), np.full(3000, window.z_range[0])]
+    )
+    rays = clacad.Rays(at, np.column_stack([rng.normal(0.0, 0.06, (3000, 2)), np.ones(3000)]))
+    one, two = (clacad.trace(w, rays, rung=rung, path="numpy") for w in (window, differs))
+    same = (one.fate == two.fate) & (one.order == two.order).all(axis=1)
+    assert same.mean() > 0.999  # rays within 1e-12 of a border may change sides
+    alive = same & (one.fate == Fate.ALIVE)
+    assert np.abs(one.direction - two.direction)[alive].max() < 1e-9
+
+
+def test_a_lens_moved_in_its_cell_is_a_lens_moved():
+    """Cell (150, 20) of the stretched window bends light as a homogeneous sheet whose cells all are like it."""
+    window = stretched()
+    cell = np.array([150, 20])
+    apart = window.centres(1, cell) - window.centres(0, cell)
+    back = window.bodies[0].back
+    vertex = window.vertices(back, cell)
+    same = replace(
+        clacad.prescribe(clacad.load("designs/window-100mm.toml")),
+        placements=(CellPlacement(), CellPlacement(tuple(apart))),
+    )
+    body = same.bodies[0]
+    same = replace(same, bodies=(replace(body, back=replace(body.back, vertex=tuple(vertex))),))
+    rng = np.random.default_rng(1)
+    place = window.centres(0, cell)
+    at = np.column_stack([place + rng.uniform(-0.2, 0.2, (400, 2)), np.full(400, -1.0)])
+    slope = apart / 10.0
+    rays = clacad.Rays(
+        at - [*slope, 0.0], np.column_stack([slope + rng.normal(0, 0.002, (400, 2)), np.ones(400)])
+    )
+    one, two = (clacad.trace(w, rays, path="numpy") for w in (window, same))
+    both = (one.fate == Fate.ALIVE) & (two.fate == Fate.ALIVE)
+    assert both.sum() > 300
+    assert np.abs(one.direction - two.direction)[both].max() < 1e-13
+    assert np.abs(one.position - two.position)[both].max() < 1e-12
+
+
+def test_a_window_of_equal_cells_is_uniform_and_the_other_says_what_it_cannot():
+    window = stretched()
+    assert not window.uniform
+    rays = clacad.Rays([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
+    with pytest.raises(CellsDiffer, match="CL140"):
+        clacad.trace(window, rays, path="numba")
+    with pytest.raises(CellsDiffer, match="mesh"):
+        clacad.trace(window, rays, rung="mesh", mesh=4)
+    with pytest.raises(CellsDiffer, match="effects"):
+        clacad.trace(window, rays, effects=("fresnel",))
+
+
+GOLDEN = {
+    ("window-100mm", "surfaces"): "8e3744ec76c401f0",
+    ("paper-base", "surfaces"): "75ad8018ec6a0fa7",
+    ("hexagonal", "thin"): "fec2bb4b43459605",
+    ("tilted", "surfaces"): "89d9281b01186d6a",
+}
+
+
+@pytest.mark.parametrize(("name", "rung"), GOLDEN)
+def test_sheets_of_equal_cells_trace_bit_for_bit_as_before(name, rung):
+    window = clacad.prescribe(clacad.load(f"designs/{name}.toml"))
+    assert window.uniform
+    rng = np.random.default_rng(0)
+    spread = rng.uniform(-0.4, 0.4, (4000, 2)) * window.lattice.extent()[1] * 2
+    at = np.column_stack([spread, np.full(4000, window.z_range[0] - window.lattice.pitch[0])])
+    rays = clacad.Rays(at, np.column_stack([rng.normal(0, 0.1, (4000, 2)), np.ones(4000)]))
+    r = clacad.trace(window, rays, rung=rung, path="numpy")
+    bits = b"".join(part.tobytes() for part in (r.position, r.direction, r.fate, r.cell, r.order))
+    assert hashlib.sha256(bits).hexdigest()[:16] == GOLDEN[name, rung]
