@@ -256,7 +256,7 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     plate = None
     if pair.field_lens:
         rooms = [symmetric_foci(lenses.radius[k], thickness[k], intent.index) for k in (0, 1)]
-        plate = one_plate(intent, separation, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
+        plate = one_plate(intent, lenses.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
     place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
         (), intent.design.lattice.aperture, place.lens_2[:2], float(place.lens_2[2]), False
@@ -380,7 +380,7 @@ def _plano_with_field(intent: Intent, lenses: LensPair, separation: float) -> Wi
             hint="a larger separation, or a thinner lens 1", code="CL129",
         )  # fmt: skip
     foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
-    plate = one_plate(intent, separation, foci, behind)
+    plate = one_plate(intent, (first, second), foci, behind)
     behind -= 0.0 if plate.crossed else plate.thickness / n
     offset = intent.built_offset(lenses)
     legs = ((glass[0], n), (before, 1.0), (plate.thickness, n), (behind, 1.0), (glass[1], n))
@@ -529,7 +529,7 @@ def _assemble_window(
         law=intent.law,
         thin=ThinPair(
             thin_focal, _triple(thin_offset), intent.turn, thin_shift,
-            () if field is None else thin_field(intent.eta, separation),
+            field=() if field is None else thin_field(intent.eta, separation),
         ),
         land=land,
         baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,

@@ -5,9 +5,9 @@ law alone; 1/f_F = 1/f1 + 1/f2 per meridian. Its vertex lies on the straight lin
 to that of cell 2, and so do its cells.
 
 Two plates (slab, η the same in both meridians)
-    The power stands on both inner faces, 1/a on that of a plate whose lens has 1/a too: one tool cuts both sides, and for
-    η = −1 both plates are the same part. With a_k = f_k + g/2, thickness n (f_k − g²/4 f_k) and air gap g the pair is afocal
-    with exactly η, whatever g; lens 2 sees lens 1's cell g/2 (f1/f2 + f2/f1) of slope off its own.
+    The power stands on both inner faces, 1/f_k on that of the plate which carries lens k, so that for η = −1 both plates are
+    the same part. Plates n f_k thick with an air gap g between them and lenses of 1/a_k = 1/f_k − g/(2 f_k²) are afocal
+    together with exactly η, and image lens 1 exactly onto lens 2, whatever g. Their radii are those of the slab but for g/2f.
 One plate (biconvex, plano; slab whose meridians differ)
     A plano-convex field lens with its vertex at the focus, or two crossed arrays of cylinders, each at the focus of its own
     meridian: the plate is n |f1x − f1y| thick, and lens 2 stands (1 − 1/n) times that farther away, so that nothing changes
@@ -108,23 +108,23 @@ def air_gap(intent: Intent) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Plates:
-    """Two plates with lens and field lens of one power each.
+    """Two plates, each with a lens and part of the field lens.
 
     focal_length : (a1, a2), lengths
-        Of either face of each plate, alone, in air.
-    reduced : (d1, d2), lengths
-        Thickness over index of each plate.
+        Of the lens of each plate, alone, in air.
+    field : (f1, f2), lengths
+        Of the part of the field lens on each plate, alone, in air; and thickness over index of the plate.
     gap : float, length
     """
 
     focal_length: Pair2
-    reduced: Pair2
+    field: Pair2
     gap: float
 
     @property
     def length(self) -> float:
         """From lens 1 to lens 2 in air equivalents."""
-        return self.reduced[0] + self.gap + self.reduced[1]
+        return self.field[0] + self.gap + self.field[1]
 
     def offset(self, delta: Floats, eta: float, slope: Floats) -> Floats:
         """Vertex of lens 2 (2,), lengths from the axis of lens 1, that gives δ (2,) where the middle of the field has `slope` (2,)."""
@@ -138,17 +138,16 @@ def paired_plates(eta: float, separation: float, gap: float) -> Plates:
     Raises
     ------
     NoSuchLens
-        The gap leaves a plate no thickness.
+        The gap is twice a focal length or more.
     """
     f1, f2 = (f[0] for f in thin_pair((eta, eta), separation))
     if gap >= 2.0 * min(f1, f2):
         raise NoSuchLens(
-            f"an air gap of {gap:.6g} leaves the thinner plate no thickness",
+            f"an air gap of {gap:.6g} is too wide for field faces of focal length {min(f1, f2):.6g}",
             key="pair.field" , hint=f"gap < {2.0 * min(f1, f2):.6g}", code="CL129",
         )  # fmt: skip
-    a1, a2 = f1 + 0.5 * gap, f2 + 0.5 * gap
-    d1, d2 = (f - 0.25 * gap * (gap / f) for f in (f1, f2))
-    return Plates((a1, a2), (d1, d2), gap)
+    a1, a2 = (f / (1.0 - 0.5 * gap / f) for f in (f1, f2))
+    return Plates((a1, a2), (f1, f2), gap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,9 +176,10 @@ def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
     eta, n = intent.eta[0], intent.index
     plates = paired_plates(eta, separation, air_gap(intent))
     radius = [(n - 1.0) * a for a in plates.focal_length]
-    for r in radius:
+    inner = [(n - 1.0) * f for f in plates.field]
+    for r in inner:
         refuse_too_steep(r, intent, None)
-    thickness = [n * d for d in plates.reduced]
+    thickness = [n * f for f in plates.field]
     legs = ((thickness[0], n), (plates.gap, 1.0), (thickness[1], n))
     aligned = intent.design.lattice.aperture == "aligned"
     slope = np.zeros(2) if aligned else np.asarray(intent.delta) / (1.0 - eta)
@@ -199,14 +199,14 @@ def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
 
     first = Body(
         lens(0, +1, np.zeros(2), 0.0),
-        Face(_sphere(radius[0], -1, conic), _vertex(-half, thickness[0]), array=ARRAY), n, "array1",
+        Face(_sphere(inner[0], -1, conic), _vertex(-half, thickness[0]), array=ARRAY), n, "array1",
     )  # fmt: skip
     second = Body(
-        Face(_sphere(radius[1], +1, conic), _vertex(half, top), array=ARRAY),
+        Face(_sphere(inner[1], +1, conic), _vertex(half, top), array=ARRAY),
         lens(1, -1, lens_2 - moved, top + thickness[1]), n, "array2",
     )  # fmt: skip
     told = {
-        "R": radius, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic, "gap": plates.gap,
+        "R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic, "gap": plates.gap,
         "thickness": thickness, "equal_plates": _equal(first, second),
     }  # fmt: skip
     return Placed((first, second), _pair(moved), _pair(centre), offset, told)
@@ -269,11 +269,11 @@ def _behind_centre(radius: float, thickness: float, index: float) -> float:
     return 0.5 * thickness + (1.0 - shrunk) / power
 
 
-def one_plate(intent: Intent, separation: float, foci: Pair2, behind: float) -> Plate:
+def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, behind: float) -> Plate:
     """The field plate of a pair whose lens 1 has its foci there, with `behind` of air from the far one to the next body.
 
-    separation : float, length
-        Of the thin pair.
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
+        Of lens 1 and lens 2 as built.
 
     Raises
     ------
@@ -281,7 +281,7 @@ def one_plate(intent: Intent, separation: float, foci: Pair2, behind: float) -> 
         A face ends inside its cell, or there is no room for the plate.
     """
     n, design = intent.index, intent.design
-    power = field_focal_lengths(intent.eta, separation)
+    power = [f1 * f2 / (f1 + f2) for f1, f2 in zip(*focal_length, strict=True)]
     radius = [(n - 1.0) * f for f in power]
     crossed = foci[0] != foci[1]
     for axis in (0, 1):
@@ -313,7 +313,7 @@ def one_plate(intent: Intent, separation: float, foci: Pair2, behind: float) -> 
             key="pair.separation", hint="a larger separation, or thinner lenses", code="CL129",
         )  # fmt: skip
     told: dict[str, object] = {
-        "R": radius if crossed else radius[0], "f": list(power) if crossed else power[0],
+        "R": radius if crossed else radius[0], "f": power if crossed else power[0],
         "conic": _conic(intent, -(n**2)), "thickness": thickness,
     }  # fmt: skip
     return Plate(foci, thickness, told)

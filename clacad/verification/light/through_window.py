@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.checks import Check
+from clacad.verification.light.field_lens_checks import field_lens_checks
 from clacad.verification.light.law_checks import (
     POINT_RAYS,
     Optics,
@@ -26,4 +27,7 @@ def judge_light(
     """Judge light through a window's exact surfaces by what its design asks; rays as `measure` has them."""
     optics = measure(design, window, lambda lit: trace(window, lit.rays, path="size"), rays, point_rays)
     found = law_checks(design, optics)
-    return [*found, throughput_check(design, window, optics), confocality_check(design, window)], optics
+    found += [throughput_check(design, window, optics), confocality_check(design, window)]
+    if window.thin.field:
+        found += field_lens_checks(design, window, optics.main)
+    return found, optics
