@@ -289,7 +289,7 @@ class CheckSpec:
 class TolerancesSpec:
     """What fabrication may get wrong, and what a good sheet still is. Lengths in design units, angles in radians.
 
-    Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
+    Where a field lens stands on a plate of its own, the larger tolerance of the two arrays is its, too. Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
 
     Parameters
     ----------
@@ -332,6 +332,16 @@ class TolerancesSpec:
     blur: float | None
     residual_power: float | None
     moire_period: float | None
+
+    @staticmethod
+    def of_array(halves: Pair2, array: int) -> float:
+        """Tolerance of array 0 or 1; of a field lens, which has none of its own, the larger of the two."""
+        return halves[array] if array < 2 else max(halves)
+
+    def of_body(self, number: int, bodies: int) -> float:
+        """Tolerance (length) of the thickness of body 1, 2 …; of a plate between two, the larger of theirs."""
+        middle = bodies == 3 and number == 2
+        return max(self.thickness) if middle else self.thickness[min(number, 2) - 1]
 
 
 NO_TOLERANCES = TolerancesSpec(

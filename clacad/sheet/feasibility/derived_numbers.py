@@ -69,6 +69,8 @@ class LensFacts:
         The faces one by one where `radius` and `conic` do not tell all of them; else empty.
     name : str
         "lens 1", "lens 2" or "field lens", with its body where two bodies carry it.
+    body : str
+        Name of the body that carries it.
     """
 
     array: int
@@ -88,6 +90,7 @@ class LensFacts:
     f_number: Pair2
     shapes: tuple[FaceShape, ...] = ()
     name: str = ""
+    body: str = ""
 
     @property
     def radii(self) -> tuple[float, ...]:

@@ -109,6 +109,7 @@ def _facts(
         f_number=two(abs(f) / w for f, w in zip(focal, width, strict=True)),
         shapes=shapes,
         name=name,
+        body=body.name,
     )
 
 
