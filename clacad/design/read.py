@@ -20,10 +20,10 @@ from clacad.design.given_faces import faces_read
 from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
 from clacad.design.rules import Asked, broken
 from clacad.design.sections import (
-    FieldSpec,
     Allowed,
     BodySpec,
     CheckSpec,
+    FieldSpec,
     Frame,
     LatticeSpec,
     LawSpec,

@@ -15,6 +15,14 @@ from clacad.design.process_profiles import profile
 from clacad.optics.law import Law
 from clacad.prescription import poses
 from clacad.prescription.cell_heights import face_range, window_range
+from clacad.prescription.faces_and_bodies import (
+    LensPose,
+    Shape,
+    Shaping,
+    biconvex_body,
+    plano_body,
+    slab_body,
+)
 from clacad.prescription.field_lens import (
     Chief,
     air_gap,
@@ -23,14 +31,6 @@ from clacad.prescription.field_lens import (
     symmetric_foci,
     thin_field,
     two_plates,
-)
-from clacad.prescription.faces_and_bodies import (
-    LensPose,
-    Shape,
-    Shaping,
-    biconvex_body,
-    plano_body,
-    slab_body,
 )
 from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
 from clacad.prescription.radii import (
@@ -518,7 +518,9 @@ def _assemble_window(
     )
     land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
     window = Window(
-        form="plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form,  # what it is as built
+        form="plano"
+        if design.pair.form == "slab" and len(bodies) == 3
+        else design.pair.form,  # what it is as built
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
         placements=tuple(
@@ -528,7 +530,10 @@ def _assemble_window(
         z_range=(0.0, 0.0),
         law=intent.law,
         thin=ThinPair(
-            thin_focal, _triple(thin_offset), intent.turn, thin_shift,
+            thin_focal,
+            _triple(thin_offset),
+            intent.turn,
+            thin_shift,
             field=() if field is None else thin_field(intent.eta, separation),
         ),
         land=land,
@@ -600,7 +605,9 @@ def _with_land(window: Window, intent: Intent) -> Window:
     plates = [window.form != "biconvex" or body.name == "field" for body in window.bodies]
     return replace(
         window,
-        bodies=tuple(landed(body) if plate else body for body, plate in zip(window.bodies, plates, strict=True)),
+        bodies=tuple(
+            landed(body) if plate else body for body, plate in zip(window.bodies, plates, strict=True)
+        ),
     )
 
 

@@ -219,7 +219,10 @@ def _equal(first: Body, second: Body) -> bool:
         s = face.surface
         return (type(s), *(getattr(s, name) for name in s.__dataclass_fields__ if name != "side"))
 
-    places = [tuple(abs(v) for v in face.vertex[:2]) for face in (first.front, first.back, second.back, second.front)]
+    places = [
+        tuple(abs(v) for v in face.vertex[:2])
+        for face in (first.front, first.back, second.back, second.front)
+    ]
     thick = [body.back.vertex[2] - body.front.vertex[2] for body in (first, second)]
     return (
         mirrored(first.front) == mirrored(second.back)
@@ -329,7 +332,8 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
     conic = _conic(intent, -(intent.index**2))
     near = min(plate.foci)
     front, back = (
-        intent.turn @ np.array([*point, z]) for point, z in zip(points, (near, near + plate.thickness), strict=True)
+        intent.turn @ np.array([*point, z])
+        for point, z in zip(points, (near, near + plate.thickness), strict=True)
     )
     tilted = intent.law.theta != 0.0
     rotation = intent.turn if tilted or plate.crossed else IDENTITY
@@ -340,7 +344,9 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
         if not tilted:
             plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
         else:
-            plane = Face(Quadric(0.0, 0.0, 0.0, -1), _vertex(back[:2] - front[:2], float(back[2])), rotation, ARRAY)
+            plane = Face(
+                Quadric(0.0, 0.0, 0.0, -1), _vertex(back[:2] - front[:2], float(back[2])), rotation, ARRAY
+            )
         return Body(lens, plane, intent.index, "field"), _pair(front[:2])
     assert isinstance(power_of, list)
     axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)

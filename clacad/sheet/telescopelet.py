@@ -9,9 +9,7 @@ from clacad.optics.sequence import Interface
 from clacad.sheet.window import Window
 
 
-def interfaces(
-    window: Window, slide: Floats | None = None, aside: Floats | None = None
-) -> list[Interface]:
+def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None = None) -> list[Interface]:
     """Faces of one telescopelet as explicit surfaces, the centre of cell 1 at x = y = 0.
 
     slide : (3,) lengths or None

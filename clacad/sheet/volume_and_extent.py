@@ -81,7 +81,9 @@ def _footprint_area(window: Window, body: Body) -> float | None:
     outline = window.outline
     if outline is None:
         return window.lattice.cell_count * window.lattice.cell_area
-    shifts = {face.array: window.shifts[face.array] for face in (body.front, body.back) if face.array is not None}
+    shifts = {
+        face.array: window.shifts[face.array] for face in (body.front, body.back) if face.array is not None
+    }
     if len(shifts) == 2 and len(set(shifts.values())) == 2:
         x0, x1, y0, y1 = window.lattice.extent()
         corner = (

@@ -78,7 +78,11 @@ class Face:
     def blind(self) -> int:
         """Index, 1 (i) or 2 (j), along which the cells of a field lens are one cylinder, cut nowhere; else 0."""
         curvatures = (self.surface.curvature_x, self.surface.curvature_y)
-        if self.array != 2 or not isinstance(self.surface, Quadric) or (curvatures[0] == 0.0) == (curvatures[1] == 0.0):
+        if (
+            self.array != 2
+            or not isinstance(self.surface, Quadric)
+            or (curvatures[0] == 0.0) == (curvatures[1] == 0.0)
+        ):
             return 0
         flat = 0 if curvatures[0] == 0.0 else 1
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))

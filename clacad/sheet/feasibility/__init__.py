@@ -22,7 +22,14 @@ from clacad.sheet.feasibility.derived_numbers import (
     LensFacts,
     two,
 )
-from clacad.sheet.feasibility.lenses import body_of, field_facts, least_thickness, lens_facts, lens_margin, thicker
+from clacad.sheet.feasibility.lenses import (
+    body_of,
+    field_facts,
+    least_thickness,
+    lens_facts,
+    lens_margin,
+    thicker,
+)
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, lit_zone, thin_cells
 from clacad.sheet.window import Window

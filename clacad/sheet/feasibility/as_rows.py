@@ -80,9 +80,27 @@ def _field_rows(
             "(p/spot)² times that on lens 1, for light of one direction: mind lasers"),
     ]  # fmt: skip
     if "gap" in told:
-        rows.insert(0, FactRow("field lens", "air gap between the plates", of_length(float(told["gap"])), name, "vertex to vertex"))
+        rows.insert(
+            0,
+            FactRow(
+                "field lens",
+                "air gap between the plates",
+                of_length(float(told["gap"])),
+                name,
+                "vertex to vertex",
+            ),
+        )
     if told.get("equal_plates"):
-        rows.insert(0, FactRow("field lens", "plates", "2 of one part", "", "order the same part twice, put them back to back"))
+        rows.insert(
+            0,
+            FactRow(
+                "field lens",
+                "plates",
+                "2 of one part",
+                "",
+                "order the same part twice, put them back to back",
+            ),
+        )
     return rows
 
 

@@ -89,8 +89,7 @@ def shallowest(facts: Feasibility) -> Named:
 def tallest(window: Window, facts: Feasibility) -> Named:
     """Greatest height over width of a lens, a seam or a baffle's wall."""
     found = [
-        Named(lens.sag / min(window.lattice.pitch), f"{lens.name} over the pitch")
-        for lens in facts.lenses
+        Named(lens.sag / min(window.lattice.pitch), f"{lens.name} over the pitch") for lens in facts.lenses
     ]
     if window.land.seam > 0.0:
         deepest = max(

@@ -267,9 +267,7 @@ def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -
     return met, gap + met.distance
 
 
-def _through_field(
-    layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, patch: ThinPatch
-) -> Passed:
+def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, patch: ThinPatch) -> Passed:
     """Bend rays at a field lens; those that pass beside it are missed."""
     met, length = _carried(layout, gone.beam, left, patch)
     _pass_beside(layout, ledger, gone.one, met)
@@ -314,9 +312,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
     return ~stopped, out
 
 
-def _leave(
-    layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: Met, path: Floats
-) -> None:
+def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: Met, path: Floats) -> None:
     """Bend at lens 2 and write the rays."""
     one = gone.one
     goes, out = _go_on(layout, ledger, patch, two, path)

@@ -163,7 +163,13 @@ class _Straight:
         bottom = min(plan.level + plan.low for plan in layout.bodies)
         decided = np.isfinite(position).all(axis=1) & np.isfinite(direction).all(axis=1)
         decided &= (position[:, 2] < bottom) & (direction[:, 2] > 0.0)
-        return cls(position, direction, np.zeros(n), np.full((len(layout.window.placements), n, 2), NO_CELL, dtype=np.int64), decided)
+        return cls(
+            position,
+            direction,
+            np.zeros(n),
+            np.full((len(layout.window.placements), n, 2), NO_CELL, dtype=np.int64),
+            decided,
+        )
 
     def cross(
         self, window: Window, triangles: BodyTree, face: Face, indices: tuple[float, float], entering: bool

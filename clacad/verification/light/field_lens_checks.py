@@ -110,7 +110,9 @@ def _pupil(window: Window, name: str, limit: float, unit: str) -> Check:
         f"light through the middle of cell 1 moves over lens 2 by {moved[0]:.3g}, {moved[1]:.3g} of the separation a unit "
         "of slope (x, y); without a field lens it would be 1"
     )
-    return judge(name, max(moved), limit, sentence, unit=unit, where="surfaces, parabasal", limit_source=FIXED)
+    return judge(
+        name, max(moved), limit, sentence, unit=unit, where="surfaces, parabasal", limit_source=FIXED
+    )
 
 
 def _throughput(window: Window) -> Check:
@@ -146,7 +148,9 @@ def _law(design: Design, window: Window, main: Bundle) -> Check:
     from clacad.design import DesignError
     from clacad.prescription.prescribe import prescribe
 
-    without = {key: value for key, value in design.given["pair"].items() if key not in ("field", "field_lens")}
+    without = {
+        key: value for key, value in design.given["pair"].items() if key not in ("field", "field_lens")
+    }
     try:
         plain = prescribe(type(design).from_dict({**design.given, "pair": without}))
     except DesignError as error:

@@ -67,7 +67,8 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     bodies = range(1, len(window.bodies) + 1)
     found += [Parameter(f"index.{body}", "index", spec.index, "") for body in bodies]
     found += [
-        Parameter(f"thickness.{body}", "thickness", spec.of_body(body, len(window.bodies)), unit) for body in bodies
+        Parameter(f"thickness.{body}", "thickness", spec.of_body(body, len(window.bodies)), unit)
+        for body in bodies
     ]
     found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
