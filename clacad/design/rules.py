@@ -202,12 +202,16 @@ def faces_are_of_the_form(a: Asked) -> Iterator[Mistake]:
     form, faces = a("pair.form"), a("pair.face")
     if a("pair.prescription") != "given" or form is None or faces is None:
         return
-    wanted = 2 if form == "slab" else 4
+    eta, lensed = a("law.eta"), bool(a("pair.field_lens"))
+    in_three = lensed and form == "slab" and eta is not None and eta[0] != eta[1]
+    wanted = (2 if form == "slab" else 4) + 2 * lensed + 2 * in_three
     if len(faces) != wanted:
-        yield Mistake("CL108", f"{len(faces)} given faces: a {form} pair has {wanted}", "pair.face",
+        what = f"a {form} pair" + (" with a field lens" if lensed else "")
+        yield Mistake("CL108", f"{len(faces)} given faces: {what} has {wanted}", "pair.face",
                       allowed=f"{wanted} tables [[pair.face]], in the order light meets them")  # fmt: skip
-    elif form == "plano":
-        for k in (1, 2) if a("pair.curved") != "inside" else (0, 3):
+    elif form == "plano" or in_three:
+        last = len(faces) - 1
+        for k in (1, last - 1) if a("pair.curved") != "inside" else (0, last):
             if not faces_read([faces[k]])[0].plane:
                 yield Mistake("CL114", f"pair.face[{k}] is the plane side of a plano lens", f"pair.face.{k}.radius",
                               allowed="radius = inf and nothing else", hint='form = "biconvex" bends both sides')  # fmt: skip
@@ -248,9 +252,6 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
         if euler[1] != 0.0 and form == "biconvex":
             yield Mistake("CL127", f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
                           "would fall into steps", "law.euler.1", allowed="theta = 0", hint="eta_x = eta_y, or theta = 0")  # fmt: skip
-    if a("pair.prescription") == "given":
-        yield Mistake("CL127", "a field lens beside given faces is not made: its faces follow from eta", "pair.field_lens",
-                      allowed='false, or prescription = "derived"')  # fmt: skip
     if a("body.baffle"):
         yield Mistake("CL127", "a baffle beside a field lens is not made", "body.baffle", allowed="false")
     for key, of in (("pair.field.gap", form == "slab"),):

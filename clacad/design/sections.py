@@ -91,7 +91,8 @@ class PairSpec:
     prescription : {"derived", "given"}
         Whether the recipe finds the faces, or `face` gives them.
     face : tuple of FaceSpec
-        The given faces in the order light meets them: 2 of a slab, else 4.
+        The given faces in the order light meets them: 2 of a slab, else 4; two more of a field lens, and of a slab that it
+        cuts in three as of plano lenses.
     vertex : (2,) tuple of float or None, length
         Given offset of lens 2 in the lens frame; None: δ f1.
     field_lens : bool
@@ -122,6 +123,12 @@ class PairSpec:
     def given(self) -> bool:
         """Whether the faces stand as given."""
         return self.prescription == "given"
+
+    def lens_faces(self, lens: int) -> slice:
+        """Places of lens 0's or 1's own faces, plane sides too, among given ones."""
+        if self.form == "slab" and len(self.face) < 6:
+            return slice(0, 1) if lens == 0 else slice(-1, None)
+        return slice(0, 2) if lens == 0 else slice(-2, None)
 
     @property
     def thicknesses(self) -> Pair2 | None:

@@ -253,10 +253,13 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         lenses = recipe(intent.eta, separation, thickness, intent.index)
     lenses = lenses.scaled(scale)
     offset = intent.built_offset(lenses)
-    plate = None
+    plate, ideal = None, lenses
     if pair.field_lens:
-        rooms = [symmetric_foci(lenses.radius[k], thickness[k], intent.index) for k in (0, 1)]
-        plate = one_plate(intent, lenses.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
+        # the plate's place follows from eta alone, so that given faces are where the derived ones were
+        if pair.given:
+            ideal = biconvex_exact(intent.eta, separation, thickness, intent.index)
+        rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
+        plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
     place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
         (), intent.design.lattice.aperture, place.lens_2[:2], float(place.lens_2[2]), False
@@ -283,9 +286,9 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         return _assemble_window(intent, bodies, moved, lenses, offset, separation)
     axis = intent.turn[:, 2]
     height = float((lens_2 - np.array([*moved, 0.0])) @ axis) / axis[2]
-    reduced = lenses.focal_length[0][0] + lenses.focal_length[1][0]
+    reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
     chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
-    legs = ((min(lenses.focal_length[0]), 1.0), (plate.thickness, intent.index))
+    legs = ((min(ideal.focal_length[0]), 1.0), (plate.thickness, intent.index))
     field, shift = plate_body(intent, plate, (chief.across(legs[:1]), chief.across(legs)))
     bodies = (bodies[0], field, bodies[1])
     return _assemble_window(intent, bodies, moved, lenses, offset, separation, shift, plate.told)
@@ -300,7 +303,7 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
         web = intent.neck  # the border is a plate, and something must join it to the lenslets
     radii: tuple[float, ...] = lenses.radius[number]
     if spec.pair.given:
-        radii = tuple(r for face in spec.pair.face[2 * number : 2 * number + 2] for r in face.radius)
+        radii = tuple(r for face in spec.pair.face[spec.pair.lens_faces(number)] for r in face.radius)
     if web == 0.0 or any(r < 0.0 for r in radii):
         return None
     return centre - 0.5 * web, centre + 0.5 * web
@@ -351,7 +354,7 @@ def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
     n = intent.index
     if intent.eta[0] == intent.eta[1]:
         placed = two_plates(intent, separation, scale)
-        lenses = single_surface(intent.eta, separation, (n * separation, n * separation), n).scaled(scale)
+        lenses = _one_faced(intent, separation, (n * separation, n * separation)).scaled(scale)
         return _assemble_window(
             intent, placed.bodies, placed.moved, lenses, placed.offset, separation, placed.field, placed.told
         )
@@ -363,7 +366,7 @@ def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
             f"air gaps of {gap:.6g} leave a plate no thickness", key="pair.field",
             hint=f"gap < {min(*first, *second):.6g}", code="CL129",
         )  # fmt: skip
-    lenses = single_surface(intent.eta, separation, thickness, n).scaled(scale)
+    lenses = _one_faced(intent, separation, thickness).scaled(scale)
     return _plano_with_field(intent, lenses, separation)
 
 
@@ -539,7 +542,7 @@ def _assemble_window(
         land=land,
         baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,
         wavelength=design.pair.wavelength,
-        recipe=_recipe(intent, lenses, offset, separation) | ({} if told is None else {"field": told}),
+        recipe={**_recipe(intent, lenses, offset, separation), **({} if told is None else {"field": told})},
         name=design.name,
     )
     window = replace(window, outline=side_outline(window))

@@ -24,7 +24,8 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.process_profiles import profile
-from clacad.optics.surface import Quadric
+from clacad.optics.surface import Quadric, Surface
+from clacad.prescription.given import GivenFaces
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
 
@@ -79,6 +80,13 @@ def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
 def _conic(intent: Intent, default: float) -> float:
     given = intent.design.pair.field.conic
     return default if given is None else given
+
+
+def _face(intent: Intent, derived: Quadric, after: int) -> Surface:
+    """The field face that has `after` others before it: as given, else as derived."""
+    if isinstance(intent.shape, GivenFaces):
+        return intent.shape.of_field(derived.side, after)
+    return derived
 
 
 def _sphere(radius: float, side: int, conic: float) -> Quadric:
@@ -187,6 +195,8 @@ def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
     turn = intent.turn[:2, :2]
     before, behind, moved = (turn @ chief.across(legs[:k]) for k in (1, 2, 3))
     offset = plates.offset(np.asarray(intent.delta), eta, moved @ turn / plates.length)
+    if intent.design.pair.vertex is not None:
+        offset = np.array(intent.design.pair.vertex)
     lens_2 = turn @ offset
     conic = _conic(intent, 0.0)
     centre, half = 0.5 * (before + behind), 0.5 * (behind - before)
@@ -199,10 +209,10 @@ def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
 
     first = Body(
         lens(0, +1, np.zeros(2), 0.0),
-        Face(_sphere(inner[0], -1, conic), _vertex(-half, thickness[0]), array=ARRAY), n, "array1",
+        Face(_face(intent, _sphere(inner[0], -1, conic), 0), _vertex(-half, thickness[0]), array=ARRAY), n, "array1",
     )  # fmt: skip
     second = Body(
-        Face(_sphere(inner[1], +1, conic), _vertex(half, top), array=ARRAY),
+        Face(_face(intent, _sphere(inner[1], +1, conic), 1), _vertex(half, top), array=ARRAY),
         lens(1, -1, lens_2 - moved, top + thickness[1]), n, "array2",
     )  # fmt: skip
     told = {
@@ -340,7 +350,7 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
     rotation = IDENTITY if np.array_equal(rotation, IDENTITY) else rotation
     if not plate.crossed:
         assert isinstance(power_of, float)
-        lens = Face(_sphere(power_of, +1, conic), (0.0, 0.0, float(front[2])), rotation, ARRAY)
+        lens = Face(_face(intent, _sphere(power_of, +1, conic), 0), (0.0, 0.0, float(front[2])), rotation, ARRAY)
         if not tilted:
             plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
         else:
@@ -355,8 +365,8 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
     for axis, point in zip(axes, points, strict=True):
         middle[axis] = point[axis]
     faces = [
-        Face(_cylinder(power_of[axis], axis, side, conic), (0.0, 0.0, float(at[2])), rotation, ARRAY)
-        for axis, side, at in zip(axes, (+1, -1), (front, back), strict=True)
+        Face(_face(intent, _cylinder(power_of[axis], axis, side, conic), after), (0.0, 0.0, float(at[2])), rotation, ARRAY)
+        for after, (axis, side, at) in enumerate(zip(axes, (+1, -1), (front, back), strict=True))
     ]
     return Body(faces[0], faces[1], intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
 

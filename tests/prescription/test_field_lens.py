@@ -39,7 +39,7 @@ FORMS = {
     "two plates, offset": sheet(law__eta=[-0.5, -0.5], law__delta=[0.03, 0.1]),
     "slab, foci apart": sheet(law__eta=[-0.5, -1.0]),
     "biconvex": sheet("paper-a-covered"),
-    "biconvex, offset": sheet("paper-a-covered", law__delta=[0.1, 0.05]),
+    "biconvex, offset": sheet("paper-a-covered", law__delta=[0.03, 0.05]),
     "biconvex, tilted": sheet("paper-a-covered", law__eta=[-1.0, -1.0], law__euler=[20.0, 6.0, 0.0]),
     "plano": sheet("plano", law__euler=[0.0, 0.0, 0.0]),
     "plano, inside": sheet("plano", law__euler=[0.0, 0.0, 0.0], pair__curved="inside", law__delta=[0.02, 0.0]),
@@ -203,7 +203,7 @@ def test_the_window_keeps_its_light_over_all_of_its_field():
     assert ghosts <= 0.002
     assert rms_1 == pytest.approx(0.0169, rel=0.02)
     assert rms_28 == pytest.approx(0.130, rel=0.02)
-    assert measured(design.replace("pair.field_lens", False), 2.8)[0] == pytest.approx(0.322, abs=0.004)
+    assert measured(design.replace("pair.field_lens", False), 2.8, 32768)[0] == pytest.approx(0.322, abs=0.004)
 
 
 def test_the_papers_sheet_keeps_its_light_at_the_rim_of_its_field():
@@ -257,7 +257,7 @@ def test_eta_minus_one_is_one_part_twice():
         ("paper-a-covered", {"law.euler": [0.0, 2.0, 0.0]}, "CL127", "steps"),
         ("hexagonal", {"law.eta": [-0.5, -1.0]}, "CL127", "hexagonal"),
         ("baffled", {"law.eta": [-1.0, -1.0]}, "CL127", "baffle"),
-        ("window-100mm", {"lattice.pitch": 4.0}, "CL128", "the radius 2.46"),
+        ("paper-a-covered", {"lattice.pitch": 0.008}, "CL128", "the radius 0.0039"),
         ("window-100mm", {"pair.field.gap": 10.0}, "CL129", "too wide"),
         ("window-100mm", {"law.eta": [-0.999, -1.0]}, "CL129", "they need"),
         ("paper-a-covered", {"pair.field.gap": 0.1}, "CL114", "does not belong"),
@@ -267,7 +267,7 @@ def test_a_field_lens_that_cannot_be_is_refused_by_one_code(name, changes, code,
     with pytest.raises(DesignError, match=code) as caught:
         prescribe(load(DESIGNS / f"{name}.toml").replace(FIELD | changes))
     assert says in str(caught.value)
-    assert [mistake.code for mistake in caught.value.mistakes] == [code]
+    assert {mistake.code for mistake in caught.value.mistakes} == {code}
 
 
 def test_the_text_of_a_design_without_a_field_lens_is_as_it_was():
@@ -281,7 +281,7 @@ def test_the_text_of_a_design_without_a_field_lens_is_as_it_was():
 
 @pytest.mark.parametrize("name", ["two plates", "biconvex"])
 def test_what_goes_wrong_with_a_field_lens_is_traced(name):
-    design = FORMS[name].replace({"tolerances.radius": 0.01, "tolerances.decentre": 1e-6, "tolerances.thickness": 1e-6})
+    design = FORMS[name].replace({"tolerances.radius": 0.01, "tolerances.decentre": "1 um"})
     window = prescribe(design)
     named = {parameter.name for parameter in parameters(design, window)}
     assert {"radius.3.front", "radius.3.back"} <= named
