@@ -189,7 +189,7 @@ def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -
     given = design.pair.thicknesses
     auto: tuple[Changes, ...] = () if given is None else ({"pair.thickness": "auto"},)
     if given is None and judged is not None:
-        first, second = (nice(lens.thickness, 3) for lens in judged.facts.lenses)
+        first, second = (nice(lens.thickness, 3) for lens in judged.facts.lenses[:2])
         given = (first, second)
     if given is None:
         return auto

@@ -38,6 +38,10 @@ CODES: dict[str, str] = {
     "CL123": "a lens of an aimed sheet used too far from its vertex",
     "CL124": "a table of cells that cannot be read",
     "CL125": "a sheet whose cells differ beside what is not built with it",
+    "CL126": "a field lens for a pair without a real common focus",
+    "CL127": "a field lens in a form, lattice or tilt that it is not made for",
+    "CL128": "a field lens too steep for its cell",
+    "CL129": "field faces without room between them",
     "CL141": "outline, corner, hole or pin that makes no plate",
 }
 """Meaning of each stable code of a design mistake."""

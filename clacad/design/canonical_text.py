@@ -14,7 +14,16 @@ from clacad.design.given_faces import FaceSpec, face_table
 from clacad.design.keys import FORMAT, SECTIONS, Key
 from clacad.design.plate_keys import CornersSpec, HoleSpec, PinsSpec, hole_table, vertex_lists
 from clacad.design.search_record import SearchRecord
-from clacad.design.sections import DAYLIGHT, NO_TOLERANCES, AimedAt, Allowed, Frame, Outline, PairSpec
+from clacad.design.sections import (
+    DAYLIGHT,
+    NO_TOLERANCES,
+    AimedAt,
+    Allowed,
+    FieldSpec,
+    Frame,
+    Outline,
+    PairSpec,
+)
 from clacad.design.varying import VaryingSpec, varying_table
 
 if TYPE_CHECKING:
@@ -52,6 +61,10 @@ def _left_out(name: str, pair: PairSpec) -> bool:
     """Whether a key of [pair] has no place in the text; a later key at its default has none, so that hashes stay."""
     if name == "curved":
         return pair.form != "plano"
+    if name == "field_lens":
+        return not pair.field_lens
+    if name == "field":
+        return pair.field == FieldSpec()
     return name in OF_RECIPES if pair.given else name == "prescription"
 
 
@@ -75,6 +88,8 @@ def _written(value: Any, key: Key, design: Design) -> Any:
         return {"width": value.width} | ({} if value.height is None else {"height": value.height})
     if isinstance(value, VaryingSpec):
         return varying_table(value)
+    if isinstance(value, FieldSpec):
+        return {part: given for part in ("conic", "gap") if (given := getattr(value, part)) is not None}
     if isinstance(value, tuple) and value and isinstance(value[0], FaceSpec):
         return [face_table(face) for face in value]
     if isinstance(value, tuple) and value and isinstance(value[0], Allowed):

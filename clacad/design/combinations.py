@@ -36,7 +36,7 @@ def _has_point(aperture: Any) -> bool:
     return not isinstance(aperture, str) and aperture is not None and isinstance(aperture[0], tuple)
 
 
-def _plate(a: Ask) -> bool:
+def has_plate(a: Ask) -> bool:
     """Whether bodies end at a polygon, or have holes, corners or pins."""
     outline = a("lattice.outline")
     polygon = outline is not None and bool(outline) and outline[0][0] not in ("circle", "rectangle")
@@ -72,7 +72,8 @@ FEATURES: Final = (
     Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
     Feature("aimed at a point", "lattice.aperture", lambda a: _has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
     Feature("confocal best", "pair.confocal", lambda a: a("pair.confocal") == "best", 'confocal = "exact"'),
-    Feature("plate with holes, corners or pins", "body.holes", _plate, "plain edges"),
+    Feature("plate with holes, corners or pins", "body.holes", has_plate, "plain edges"),
+    Feature("field lens", "pair.field_lens", lambda a: bool(a("pair.field_lens")), "field_lens = false"),
     Feature("baffle", "body.baffle", lambda a: bool(a("body.baffle")), "baffle = false"),
 )  # fmt: skip
 
@@ -92,6 +93,7 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
         VARYING,
         "plate with holes, corners or pins",
     ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
+    (VARYING, "field lens"): "field lenses would stand in every cell at a place of their own",
     (VARYING, "confocal best"): "its radii are for light along the axis alone",
     (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
 }

@@ -173,6 +173,11 @@ PAIR: Final[dict[str, Key]] = {
     "search": Key(
         SEARCH, "given: where the faces come from; clacad optimise writes it, nothing is built from it"
     ),
+    "field_lens": Key(Flag(), "lenses at the common focus, which image lens 1 onto lens 2", False),
+    "field": Key(
+        InlineTable((("conic", _CONIC), ("gap", _ABOVE_0))),
+        "field lens: conic constant of its faces, and air gap between the plates of a slab",
+    ),
 }
 LATTICE: Final[dict[str, Key]] = {
     "kind": Key(Word(("square", "rectangular", "hexagonal")), "pattern of the cells", "square"),

@@ -28,6 +28,7 @@ from clacad.design.sections import (
     Allowed,
     BodySpec,
     CheckSpec,
+    FieldSpec,
     Frame,
     LatticeSpec,
     LawSpec,
@@ -224,6 +225,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         pair["web"] = 0.0
     pair["face"] = faces_read(pair["face"])
     pair["search"] = None if pair["search"] is None else search_read(pair["search"])
+    pair["field"] = FieldSpec(**dict(pair["field"] or ()))
     law["euler_degrees"] = law.pop("euler")
     law["varying"] = _varying(law["varying"], path, source)
     if lattice["outline"] is not None:

@@ -10,7 +10,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
-from clacad.design.combinations import FEATURES, built_sheets, why_not
+from clacad.design.combinations import FEATURES, built_sheets, has_plate, why_not
 from clacad.design.given_faces import faces_read
 from clacad.design.plate_keys import box_about_origin
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta, varying_read
@@ -205,15 +205,65 @@ def faces_are_of_the_form(a: Asked) -> Iterator[Mistake]:
     form, faces = a("pair.form"), a("pair.face")
     if a("pair.prescription") != "given" or form is None or faces is None:
         return
-    wanted = 2 if form == "slab" else 4
+    eta, lensed = a("law.eta"), bool(a("pair.field_lens"))
+    in_three = lensed and form == "slab" and eta is not None and eta[0] != eta[1]
+    wanted = (2 if form == "slab" else 4) + 2 * lensed + 2 * in_three
     if len(faces) != wanted:
-        yield Mistake("CL108", f"{len(faces)} given faces: a {form} pair has {wanted}", "pair.face",
+        what = f"a {form} pair" + (" with a field lens" if lensed else "")
+        yield Mistake("CL108", f"{len(faces)} given faces: {what} has {wanted}", "pair.face",
                       allowed=f"{wanted} tables [[pair.face]], in the order light meets them")  # fmt: skip
-    elif form == "plano":
-        for k in (1, 2) if a("pair.curved") != "inside" else (0, 3):
+    elif form == "plano" or in_three:
+        last = len(faces) - 1
+        for k in (1, last - 1) if a("pair.curved") != "inside" else (0, last):
             if not faces_read([faces[k]])[0].plane:
                 yield Mistake("CL114", f"pair.face[{k}] is the plane side of a plano lens", f"pair.face.{k}.radius",
                               allowed="radius = inf and nothing else", hint='form = "biconvex" bends both sides')  # fmt: skip
+
+
+def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
+    """A field lens stands at a real common focus: η < 0 in both meridians."""
+    eta = a("law.eta")
+    if not a("pair.field_lens") or eta is None:
+        return
+    for i, axis in enumerate("xy"):
+        if eta[i] > 0.0:
+            where = "there is none" if eta[i] == 1.0 else "it is virtual"
+            yield Mistake("CL126", f"eta_{axis} = {eta[i]:g}: a field lens stands at the common focus, and {where}",
+                          "pair.field_lens", allowed="false, or eta < 0 in both x and y",
+                          hint=f"eta_{axis} = {-eta[i]:g}, or pair.field_lens = false")  # fmt: skip
+
+
+def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
+    """A tilt is for biconvex pairs; foci apart need cells along the lens axes; the keys of a field lens need one."""
+    if a.given("pair.field") and a("pair.field_lens") is False:
+        yield Mistake("CL113", "pair.field needs pair.field_lens = true", "pair.field",
+                      allowed="field_lens = true, or leave it out")  # fmt: skip
+    form, eta, euler = a("pair.form"), a("law.eta"), a("law.euler")
+    if not a("pair.field_lens") or form is None or eta is None or euler is None:
+        return
+    if euler[1] != 0.0 and form != "biconvex":
+        yield Mistake("CL127", f"theta = {euler[1]:g} deg: a field lens of a tilted {form} pair is not made", "law.euler.1",
+                      allowed="theta = 0", hint='pair.form = "biconvex", or theta = 0')  # fmt: skip
+    if eta[0] != eta[1]:
+        if a("lattice.kind") == "hexagonal":
+            yield Mistake("CL127", "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
+                          "would cut across", "lattice.kind", allowed="square | rectangular", hint="eta_x = eta_y")  # fmt: skip
+        if (angle := euler[0] + euler[2]) % 90.0:
+            yield Mistake("CL127", f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
+                          "the cylinders of the field lens", "law.euler.0", allowed="phi + psi = 0 deg, or a multiple of 90 deg",
+                          hint="eta_x = eta_y, or lenses along the cells")  # fmt: skip
+        if euler[1] != 0.0 and form == "biconvex":
+            yield Mistake("CL127", f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
+                          "would fall into steps", "law.euler.1", allowed="theta = 0", hint="eta_x = eta_y, or theta = 0")  # fmt: skip
+    if has_plate(a):
+        yield Mistake("CL127", "a field lens in a plate of holes, corners, pins or a polygon is not made", "pair.field_lens",
+                      allowed="false, or plain edges", hint="a circle or a rectangle is made")  # fmt: skip
+    if a("body.baffle"):
+        yield Mistake("CL127", "a baffle beside a field lens is not made", "body.baffle", allowed="false")
+    for key, of in (("pair.field.gap", form == "slab"),):
+        if "gap" in dict(a("pair.field") or ()) and not of:
+            yield Mistake("CL114", f"{key} does not belong to a {form} pair", "pair.field",
+                          allowed='only with pair.form = "slab"', hint="leave it out")  # fmt: skip
 
 
 def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
@@ -409,6 +459,8 @@ RULES: Final[tuple[Rule, ...]] = (
     surface_and_its_keys,
     faces_stand_alone,
     faces_are_of_the_form,
+    field_lens_has_a_focus,
+    field_lens_is_made,
     pitch_fits_lattice,
     seam_leaves_a_lens,
     outline_holds_a_cell,

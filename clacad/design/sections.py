@@ -49,6 +49,22 @@ class LawSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """What is asked of the field lens.
+
+    Parameters
+    ----------
+    conic : float or None
+        Conic constant of its faces; None: 0 between the two plates of a slab, −n² on a plate in air.
+    gap : float or None, length
+        Air gap between the plates of a slab, vertex to vertex; None: pitch/25, or 1.25 times the process's clearance.
+    """
+
+    conic: float | None = None
+    gap: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PairSpec:
     """How a lenslet pair is built.
 
@@ -81,13 +97,18 @@ class PairSpec:
     prescription : {"derived", "given"}
         Whether the recipe finds the faces, or `face` gives them.
     face : tuple of FaceSpec
-        The given faces in the order light meets them: 2 of a slab, else 4.
+        The given faces in the order light meets them: 2 of a slab, else 4; two more of a field lens, and of a slab that it
+        cuts in three as of plano lenses.
     vertex : (2,) tuple of float or None, length
         Given offset of lens 2 in the lens frame; None: δ f1.
     offset : {"paraxial", "traced"} or None
         Where lens 2 stands: by paraxial rays, or where traced light leaves as asked; None: traced where cells differ.
     search : SearchRecord or None
         Where given faces come from.
+    field_lens : bool
+        Whether an array of lenses at the common focus images lens 1 onto lens 2.
+    field : FieldSpec
+        How it is built.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -107,11 +128,19 @@ class PairSpec:
     vertex: Pair2 | None = None
     offset: Literal["paraxial", "traced"] | None = None
     search: SearchRecord | None = None
+    field_lens: bool = False
+    field: FieldSpec = FieldSpec()
 
     @property
     def given(self) -> bool:
         """Whether the faces stand as given."""
         return self.prescription == "given"
+
+    def lens_faces(self, lens: int) -> slice:
+        """Places of lens 0's or 1's own faces, plane sides too, among given ones."""
+        if self.form == "slab" and len(self.face) < 6:
+            return slice(0, 1) if lens == 0 else slice(-1, None)
+        return slice(0, 2) if lens == 0 else slice(-2, None)
 
     @property
     def thicknesses(self) -> Pair2 | None:
@@ -303,7 +332,7 @@ class CheckSpec:
 class TolerancesSpec:
     """What fabrication may get wrong, and what a good sheet still is. Lengths in design units, angles in radians.
 
-    Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
+    Where a field lens stands on a plate of its own, the larger tolerance of the two arrays is its, too. Each tolerance t means ±t (roughness: 0 … t); 0: nothing goes wrong.
 
     Parameters
     ----------
@@ -346,6 +375,16 @@ class TolerancesSpec:
     blur: float | None
     residual_power: float | None
     moire_period: float | None
+
+    @staticmethod
+    def of_array(halves: Pair2, array: int) -> float:
+        """Tolerance of array 0 or 1; of a field lens, which has none of its own, the larger of the two."""
+        return halves[array] if array < 2 else max(halves)
+
+    def of_body(self, number: int, bodies: int) -> float:
+        """Tolerance (length) of the thickness of body 1, 2 …; of a plate between two, the larger of theirs."""
+        middle = bodies == 3 and number == 2
+        return max(self.thickness) if middle else self.thickness[min(number, 2) - 1]
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,8 +37,8 @@ def forecast(window: Window, quads: int) -> float:
     for axis, m in enumerate(focal_ratio(window.thin)):
         side = float(np.ptp(cells.zone[:, axis])) / quads
         for face, body in ((f, b) for b in window.bodies for f in (b.front, b.back)):
-            if face.array is None:
-                continue
+            if face.array is None or face.array == 2:
+                continue  # light is at a focus on a field lens: what turns it there leaves its exit direction alone
             slope = side / (sqrt(6.0) * abs(principal_radii(face.surface)[axis]))
             error = hypot(error, (body.index - 1.0) * slope / (abs(m) if face.array == 0 else 1.0))
     return error

@@ -48,9 +48,15 @@ def effect(window: Window, setting: Setting) -> Effect:
 def blur(window: Window, slope_rms: float) -> tuple[float, float]:
     """Rms slope by which light is turned along lens x and y."""
     index = max(body.index for body in window.bodies)
-    each = len(window.bodies)  # faces a lens: two each in air, one on a slab
-    x, y = ((index - 1.0) * slope_rms * sqrt(each * (1.0 + 1.0 / (m * m))) for m in focal_ratio(window.thin))
+    one, two = (faces_of_lens(window, array) for array in (0, 1))
+    x, y = ((index - 1.0) * slope_rms * sqrt(two + one / (m * m)) for m in focal_ratio(window.thin))
     return x, y
+
+
+def faces_of_lens(window: Window, array: int) -> int:
+    """Faces of lens 1 or 2, its plane face too: two each in air, one on a slab or on a plate that a field lens shares."""
+    body = next(b for b in window.bodies if array in (b.front.array, b.back.array))
+    return sum(face.array in (array, None) for face in (body.front, body.back))
 
 
 def haze(window: Window, roughness: float, wavelength: float) -> float:

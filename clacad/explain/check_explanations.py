@@ -94,6 +94,28 @@ CHECKS: dict[str, Text] = {
         "sin θ' = sin θ + mλ/p, so ± λ/(2p) along each lattice vector",
         "A larger pitch; or light that is not coherent over a cell, as sunlight is.",
     ),
+    "field_focus": (
+        "How far the faces of a field lens stand from the foci of lens 1, along the axis.",
+        "Only where all light of one direction meets in a point does a lens leave the law alone.",
+        "max |z_face − z_focus|/f1 in air, of every face and meridian with power; 0.01 at most",
+        "A smaller gap between the plates (pair.field.gap); confocal = \"exact\".",
+    ),
+    "pupil": (
+        "How far the place where light meets lens 2 moves with its slope.",
+        "A field lens images lens 1 onto lens 2, so that light of any slope arrives in its partner's cell.",
+        "max |du/dt|/s, u where the ray through the middle of cell 1 meets lens 2; 0.02 at most (without a field lens: 1)",
+        "A smaller gap between the plates (pair.field.gap).",
+    ),
+    "field_throughput": (
+        "Share of the light that keeps to its partner at 0.9 of the full field, along both lens axes, over that of thin lenses.",
+        "The field lens is there for the light of the rim of the field.", "ALIVE/launched ÷ min(1, 1/|η|), both axes; 0.95 at least",
+        "A conic of the field faces (pair.field.conic), a smaller ratio of pitch to separation.",
+    ),
+    "field_law": (
+        "Rms error of the law with the field lens over that without, for the light that both let through.",
+        "A field lens shall widen the field and cost nothing inside it.", "rms_with/rms_without over the cone of test rays; 1.2 at most",
+        "A conic of the field faces (pair.field.conic), or no field lens.",
+    ),
     "accounting": (
         "Every ray ends in exactly one fate, and none but invalid ones holds NaN.", "Otherwise light got lost in the program, not in the sheet.",
         "Σ counts = rays launched", "This is an error of the program: please report it with the design.",

@@ -92,6 +92,26 @@ MISTAKES: dict[str, Text] = {
         "A dispersion formula outside its range returns a number that looks like an index and is none.",
         "n(λ) by Sellmeier, Schott or Cauchy, within the range of its source", "Take the name that is suggested, a wavelength in range, or give pair.index.",
     ),
+    "CL126": (
+        "A field lens is asked for where the common focus is virtual (eta > 0) or where there is none (eta = 1).",
+        "A field lens stands at the focus that lens 1 and lens 2 share; with η > 0 it lies outside the pair.",
+        "1/f_F = 1/f1 + 1/f2,  f_F = −η s/(1 − η)²", "Take eta < 0 in both meridians, or leave pair.field_lens out.",
+    ),
+    "CL127": (
+        "A field lens in a form, tilt or lattice that it is not made for: tilted slabs and plano pairs; where eta_x and eta_y differ, "
+        "hexagonal cells, lenses turned against the cells, tilts; given faces; baffles.",
+        "Where eta_x and eta_y differ the field lens is two arrays of cylinders, which run along the cells or are cut to pieces.",
+        "", "Change one of the two as the message says; a biconvex pair with eta_x = eta_y takes any tilt.",
+    ),
+    "CL128": (
+        "The field lens is so strong that its surface would end inside its cell.", "Light at the rim of the field would meet no lens.",
+        "R_F = (n − 1) f_F ≥ 1.05 p/2 (a sphere: half the cell's diagonal)", "A smaller pitch or a larger separation.",
+    ),
+    "CL129": (
+        "There is no room for the field lens: its plates would touch, or the plate between two cylinder arrays would be thinner than "
+        "they are high.", "Faces that touch grind each other; a plate cannot be thinner than what is cut into it.",
+        "t = n |f1x − f1y| between the two foci", "What the message names: a smaller gap, a larger separation, or eta_x = eta_y.",
+    ),
     "CL120": (
         "No lens pair has what is asked: the radii cannot be solved, a lens would be thicker than its focal length allows, or the "
         "surface would end inside its cell.",

@@ -11,7 +11,7 @@
   let state = {}, made = null;
 
   function started() {
-    const out = { field: 0, ghosts: 1 };
+    const out = { field: facts.field ? 1 : 0, ghosts: 1 };
     for (const s of facts.sliders) out[s.id] = s.start;
     return out;
   }
@@ -64,8 +64,15 @@
     const ids = { eta: ["eta_x", "eta_y"], delta: ["delta_x", "delta_y"], euler: ["phi", "theta", "psi"], count: ["pitch"], viewer: ["eye"] };
     const lines = [], wrong = closedForms.unbuildable(made);
     if (wrong) lines.push("# cannot be made: " + wrong);
+    const on = Boolean(closedForms.fieldLens(made));
+    let section = "";
     for (const line of facts.toml) {
-      if (typeof line === "string") { lines.push(line); continue; }
+      if (typeof line === "string") {
+        if (line === "" && section === "[pair]" && on && !facts.field) lines.push("field_lens = true");
+        if (line.startsWith("[")) section = line;
+        if (on || !line.startsWith("field_lens = ") && !line.startsWith("field = ")) lines.push(line);
+        continue;
+      }
       const touched = (ids[line.key] || [line.key]).some(function (id) { return state[id] !== sliders[id].start; })
         || (line.key === "delta" && values.delta.some(function (v, k) { return v !== [state.delta_x, state.delta_y][k]; }));
       if (!touched) { if (line.start !== null) lines.push(line.start); continue; }
@@ -73,7 +80,6 @@
       lines.push(line.as + (line.metres ? '"' + v * facts.unitM + ' m"' : Array.isArray(v)
         ? (line.single ? String(v[0]) : "[" + v.join(", ") + "]") : String(v)));
     }
-    if (closedForms.fieldLens(made)) lines.push("# the page shows a field lens at the common focus; this file holds the sheet without it");
     return lines.join("\n") + "\n";
   }
   function fragment() {

@@ -47,7 +47,7 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
         "outline": _outline(design), "seam": window.land.seam, "border": window.land.border, "opaque": window.land.opaque,
         "baffle": None if window.baffle is None else window.baffle.wall,
         "aperture": aperture if isinstance(aperture, str) else list(aperture), "axes": design.law_spec.euler_axes,
-        "index": window.bodies[0].index, "unitM": window.unit, "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
+        "field": bool(window.thin.field), "index": window.bodies[0].index, "unitM": window.unit, "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
         "card": CARD * min(sheet_width(window)), "sliders": [asdict(one) for one in moved],
         "presets": [[name, dict(changes)] for name, changes in PRESETS], "toml": lines(design),
     }  # fmt: skip

@@ -134,18 +134,21 @@ def _array(body: Body) -> int:
 def instanceable(window: Window) -> bool:
     """Whether the sheet is nothing but equal cells side by side.
 
-    Not with land between the cells and an outline, and not for a slab whose two arrays are displaced
+    Not with land between the cells and an outline, and not for a body whose two arrays are displaced
     against one another: there one cell of one face looks at pieces of several of the other.
     """
-    one_array = all(len({f.array for f in (b.front, b.back)} - {None}) == 1 for b in window.bodies)
-    return window.outline is None and (one_array or window.shifts[0] == window.shifts[1])
+    in_columns = all(
+        len({window.shifts[f.array] for f in (b.front, b.back) if f.array is not None}) == 1
+        for b in window.bodies
+    )
+    return window.outline is None and in_columns
 
 
 def one_cell(window: Window) -> Window:
     """Reduce a window to a single cell at the origin of its own array's frame."""
     return replace(
         window.with_cells((1, 1)),
-        placements=(CellPlacement(), CellPlacement()),
+        placements=(CellPlacement(),) * len(window.placements),
         outline=None,
         land=_without_border(window.land),
     )

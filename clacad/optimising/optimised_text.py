@@ -12,7 +12,16 @@ from clacad.optimising.search import Optimised
 PLACES = {
     2: ("lens 1, front of the slab", "lens 2, back of the slab"),
     4: ("lens 1, front", "lens 1, back", "lens 2, front", "lens 2, back"),
+    6: (
+        "lens 1, front",
+        "lens 1, back",
+        "field lens, front",
+        "field lens, back",
+        "lens 2, front",
+        "lens 2, back",
+    ),
 }
+PLATES = ("lens 1", "field lens, back of plate 1", "field lens, front of plate 2", "lens 2")
 
 
 def design_text(found: Optimised) -> str:
@@ -27,7 +36,8 @@ def design_text(found: Optimised) -> str:
             continue
         parts.append(to_toml({name: pair if name == "pair" else section}))
         if name == "pair":
-            for face, place in zip(faces, PLACES[len(faces)], strict=True):
+            plates = pair["form"] == "slab" and len(faces) == len(PLATES)
+            for face, place in zip(faces, PLATES if plates else PLACES[len(faces)], strict=True):
                 body = to_toml(face)
                 parts.append(f"\n[[pair.face]]    # {place}\n{body}")
             parts.append(to_toml({"pair.search": record}))

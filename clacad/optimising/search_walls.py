@@ -15,6 +15,7 @@ from clacad.base.types import Floats
 from clacad.design import Design
 from clacad.design.process_profiles import profile
 from clacad.optics.surface import Surface
+from clacad.optimising.light_in_cells import LightInCells
 from clacad.prescription.given import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
@@ -45,6 +46,8 @@ class Walls:
         Least radius and greatest height; 0 and infinite without one.
     thickness : (b,) lengths
         Least thickness of each body anywhere in its cell.
+    light : LightInCells or None
+        With a field lens: what of the light of the full field may miss its cell.
     """
 
     x: Floats
@@ -53,6 +56,7 @@ class Walls:
     radius: float
     sag: float
     thickness: tuple[float, ...]
+    light: LightInCells | None = None
 
     @staticmethod
     def of(design: Design, window: Window) -> Walls:
@@ -71,7 +75,15 @@ class Walls:
         needs = tuple(
             max(asked, min(neck, (1.0 - 2.0 * MARGIN) * _thinnest(body, x, y))) for body in window.bodies
         )
-        return Walls(x, y, max(design.check.graph, cos(limit["slope"])), limit["radius"], limit["sag"], needs)
+        return Walls(
+            x,
+            y,
+            max(design.check.graph, cos(limit["slope"])),
+            limit["radius"],
+            limit["sag"],
+            needs,
+            LightInCells.of(window),
+        )
 
     def slack(self, window: Window) -> dict[str, float]:
         """How far every wall is from being passed, in parts of its limit; below 0: passed. One fixed order."""
@@ -88,6 +100,8 @@ class Walls:
             if need > 0.0:
                 thinnest = _least_apart(body, *heights)
                 found[f"thickness of {body.name}"] = thinnest / need - 1.0 if isfinite(thinnest) else LOST
+        if self.light is not None:
+            found["light in its cells"] = self.light.slack(window)
         return found
 
     def _of_face(self, face: Face, name: str, z: Floats, normal: Floats) -> dict[str, float]:

@@ -22,7 +22,7 @@ from clacad.optics.surface import EvenPolynomial, Quadric, Surface
 from clacad.prescription.given import given_conics
 from clacad.sheet.window import Window
 
-WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset")
+WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset", "field")
 
 NEVER = {
     "separation": "the error falls as the cube of pitch over separation, for ever",
@@ -141,9 +141,9 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     """
     _refuse(window, words)
     faces = tuple(_spec(face.surface) for face in window.faces)
-    lenses = [k for k, face in enumerate(window.faces) if face.array is not None]
+    lenses = [k for k, face in enumerate(window.faces) if face.array in (0, 1)]
     bent = "bending" in words
-    groups = [(k,) for k in lenses] if bent or len(lenses) == 2 else [(0, 1), (2, 3)]
+    groups = _groups(window, lenses, bent=bent)
     ellipsoids = (
         "conic" not in words and "a4" not in words and all(_ellipsoidal(f.surface) for f in window.faces)
     )
@@ -157,11 +157,30 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
             free += [Unknown("K", group, i) for i in (0, 1)]
         for order in MONOMIALS:
             free += [Unknown(order, group, i) for i in range(len(MONOMIALS[order])) if order in words]
+    free += _of_field(window, faces, words)
     d, half = window.recipe["d"], 0.5 * min(window.lattice.pitch)
     still = "offset" not in words and d[0] == d[1] == 0.0
     offset = (float(d[0]), float(d[1])) if "offset" in words else None
     free += [Unknown("d", (), i) for i in (0, 1)] if offset is not None else []
     return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
+
+
+def _groups(window: Window, lenses: list[int], *, bent: bool) -> list[tuple[int, ...]]:
+    """Lens faces that change together: those of one lens, unless it is bent."""
+    if bent:
+        return [(k,) for k in lenses]
+    return [tuple(k for k in lenses if window.faces[k].array == array) for array in (0, 1)]
+
+
+def _of_field(window: Window, faces: tuple[FaceSpec, ...], words: tuple[str, ...]) -> list[Unknown]:
+    """Curvature and conic constant of every face of the field lens, in the meridians in which it has power."""
+    found: list[Unknown] = []
+    for k, face in enumerate(window.faces):
+        if face.array != 2 or "field" not in words:
+            continue
+        for kind in ("c", "K"):
+            found += [Unknown(kind, (k,), i) for i in (0, 1) if faces[k].curvature[i] != 0.0]
+    return found
 
 
 def _refuse(window: Window, words: tuple[str, ...]) -> None:
@@ -171,6 +190,9 @@ def _refuse(window: Window, words: tuple[str, ...]) -> None:
         if word not in WORDS:
             hint = did_you_mean(near(word.lower(), WORDS, 0.5), quote='"')
             raise DesignError([Mistake("CL107", f"{shown(word)} is nothing that can be free", "free", found=word, allowed=", ".join(WORDS), hint=hint)])  # fmt: skip
+    if "field" in words and not window.thin.field:
+        raise DesignError([Mistake("CL113", "field is free, but there is no field lens", "free", found="field",
+                                   allowed=", ".join(w for w in WORDS if w != "field"), hint="pair.field_lens = true")])  # fmt: skip
     if not words:
         raise DesignError([Mistake("CL107", "nothing is free", "free", allowed=", ".join(WORDS))])
     for higher, lower in (("a6", "a4"), ("a8", "a6")):

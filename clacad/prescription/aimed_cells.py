@@ -184,6 +184,7 @@ def _refuse_combinations(design: Design) -> None:
             "holes, corners, pins or a polygon",
             "plain edges",
         ),
+        "pair.field_lens": (design.pair.field_lens, "a field lens: its cells would have to be aimed, too", "field_lens = false"),
         "pair.confocal": (
             design.pair.confocal == "best" and not design.pair.given,
             'confocal = "best", which knows light along the axis alone',

@@ -26,6 +26,15 @@ from clacad.prescription.faces_and_bodies import (
     plano_body,
     slab_body,
 )
+from clacad.prescription.field_lens import (
+    Chief,
+    air_gap,
+    one_plate,
+    plate_body,
+    symmetric_foci,
+    thin_field,
+    two_plates,
+)
 from clacad.prescription.given import GivenFaces, given_pair, refuse_no_faces
 from clacad.prescription.plates import asked_outline, with_plate
 from clacad.prescription.radii import (
@@ -141,7 +150,8 @@ def _lattice(design: Design) -> Lattice:
     return replace(plain, outline=outline) if isinstance(outline, Plate) else plain
 
 
-def _separation(intent: Intent) -> float:
+def separation_of(intent: Intent) -> float:
+    """Distance f1 + f2 (length) between the thin lenses that the pair stands for."""
     pair = intent.design.pair
     if pair.separation is not None:
         return pair.separation
@@ -161,13 +171,13 @@ def _refuse_radius(intent: Intent) -> None:
     if intent.design.pair.form == "biconvex":
         factor *= 2.0
     for axis, value in zip("xy", intent.eta, strict=True):
-        for number, f in enumerate(thin_focal_lengths(value, _separation(intent)), start=1):
+        for number, f in enumerate(thin_focal_lengths(value, separation_of(intent)), start=1):
             radius = abs(factor * f)
             sag = reach * reach / (2.0 * radius) if radius > reach else reach
-            if isfinite(radius) and sag < LEAST_SAG * _separation(intent):
+            if isfinite(radius) and sag < LEAST_SAG * separation_of(intent):
                 raise NoSuchLens(
                     f"lens {number} would rise by {sag:.3g} over its cell in {axis}, less than its place between "
-                    f"lenses {_separation(intent):.6g} apart is known to",
+                    f"lenses {separation_of(intent):.6g} apart is known to",
                     key="pair.separation",
                     hint=f"a smaller separation or a larger pitch: the height must be above {LEAST_SAG:g} of the separation",
                 )
@@ -177,7 +187,7 @@ def _refuse_radius(intent: Intent) -> None:
                     f"its cell ({reach:.6g}): the surface ends inside the cell",
                     key="lattice.pitch",
                     hint=f"pitch < {max(intent.lattice.pitch) * radius / reach:.6g}, or separation > "
-                    f"{_separation(intent) * reach / radius:.6g}",
+                    f"{separation_of(intent) * reach / radius:.6g}",
                 )
 
 
@@ -223,7 +233,7 @@ def _solved(intent: Intent) -> Pair2:
     given = intent.design.pair.thicknesses
     if given is not None:
         return given
-    separation = _separation(intent)
+    separation = separation_of(intent)
     focal = [thin_focal_lengths(value, separation) for value in intent.eta]
     reach = intent.lattice.circumradius
     curvature = [
@@ -239,7 +249,7 @@ def _solved(intent: Intent) -> Pair2:
 def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
     """Window of a biconvex pair of these thicknesses, its radii times `scale`."""
     pair = intent.design.pair
-    separation = _separation(intent)
+    separation = separation_of(intent)
     if pair.given:
         lenses = given_pair(pair, thickness, intent.index)
     else:
@@ -247,11 +257,24 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         lenses = recipe(intent.eta, separation, thickness, intent.index)
     lenses = lenses.scaled(scale)
     offset = intent.built_offset(lenses)
+    plate, ideal = None, lenses
+    if pair.field_lens:
+        # the plate's place follows from eta alone, so that given faces are where the derived ones were
+        if pair.given:
+            ideal = biconvex_exact(intent.eta, separation, thickness, intent.index)
+        rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
+        plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
     place = poses.biconvex_placement(intent.turn, offset, separation)
     moved = poses.displacement(
         (), intent.design.lattice.aperture, place.lens_2[:2], float(place.lens_2[2]), False
     )
-    relative = place.lens_2 - np.array([*moved, 0.0])
+    lens_2, added = place.lens_2, np.zeros(3)
+    if plate is not None:
+        added = plate.added(intent.index) * intent.turn[:, 2]
+        lens_2 = lens_2 + added
+        if intent.design.lattice.aperture != "aligned":  # the plate carries the ray to cell 2 along the axis
+            moved = (moved[0] + float(added[0]), moved[1] + float(added[1]))
+    relative = lens_2 - np.array([*moved, 0.0])
     bodies = tuple(
         biconvex_body(
             lenses,
@@ -263,7 +286,16 @@ def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
         )
         for k, point in enumerate((np.zeros(3), relative))
     )
-    return _assemble_window(intent, bodies, moved, lenses, offset, separation)
+    if plate is None:
+        return _assemble_window(intent, bodies, moved, lenses, offset, separation)
+    axis = intent.turn[:, 2]
+    height = float((lens_2 - np.array([*moved, 0.0])) @ axis) / axis[2]
+    reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
+    chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
+    legs = ((min(ideal.focal_length[0]), 1.0), (plate.thickness, intent.index))
+    field, shift = plate_body(intent, plate, (chief.across(legs[:1]), chief.across(legs)))
+    bodies = (bodies[0], field, bodies[1])
+    return _assemble_window(intent, bodies, moved, lenses, offset, separation, shift, plate.told)
 
 
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
@@ -275,7 +307,7 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
         web = intent.neck  # the border is a plate, and something must join it to the lenslets
     radii: tuple[float, ...] = lenses.radius[number]
     if spec.pair.given:
-        radii = tuple(r for face in spec.pair.face[2 * number : 2 * number + 2] for r in face.radius)
+        radii = tuple(r for face in spec.pair.face[spec.pair.lens_faces(number)] for r in face.radius)
     if web == 0.0 or any(r < 0.0 for r in radii):
         return None
     return centre - 0.5 * web, centre + 0.5 * web
@@ -298,7 +330,9 @@ def _slab(intent: Intent) -> Window:
 
 def _slab_scaled(intent: Intent, scale: float) -> Window:
     """The slab with its radii times `scale`."""
-    separation = _separation(intent)
+    separation = separation_of(intent)
+    if intent.design.pair.field_lens:
+        return _slab_with_field(intent, separation, scale)
     thickness = intent.index * separation
     lenses = _one_faced(intent, separation, (thickness, thickness)).scaled(scale)
     offset = intent.built_offset(lenses)
@@ -319,6 +353,64 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
     return _assemble_window(intent, (body,), moved, lenses, offset, separation)
 
 
+def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
+    """The slab cut at the focus: two plates, or array 1, the field plate and array 2 where the foci lie apart."""
+    n = intent.index
+    if intent.eta[0] == intent.eta[1]:
+        placed = two_plates(intent, separation, scale)
+        lenses = _one_faced(intent, separation, (n * separation, n * separation)).scaled(scale)
+        return _assemble_window(
+            intent, placed.bodies, placed.moved, lenses, placed.offset, separation, placed.field, placed.told
+        )
+    first, second = thin_pair(intent.eta, separation)
+    gap = air_gap(intent)
+    thickness = n * (min(first) - gap), n * (min(second) - gap)
+    if min(thickness) <= 0.0:
+        raise NoSuchLens(
+            f"air gaps of {gap:.6g} leave a plate no thickness", key="pair.field",
+            hint=f"gap < {min(*first, *second):.6g}", code="CL129",
+        )  # fmt: skip
+    lenses = _one_faced(intent, separation, thickness).scaled(scale)
+    return _plano_with_field(intent, lenses, separation)
+
+
+def _plano_with_field(intent: Intent, lenses: LensPair, separation: float) -> Window:
+    """Window of two plano lenses with the field plate between them; nothing is tilted."""
+    n, (t1, t2) = intent.index, lenses.thickness
+    outside = intent.design.pair.form == "slab" or intent.design.pair.curved == "outside"
+    first, second = thin_pair(intent.eta, separation)
+    glass = (t1, t2) if outside else (0.0, 0.0)
+    before, behind = min(first) - glass[0] / n, min(second) - glass[1] / n
+    if before <= 0.0:
+        raise NoSuchLens(
+            f"lens 1 would reach {-before:.4g} beyond its focus", key="pair.separation",
+            hint="a larger separation, or a thinner lens 1", code="CL129",
+        )  # fmt: skip
+    foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
+    plate = one_plate(intent, (first, second), foci, behind)
+    behind -= 0.0 if plate.crossed else plate.thickness / n
+    offset = intent.built_offset(lenses)
+    legs = ((glass[0], n), (before, 1.0), (plate.thickness, n), (behind, 1.0), (glass[1], n))
+    turn = intent.turn[:2, :2]
+    aligned = intent.design.lattice.aperture == "aligned"
+    chief = Chief.of(intent, 0.0 * offset if aligned else offset, separation)
+    moved_x, moved_y = turn @ chief.across(legs)
+    moved = float(moved_x), float(moved_y)
+    height = sum(length for length, _ in legs)
+    lens_2 = np.array([*(turn @ offset), height])
+    planes = (t1, height - t2) if outside else (-t1, height + t2)
+    points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
+    arrays = [
+        plano_body(
+            lenses, k, LensPose(points[k], intent.turn), intent.shape, n, outside == (k == 0), planes[k]
+        )
+        for k in (0, 1)
+    ]
+    field, shift = plate_body(intent, plate, (chief.across(legs[:2]), chief.across(legs[:3])))
+    bodies = (arrays[0], field, arrays[1])
+    return _assemble_window(intent, bodies, moved, lenses, offset, separation, shift, plate.told)
+
+
 def _plano(intent: Intent) -> Window:
     """Window of two plano lenses, curved faces inside or outside."""
     return _scaled_best(intent, lambda scale: _plano_scaled(intent, scale))
@@ -327,9 +419,11 @@ def _plano(intent: Intent) -> Window:
 def _plano_scaled(intent: Intent, scale: float) -> Window:
     """The plano pair with its radii times `scale`."""
     pair = intent.design.pair
-    separation = _separation(intent)
+    separation = separation_of(intent)
     thickness = pair.thicknesses or _plano_auto(intent, separation)
     lenses = _one_faced(intent, separation, thickness).scaled(scale)
+    if pair.field_lens:
+        return _plano_with_field(intent, lenses, separation)
     offset = intent.built_offset(lenses)
     if pair.curved == "inside":
         place = poses.plano_inside_placement(intent.law, offset, separation, intent.index)
@@ -396,7 +490,7 @@ def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats
 
     aperture = intent.design.lattice.aperture
     moved = poses.displacement(bodies((0.0, 0.0)), aperture, lens_2[:2], float(lens_2[2]), True)
-    return _assemble_window(intent, bodies(moved), moved, lenses, offset, _separation(intent))
+    return _assemble_window(intent, bodies(moved), moved, lenses, offset, separation_of(intent))
 
 
 def _entry(window: Window, intent: Intent) -> Floats:
@@ -413,11 +507,13 @@ def _entry(window: Window, intent: Intent) -> Floats:
 
 
 def _assemble_window(
-    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: LensPair, offset: Floats, separation: float
+    intent: Intent, bodies: tuple[Body, ...], moved: Pair2, lenses: LensPair, offset: Floats, separation: float,
+    field: Pair2 | None = None, told: Mapping[str, Any] | None = None,
 ) -> Window:  # fmt: skip
     """Window of placed bodies: thin pair, land, outline; lengths in design units.
 
-    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis.
+    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement of the
+    field lens's cells; told : what the recipe says of it.
     """
     design = intent.design
     # the ideal pair shares a focal plane exactly, whatever thick lenses need to do the same
@@ -429,31 +525,40 @@ def _assemble_window(
     )
     land = Land(design.lattice.seam, design.lattice.land == "opaque", design.body.border)
     window = Window(
-        form=design.pair.form,
+        form="plano"
+        if design.pair.form == "slab" and len(bodies) == 3
+        else design.pair.form,  # what it is as built
         bodies=tuple(replace(body, material=intent.material) for body in bodies),
         lattice=intent.lattice,
-        placements=(CellPlacement(), CellPlacement(moved)),
+        placements=tuple(
+            CellPlacement(shift) for shift in ((0.0, 0.0), moved, *(() if field is None else (field,)))
+        ),
         unit=design.unit_m,
         z_range=(0.0, 0.0),
         law=intent.law,
-        thin=ThinPair(thin_focal, _triple(thin_offset), intent.turn, thin_shift),
+        thin=ThinPair(
+            thin_focal,
+            _triple(thin_offset),
+            intent.turn,
+            thin_shift,
+            field=() if field is None else thin_field(intent.eta, separation),
+        ),
         land=land,
         baffle=Baffle(design.body.baffle_wall or 0.0) if design.body.baffle else None,
         wavelength=design.pair.wavelength,
-        recipe=_recipe(intent, lenses, offset, separation),
+        recipe={**_recipe(intent, lenses, offset, separation), **({} if told is None else {"field": told})},
         name=design.name,
     )
     window = _own_places(window, design)
     window = replace(window, outline=side_outline(window))
     second, cut = window.placements[1], window.lattice.outline
-    moved = second.shift if design.pair.form == "slab" else (0.0, 0.0)
+    moved = second.shift if window.form == "slab" else (0.0, 0.0)
     wider = max(second.scale(window.lattice))
     if isinstance(cut, Circle | Rectangle) and (moved != (0.0, 0.0) or wider > 1.0):
         # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`, and may be larger
         window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
         _refuse_empty(window.lattice, moved, wider)
-    window = with_plate(window, design.body)
-    return window if design.pair.form == "biconvex" else _with_land(window, intent)
+    return _with_land(with_plate(window, design.body), intent)
 
 
 def _within(outline: Circle | Rectangle, moved: Pair2, wider: float) -> Circle | Rectangle:
@@ -508,7 +613,7 @@ def _triple(v: Floats) -> tuple[float, float, float]:
 
 
 def _with_land(window: Window, intent: Intent) -> Window:
-    """Give the structured faces of a plano or slab window the land they need (seam, border, outline).
+    """Give the structured faces of plano lenses, slabs and field lenses the land they need (seam, border, outline).
 
     It lies `seam_depth` below the deepest point of the array's optical zone, so it is never inside the
     range of the border heights.
@@ -527,7 +632,13 @@ def _with_land(window: Window, intent: Intent) -> Window:
             faces.append(face)
         return replace(body, front=faces[0], back=faces[1])
 
-    return replace(window, bodies=tuple(landed(body) for body in window.bodies))
+    plates = [window.form != "biconvex" or body.name == "field" for body in window.bodies]
+    return replace(
+        window,
+        bodies=tuple(
+            landed(body) if plate else body for body, plate in zip(window.bodies, plates, strict=True)
+        ),
+    )
 
 
 def _recipe(intent: Intent, lenses: LensPair, offset: Floats, separation: float) -> Mapping[str, Any]:

@@ -22,7 +22,7 @@ from clacad.sheet.window import Body, Face, Window, lens_height
 
 @dataclass(frozen=True, slots=True)
 class GivenFaces:
-    """Faces in the order light meets them; it stands where `clacad.prescription.faces_and_bodies.Shape` does.
+    """Faces in the order light meets them, a field lens's in the middle; it stands where `faces_and_bodies.Shape` does.
 
     form : "biconvex", "plano" or "slab"
     """
@@ -32,7 +32,14 @@ class GivenFaces:
 
     def number(self, side: int, lens: int) -> int:
         """Place among the given faces of the face on the given side (±1) of lens 0 or 1."""
-        return lens if self.form == "slab" else 2 * lens + (side < 0)
+        last = len(self.faces) - 1
+        if self.form == "slab" and last < 5:  # one face a lens, whatever stands between
+            return last * lens
+        return (last - 1) * lens + (side < 0)
+
+    def of_field(self, side: int, after: int) -> Surface:
+        """The face of the field lens on the given side (±1), `after` so many of its faces."""
+        return given_surface(self.faces[(len(self.faces) - 2) // 2 + after], side)
 
     def face(self, radius: Pair2, side: int, lens: int) -> Surface:
         """The given face of lens 0 or 1 on the given side; the recipe's `radius` is not asked."""
@@ -56,8 +63,7 @@ def given_pair(pair: PairSpec, thickness: Pair2, index: float) -> LensPair:
 
     Thick lensmaker, a meridian at a time: 1/f = (n − 1)(c + c' − (n − 1) T c c'/n), convex positive.
     """
-    step = 1 if pair.form == "slab" else 2
-    lenses = [pair.face[k : k + step] for k in (0, step)]
+    lenses = [pair.face[pair.lens_faces(lens)] for lens in (0, 1)]
     focal = [
         _focal_lengths([face.curvature for face in lens], t, index)
         for lens, t in zip(lenses, thickness, strict=True)

@@ -72,6 +72,12 @@ def thin_pair(eta: Pair2, separation: float) -> tuple[Pair2, Pair2]:
     return (f1x, f1y), (f2x, f2y)
 
 
+def field_focal_lengths(eta: Pair2, separation: float) -> Pair2:
+    """Focal lengths (x, y) of the lens at the common focus that images lens 1 onto lens 2: 1/f_F = 1/f1 + 1/f2 (lengths)."""
+    (f1x, f1y), (f2x, f2y) = thin_pair(eta, separation)
+    return f1x * f2x / separation, f1y * f2y / separation
+
+
 def symmetric_radius(focal_length: float, thickness: float, index: float) -> float:
     """Radius R of a lens R, −R of given thick focal length (lengths).
 

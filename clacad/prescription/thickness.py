@@ -52,7 +52,7 @@ def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, 
 
 def _missing(window: Window, number: int, neck: float) -> float:
     """How much thicker the lens must be (negative: may be thinner), length."""
-    body = window.bodies[number]
+    body = window.bodies[-number]  # first and last: a field lens has its own thickness
     spare = least_thickness(window, body) - neck
     if window.land.seam == 0.0:
         spare = min(spare, border_overlap(window, body) - neck)

@@ -113,7 +113,7 @@ def _plate(plate: Plate, mm: float) -> list[FabricationLine]:
 
 
 def _lens(lens: LensFacts, mm: float) -> list[FabricationLine]:
-    about = f"lens {lens.array + 1}"
+    about = lens.name
     return [
         *_shapes(lens, mm),
         FabricationLine(about, "sag over the cell", (lens.sag * mm,)),
@@ -127,7 +127,7 @@ def _lens(lens: LensFacts, mm: float) -> list[FabricationLine]:
 
 def _shapes(lens: LensFacts, mm: float) -> list[FabricationLine]:
     """Radii and conic constants, face by face where the faces differ."""
-    about, lines = f"lens {lens.array + 1}", []
+    about, lines = lens.name, []
     for shape in lens.shapes or (FaceShape("", lens.radius, lens.conic, None),):
         of = f"{shape.side}, " if shape.side else ""
         conic = ", ".join("–" if k is None else digits(k) for k in shape.conic)

@@ -17,8 +17,12 @@ def two_bodies(window: Window, what: str) -> tuple[Body, Body]:
     Raises
     ------
     NoFixture
-        The window is one slab.
+        The window is one slab, or has a field lens on a plate of its own.
     """
+    if len(window.bodies) > 2:
+        raise NoFixture(
+            f"a {what} stands between two bodies; {window.name} has three, with the field lens: shim it on either side"
+        )
     if len(window.bodies) != 2:
         raise NoFixture(f"a {what} stands between two arrays; {window.name} is one slab")
     return window.bodies[0], window.bodies[1]

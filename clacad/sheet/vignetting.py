@@ -5,6 +5,9 @@ plane of lens 2 at m x + s t with m = −f2/f1 per meridian (because 1 − s/f1 
 lens 1 arrives as a copy of itself, scaled by m and moved by s t, and the share that meets a lenslet of
 array 2 is the part of that copy which covers the lenslet's zone. Zones are convex polygons: the zone of a
 lens in its own plane is the cell's column cut by that plane.
+
+With a field lens the copy does not move with t: all light of one slope meets the field lens in one point, and the field
+lens of that cell, k steps from the partner's, puts the copy on the middle of cell 2 moved by (1 − m) of these steps.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from numpy.typing import ArrayLike
 from clacad.base.types import Floats, Ints
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.lattice import polygon_area, polygon_areas
+from clacad.sheet.lattice import polygon_area, polygon_areas, relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
 
@@ -113,7 +116,7 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     """
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
-    arrival = cells.separation * cells.slopes(directions)
+    arrival = _arrivals(cells, directions)
     target = cells.zone + cells.neighbour(order)
     whole = polygon_area(cells.image)
     return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
@@ -144,6 +147,27 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
     target = _in_lens_plane(pair.rotation, optical_tile(like, 1))
     whole = polygon_area(cells.image)
     return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
+
+
+def _arrivals(cells: ThinCells, directions: ArrayLike) -> Floats:
+    """Where (n, 2) the middle of the copy of lens 1's zone lies in the plane of lens 2, lens frame, lengths."""
+    slopes, pair = cells.slopes(directions), cells.pair
+    if not pair.field:
+        return np.asarray(cells.separation * slopes)
+    ratio = np.array(focal_ratio(pair))
+    arrival = np.empty_like(slopes)
+    for lens in pair.field:
+        powered = [axis for axis in (0, 1) if np.isfinite(lens.focal_length[axis])]
+        vertex = pair.field_centre(lens) @ pair.rotation
+        met = np.tile(vertex, (len(slopes), 1))
+        met[:, powered] = lens.depth * slopes[:, powered]
+        aside = (met - vertex) @ pair.rotation.T
+        index, _ = relocate(cells.window.lattice, aside[:, :2])
+        lattice = cells.window.lattice
+        steps = index @ np.array([lattice.a1, lattice.a2])
+        moved = cells.centre + (1.0 - ratio) * _in_lens_plane(pair.rotation, steps)
+        arrival[:, powered] = moved[:, powered]
+    return arrival
 
 
 def lit_zone(cells: ThinCells) -> Floats:
@@ -192,8 +216,13 @@ def half_field(cells: ThinCells) -> tuple[float, float]:
 def ghost_onset(cells: ThinCells) -> tuple[float, float]:
     """Slope off the middle of the field at which the first light meets a wrong lenslet, lens x and y.
 
-    (p/s)(1 − |m|)/2; 0 where the copy is larger than the cell, so that ghosts never vanish.
+    (p/s)(1 − |m|)/2; 0 where the copy is larger than the cell, so that ghosts never vanish. With a field lens there are
+    none in all of the field of view, unless the copy is larger than the cell.
     """
+    if cells.pair.field:
+        field = half_field(cells)
+        x, y = (f if abs(m) <= 1.0 else 0.0 for f, m in zip(field, focal_ratio(cells.pair), strict=True))
+        return x, y
     x, y = (max(0.0, _half_width(cells.zone, k) - _half_width(cells.image, k)) for k in (0, 1))
     return x / cells.separation, y / cells.separation
 

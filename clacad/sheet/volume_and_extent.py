@@ -134,12 +134,14 @@ def _footprint_area(window: Window, body: Body) -> float | None:
         return window.lattice.cell_count * window.lattice.cell_area
     if isinstance(outline, Plate):
         return outline.area
-    if len({face.array for face in (body.front, body.back)} - {None}) == 2 and window.shifts[1] != (0.0, 0.0):
+    shifts = {
+        face.array: window.shifts[face.array] for face in (body.front, body.back) if face.array is not None
+    }
+    if len(shifts) == 2 and len(set(shifts.values())) == 2:
         x0, x1, y0, y1 = window.lattice.extent()
-        dx, dy = window.shifts[1]
         corner = (
-            max(abs(x) for x in (x0, x1, x0 + dx, x1 + dx)),
-            max(abs(y) for y in (y0, y1, y0 + dy, y1 + dy)),
+            max(abs(x + dx) for x in (x0, x1) for dx, _ in shifts.values()),
+            max(abs(y + dy) for y in (y0, y1) for _, dy in shifts.values()),
         )
         if not _holds(outline, *corner):
             return None

@@ -78,6 +78,19 @@ class Face:
         return bool(np.array_equal(self.rotation, IDENTITY))
 
     @property
+    def blind(self) -> int:
+        """Index, 1 (i) or 2 (j), along which the cells of a field lens are one cylinder, cut nowhere; else 0."""
+        curvatures = (self.surface.curvature_x, self.surface.curvature_y)
+        if (
+            self.array != 2
+            or not isinstance(self.surface, Quadric)
+            or (curvatures[0] == 0.0) == (curvatures[1] == 0.0)
+        ):
+            return 0
+        flat = 0 if curvatures[0] == 0.0 else 1
+        return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
+
+    @property
     def side(self) -> int:
         """+1 for a face whose material lies on its +z side (front), −1 for a back face.
 
@@ -96,7 +109,7 @@ class Body:
     index : float
         Refractive index at the design wavelength (air is 1).
     name : str
-        "array1", "array2" or "sheet"; names files, labels and solids.
+        "array1", "array2", "field" or "sheet"; names files, labels and solids.
     material : Material or None
         For other wavelengths; None is a constant index.
     """
@@ -125,6 +138,20 @@ class Body:
         return float(self.material.index(wavelength))
 
 
+@dataclass(frozen=True, slots=True)
+class FieldLens:
+    """An ideal lens at a common focus: it images lens 1 onto lens 2 in the meridians in which it has power.
+
+    focal_length : (f_x, f_y), lengths
+        Infinite in a meridian without power.
+    depth : float, length
+        Along the lens axis from lens 1.
+    """
+
+    focal_length: tuple[float, float]
+    depth: float
+
+
 @dataclass(frozen=True, eq=False)
 class ThinPair:
     """The ideal pair the real one stands for: two thin lenses sharing a focal plane.
@@ -141,6 +168,8 @@ class ThinPair:
         Pitch of array 2's cells; None: the lattice's.
     change : VertexChange or None
         How far lens 2 of each cell stands, in its own cell, from where the middle cell has it.
+    field : tuple of FieldLens
+        In the order of the light: none, one, or two where the meridians' foci lie apart.
     """
 
     focal_length: tuple[tuple[float, float], tuple[float, float]]
@@ -149,11 +178,21 @@ class ThinPair:
     shift: tuple[float, float]
     pitch: tuple[float, float] | None = None
     change: VertexChange | None = None
+    field: tuple[FieldLens, ...] = ()
 
     @property
     def separation(self) -> float:
         """Distance s between the lens planes along the lens axis (length), equal to f1 + f2."""
         return float(self.rotation[:, 2] @ np.asarray(self.offset))
+
+    def field_centre(self, lens: FieldLens) -> Floats:
+        """Vertex (3,) of a field lens, sheet frame, from lens 1's centre: on the line from the middle of cell 1 to that of
+        cell 2, so that the light in the middle of the field goes through undeviated.
+        """
+        axis, (x, y) = self.rotation[:, 2], self.shift
+        across = np.asarray(self.offset) - np.array([x, y, 0.0])
+        middle = np.array([x, y, float(across @ axis) / axis[2]])  # of cell 2, in the plane of lens 2
+        return np.asarray(middle * (lens.depth / self.separation))
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,8 @@ class FacePlan:
         The lens is a graph over all of its optical zone and stands proud of the land there.
     change : VertexChange or None
         How far the lens of each cell stands from `vertex`.
+    blind : 0, 1 or 2
+        Index (1: i, 2: j) that says nothing of which lens is met, for the face is the same along it: see `Face.blind`.
     """
 
     surface: Surface
@@ -61,6 +63,7 @@ class FacePlan:
     slope: float
     whole: bool
     change: VertexChange | None = None
+    blind: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,6 +370,7 @@ def _plan_face(
         slope=steepest,
         whole=bool(seen[zone].all()) and proud,
         change=face.change,
+        blind=face.blind,
     )
 
 

@@ -42,7 +42,7 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 
     Without a path the rays are counted among those that waited.
     """
-    if not layout.window.uniform:
+    if not layout.window.uniform or (rung == "thin" and layout.window.thin.field):
         return False
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))

@@ -33,8 +33,13 @@ def mean_thickness(window: Window, body: Body) -> float:
     """
     m = np.abs(focal_ratio(window.thin))
     scale = np.ones(2)
-    if len(window.bodies) > 1:
-        scale = np.minimum(1.0, 1.0 / m) if body is window.bodies[0] else np.minimum(1.0, m)
+    arrays = {face.array for face in (body.front, body.back)}
+    if 0 in arrays and 1 not in arrays:
+        scale = np.minimum(1.0, 1.0 / m)
+    elif 1 in arrays and 0 not in arrays:
+        scale = np.minimum(1.0, m)
+    elif 2 in arrays:  # light of one direction is a point there
+        scale = np.zeros(2)
     turn = window.thin.rotation[:2, :2]
     points = (cell_points(window) @ turn * scale) @ np.linalg.inv(turn)
     front, back = _heights(window, body, *points.T)

@@ -38,6 +38,11 @@ class Allowances:
     tilt: float = 0.0
     roughness: float = 0.0
 
+    def of_body(self, number: int, bodies: int) -> float:
+        """Of the centre thickness (mm) of body 0, 1 …; of a plate between two, the larger of theirs."""
+        middle = bodies == 3 and number == 1
+        return max(self.thickness) if middle else self.thickness[min(number, 1)]
+
 
 NO_ALLOWANCES = Allowances()
 """Of a design that states none."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.base.even_orders import POWER
 from clacad.base.units import millimetres
+from clacad.design.sections import TolerancesSpec
 from clacad.formats.drawing.allowances import Allowances
 from clacad.formats.drawing.canvas import CHARACTER, Canvas
 from clacad.formats.drawing.orientation_notes import orientation
@@ -74,7 +75,7 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
     rows = []
     for body in window.bodies:
         for side, face in (("front", body.front), ("back", body.back)):
-            half = 0.0 if face.array is None else allowed.radius[face.array]
+            half = 0.0 if face.array is None else TolerancesSpec.of_array(allowed.radius, face.array)
             radii = [_radius(face.side * r, mm, half) for r in principal_radii(face.surface)]
             conics = ["-" if k is None else f"{k:.5g}" for k in conic_constants(face.surface)]
             place = ", ".join(mm_text(v * mm) for v in face.vertex)

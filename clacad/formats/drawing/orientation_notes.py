@@ -23,7 +23,9 @@ def orientation(window: Window) -> list[str]:
         "The axes are right-handed: with the light at your back and +y up, +x points to the left. No file is mirrored.",
     ]
     faces = [f for f in window.faces if f.array is not None]
-    centred = all(f.untilted and f.vertex[:2] == (0.0, 0.0) for f in faces) and window.shifts[1] == (0.0, 0.0)
+    centred = all(f.untilted and f.vertex[:2] == (0.0, 0.0) for f in faces) and all(
+        shift == (0.0, 0.0) for shift in window.shifts
+    )
     alike = all(f.surface.curvature_x == f.surface.curvature_y for f in faces)
     square = not window.lattice.hexagonal and window.lattice.pitch[0] == window.lattice.pitch[1]
     if centred and alike and square:
@@ -39,14 +41,17 @@ def orientation(window: Window) -> list[str]:
         if centred and _both_sides_alike(faces)
         else "It may not be turned over: the two sides differ. Mark the side of lens 1."
     )
+    if window.recipe.get("field", {}).get("equal_plates"):
+        found.append(
+            f"{first} and {last} are the same part: order it twice and put the two back to back, field lenses inside."
+        )
     return found
 
 
 def _both_sides_alike(faces: Sequence[Any]) -> bool:
-    one = [f.surface for f in faces if f.array == 0]
-    two = [f.surface for f in faces if f.array == 1][::-1]
-    return len(one) == len(two) and all(
+    one = [f.surface for f in faces]
+    return all(
         np.isclose(getattr(a, f"curvature_{k}"), getattr(b, f"curvature_{k}"), rtol=1e-9, atol=0.0)
-        for a, b in zip(one, two, strict=True)
+        for a, b in zip(one, one[::-1], strict=True)
         for k in ("x", "y")
     )

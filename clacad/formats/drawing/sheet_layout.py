@@ -74,7 +74,7 @@ def sheets(design: Design, window: Window, facts: Feasibility, paper: str, study
     allowed = allowances(design)
     boards: list[Canvas] = [
         views.assembly(window), views.plan(window), views.telescopelet(window, facts, None, allowed),
-        *(views.lens_detail(window, facts, array, allowed) for array in (0, 1)),
+        *(views.lens_detail(window, facts, array, allowed) for array in range(len(facts.lenses))),
         drawing_tables.faces_table(window, allowed), drawing_tables.sag_table(window),
         *drawing_tables.plate_tables(design, window), drawing_tables.errors_table(design, window, allowed, study),
         drawing_tables.notes(window, allowed, design.body.slope_rms, views.WIDTH),

@@ -212,7 +212,10 @@ def telescopelet(
 
     spans = _spans(window, at, canvas)
     bottom = top + tall
-    for (name, (a, b)), half in zip(spans.items(), allowed.thickness, strict=False):
+    for number, body in enumerate(window.bodies):
+        if body.name not in spans:
+            continue
+        name, (a, b), half = body.name, spans[body.name], allowed.of_body(number, len(window.bodies))
         za, zb = float(at(0.0, a)[0]), float(at(0.0, b)[0])
         canvas.across(za, zb, bottom + 26, f"{name} {mm_text((b - a) * mm, half)}", (bottom, bottom))
     centres = [0.0, _second(window)]
@@ -237,6 +240,8 @@ def _pair(values: tuple[float, float], mm: float) -> str:
 
 def _second(window: Window) -> float:
     """Height of the middle of lens 2."""
+    if window.thin.field:
+        return float(np.mean([f.vertex[2] for f in window.faces if f.array == 1]))
     if window.form != "biconvex":
         return float(next(f for f in window.faces if f.array == 1).vertex[2])
     return float(window.thin.offset[2])
@@ -245,15 +250,16 @@ def _second(window: Window) -> float:
 def _spans(window: Window, at: Callable[..., Floats], canvas: Canvas) -> dict[str, tuple[float, float]]:
     """Draw the bodies over one cell; extents along z of each, at the middle of its cell.
 
-    A slab is drawn, and its extent taken, over the cells of both its lenses, each face along the middle of its own
-    lens: displaced ones do not face one another.
+    A body of two arrays is drawn, and its extent taken, over the cells of both its lenses, each face along the middle of
+    its own lens: displaced ones do not face one another.
     """
     found = {}
-    for number, body in enumerate(window.bodies):
-        paired = len(window.bodies) > 1
-        x, y = across_cell(window, number if paired else 0)
+    for body in window.bodies:
+        arrays = [face.array for face in (body.front, body.back) if face.array is not None]
+        paired = len(set(arrays)) == 1
+        x, y = across_cell(window, arrays[0])
         if not paired:
-            other, other_y = across_cell(window, 1)
+            other, other_y = across_cell(window, arrays[1])
             x = np.union1d(x, other)
             front, back = heights(window, body, x, y)[0], heights(window, body, x, other_y)[1]
         else:
@@ -287,11 +293,13 @@ def _focal_plane(canvas: Canvas, window: Window, light: DrawnLight, at: Callable
 
 
 def lens_detail(
-    window: Window, facts: Feasibility, array: int, allowed: Allowances = NO_ALLOWANCES
+    window: Window, facts: Feasibility, number: int, allowed: Allowances = NO_ALLOWANCES
 ) -> Canvas:
-    """One lens over its cell, enlarged, with pitch, sag, thickness and apex radii; light from below."""
-    lens = facts.lenses[array]
-    body = window.bodies[min(array, len(window.bodies) - 1)]
+    """Lens `number` of the facts over its cell, enlarged, with pitch, sag, thickness and apex radii; light from below."""
+    lens = facts.lenses[number]
+    array = lens.array
+    place = next(k for k, one in enumerate(window.bodies) if one.name == lens.body)
+    body = window.bodies[place]
     mm = millimetres(window.unit)
     x, y = across_cell(window, array)
     front, back = heights(window, body, x, y)
@@ -310,7 +318,7 @@ def lens_detail(
         drawn_top = np.minimum(drawn_top, bottom + max(60.0 / scale / mm, 1.5 * depth / mm))
     tall = (float(np.nanmax(drawn_top)) - bottom) * mm * scale if np.isfinite(drawn_top).any() else 40.0
     base = 54.0 + max(tall, 30.0)
-    label = f"lens {array + 1} over its cell with dimensions, to scale"
+    label = f"{lens.name} over its cell with dimensions, to scale"
     canvas = Canvas(380.0, base + 80.0, label, scale)
 
     def at(x_: Floats | float, z: Floats | float) -> Floats:
@@ -319,9 +327,9 @@ def lens_detail(
 
     for piece in outlines(x, np.maximum(front, bottom), drawn_top):
         canvas.polygon(at(piece[:, 0], piece[:, 1]), "body" if curved is None else "cut")
-    half = allowed.thickness[min(array, len(allowed.thickness) - 1)]
+    half = allowed.of_body(place, len(window.bodies))
     _detail_dimensions(canvas, x, front, back, at, mm, curved, base, half)
-    canvas.text((6, 14), f"lens {array + 1}, on {body.name}", "start", "title")
+    canvas.text((6, 14), f"{lens.name}, on {body.name}" if array < 2 else lens.name, "start", "title")
     canvas.scale_note((374, 14))
     shapes = lens.shapes or (FaceShape("", lens.radius, lens.conic, None),)
     radius = "; ".join(

@@ -6,6 +6,8 @@ the window's unit unless a name ends in `_m` (metres); angles in radians; slopes
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from clacad.optics.aperture import equivalent_widths, first_zeros
@@ -21,7 +23,14 @@ from clacad.sheet.feasibility.derived_numbers import (
     LensFacts,
     two,
 )
-from clacad.sheet.feasibility.lenses import body_of, least_thickness, lens_facts, lens_margin, thicker
+from clacad.sheet.feasibility.lenses import (
+    body_of,
+    field_facts,
+    least_thickness,
+    lens_facts,
+    lens_margin,
+    thicker,
+)
 from clacad.sheet.feasibility.pitch_for_eye import SEPARATIONS, VIEWING_DISTANCE, viewing
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import (
@@ -66,9 +75,9 @@ def feasibility(window: Window, viewer: float | None = None, distance: float | N
         wave * window.unit,
     )
     return Feasibility(
-        lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width)),
+        lenses=(lens_facts(window, 0, width), lens_facts(window, 1, width), *field_facts(window, width)),
         bodies=bodies,
-        clearance=bodies[1].low - bodies[0].high if len(bodies) == 2 else np.inf,
+        clearance=min((b.low - a.high for a, b in pairwise(bodies)), default=np.inf),
         separation=window.thin.separation,
         aperture=aperture_slope(window),
         undeviated=(offset[0] / offset[2], offset[1] / offset[2]),

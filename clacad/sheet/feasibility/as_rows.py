@@ -54,11 +54,55 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
     rows += [row for body in facts.bodies for row in _body_rows(body, of_length, name)]
     if isfinite(facts.clearance):
         means = "lowest point of body 2 less highest of body 1"
+        if len(window.bodies) > 2:
+            means = "lowest point of a body less highest of the one before it, the least of them"
         rows.append(FactRow("assembly", "clearance", of_length(facts.clearance), name, means))
     means = "between the thin lenses that the pair stands for, f1 + f2"
     rows.append(FactRow("assembly", "separation (in air)", of_length(facts.separation), name, means))
+    rows += _field_rows(window, facts, of_length, name)
     rows += _view_rows(facts, of_length, name)
     return (*rows, *_pitch_rows(facts, of_length, name, window.unit))
+
+
+def _field_rows(
+    window: Window, facts: Feasibility, of_length: Callable[[float | Pair2], str], name: str
+) -> list[FactRow]:
+    """Rows of the field lens as a whole; `of_length` writes lengths in the unit `name`."""
+    if not window.thin.field:
+        return []
+    told = window.recipe["field"]
+    pitch = max(window.lattice.pitch)
+    wave = facts.wavelength / window.unit
+    spot = two(1.22 * wave * f / pitch for f in window.thin.focal_length[0])
+    rows = [
+        FactRow("field lens", "spot on the field faces, x, y", of_length(spot), name,
+            "1.22 λ f1/p: dirt, scratches and seams of that size on those faces are seen sharply, like things far away"),
+        FactRow("field lens", "power density there", digits((pitch / max(spot)) ** 2), "",
+            "(p/spot)² times that on lens 1, for light of one direction: mind lasers"),
+    ]  # fmt: skip
+    if "gap" in told:
+        rows.insert(
+            0,
+            FactRow(
+                "field lens",
+                "air gap between the plates",
+                of_length(float(told["gap"])),
+                name,
+                "vertex to vertex",
+            ),
+        )
+    if told.get("equal_plates"):
+        rows.insert(
+            0,
+            FactRow(
+                "field lens",
+                "plates",
+                "2 of one part",
+                "",
+                "order the same part twice, put them back to back",
+            ),
+        )
+    return rows
 
 
 def _sheet_rows(
@@ -135,7 +179,7 @@ def _conflict(eye: EyeAdvice) -> str:
 
 def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Rows of one lens; `of_length` writes lengths in the unit `name`."""
-    about = f"lens {lens.array + 1}"
+    about = lens.name
     rows = [
         FactRow(about, "focal length x, y", of_length(lens.focal_length), name, "of the thin lens it stands for"),
         FactRow(about, "focal length as built x, y", of_length(lens.built_focal_length), name,
@@ -168,7 +212,7 @@ def _lens_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name:
 
 def _shape_rows(lens: LensFacts, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
     """Radii and conic constants, face by face where the faces differ."""
-    about, rows = f"lens {lens.array + 1}", []
+    about, rows = lens.name, []
     one = FaceShape("", lens.radius, lens.conic, None)
     for shape in lens.shapes or (one,):
         of = f"{shape.side}, " if shape.side else ""

@@ -39,7 +39,10 @@ class FaceShape:
 
 @dataclass(frozen=True)
 class LensFacts:
-    """One lens of a telescopelet.
+    """One lens of a telescopelet, or what one body carries of its field lens.
+
+    array : 0, 1 or 2
+        Lens 1, lens 2, field lens.
 
     radius : (R_x, R_y), lengths
         Apex radii, negative where concave, infinite where flat; of the first face where faces differ.
@@ -69,6 +72,10 @@ class LensFacts:
         Focal length over the full width of the zone along the lens axes.
     shapes : tuple of FaceShape
         The faces one by one where `radius` and `conic` do not tell all of them; else empty.
+    name : str
+        "lens 1", "lens 2" or "field lens", with its body where two bodies carry it.
+    body : str
+        Name of the body that carries it.
     """
 
     array: int
@@ -87,6 +94,8 @@ class LensFacts:
     least_normal_z: float
     f_number: Pair2
     shapes: tuple[FaceShape, ...] = ()
+    name: str = ""
+    body: str = ""
 
     @property
     def radii(self) -> tuple[float, ...]:
@@ -153,8 +162,10 @@ class BodyFacts:
 class Feasibility:
     """All derived numbers of a window.
 
+    lenses : tuple of LensFacts
+        Lens 1, lens 2, then what there is of a field lens.
     clearance : float, length
-        Lowest of body 2 less highest of body 1; infinite for a slab.
+        Lowest of a body less highest of the one before it, the least of them; infinite for one body.
     aperture, undeviated : (x, y), slopes
         Middle of the field of view; direction through both lens centres. Sheet frame.
     half_field, ghost_onset : (x, y), slopes along lens x, y
@@ -172,7 +183,7 @@ class Feasibility:
     wavelength : float, metres
     """
 
-    lenses: tuple[LensFacts, LensFacts]
+    lenses: tuple[LensFacts, ...]
     bodies: tuple[BodyFacts, ...]
     clearance: float
     separation: float

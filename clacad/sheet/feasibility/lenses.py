@@ -24,13 +24,17 @@ def body_of(window: Window, array: int) -> tuple[Body, Face]:
     raise ValueError(f"the window has no array {array}")
 
 
-def lens_margin(window: Window, array: int) -> Heights:
+def lens_margin(window: Window, array: int, body: Body | None = None) -> Heights:
     """How far the lens of an array is from ending: a function of cell-frame x, y (lengths).
 
     The least of its thickness along z and the heights of its faces over their land; NaN where a face has no
     point. The lens is the face wherever it is positive. A slab's lens has no thickness of its own.
+
+    body : Body or None
+        That carries the lens; None: the first that carries the array.
     """
-    body, _ = body_of(window, array)
+    if body is None:
+        body, _ = body_of(window, array)
 
     def margin(x: Floats, y: Floats) -> Floats:
         front, back = (_height(face, array, x, y) for face in (body.front, body.back))
@@ -56,15 +60,38 @@ def _height(face: Face, array: int, x: Floats, y: Floats) -> Floats | None:
 
 
 def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
-    """Derive the numbers of one array's lens; `width` (x, y) of its zone in the lens frame, lengths."""
+    """Derive the numbers of lens 1 or 2; `width` (x, y) of its zone in the lens frame, lengths."""
     body, face = body_of(window, array)
+    return _facts(window, body, face, array, width, window.thin.focal_length[array], f"lens {array + 1}")
+
+
+def field_facts(window: Window, width: list[float]) -> tuple[LensFacts, ...]:
+    """Numbers of the field lens, body by body; none without one. `width` as of `lens_facts`."""
+    if not window.thin.field:
+        return ()
+    focal = two(min(lens.focal_length[axis] for lens in window.thin.field) for axis in (0, 1))
+    found = [
+        (body, next(f for f in (body.front, body.back) if f.array == 2))
+        for body in window.bodies
+        if 2 in (body.front.array, body.back.array)
+    ]
+    names = ["field lens"] if len(found) == 1 else [f"field lens of {body.name}" for body, _ in found]
+    return tuple(
+        _facts(window, body, face, 2, width, focal, name)
+        for (body, face), name in zip(found, names, strict=True)
+    )
+
+
+def _facts(
+    window: Window, body: Body, face: Face, array: int, width: list[float], focal: Pair2, name: str
+) -> LensFacts:
+    """Numbers of the lens of an array on one body, `face` its first face there; lengths."""
     zone = optical_tile(window)
-    margin = lens_margin(window, array)
-    corner, at = least(thickness_over_cell(window, array), zone)
+    margin = lens_margin(window, array, body)
+    corner, at = least(thickness_over_cell(window, array, body), zone)
     kappa = getattr(face.surface, "kappa", None)
     shapes = _shapes(body, array)
     measured = [f for f in (body.front, body.back) if f.array == array] if shapes else [face]
-    focal = window.thin.focal_length[array]
     return LensFacts(
         array=array,
         radius=principal_radii(face.surface),
@@ -74,7 +101,7 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
         built_focal_length=_built_focal_length(body, array),
         sag=max(_sag(f, zone) for f in measured),
         thickness=_centre_thickness(body, face),
-        least_thickness=least_thickness(window, array),
+        least_thickness=least_thickness(window, array) if array < 2 else 0.0,
         corner=corner,
         cover=_cover(margin, zone),
         rim=_rim(window, face, margin),
@@ -82,6 +109,8 @@ def lens_facts(window: Window, array: int, width: list[float]) -> LensFacts:
         least_normal_z=min(_least_normal_z(f, margin, zone) for f in measured),
         f_number=two(abs(f) / w for f, w in zip(focal, width, strict=True)),
         shapes=shapes,
+        name=name,
+        body=body.name,
     )
 
 
@@ -103,9 +132,10 @@ def _terms(surface: Surface) -> tuple[A4 | None, A6 | None, A8 | None]:
     return surface.a4, a6 if any(a6) else None, a8 if any(a8) else None
 
 
-def thickness_over_cell(window: Window, array: int) -> Heights:
-    """Thickness of an array's lens along z, a function of cell-frame x, y; infinite for a slab's."""
-    body, _ = body_of(window, array)
+def thickness_over_cell(window: Window, array: int, body: Body | None = None) -> Heights:
+    """Thickness of an array's lens along z, a function of cell-frame x, y; infinite for a slab's. `body` as of `lens_margin`."""
+    if body is None:
+        body, _ = body_of(window, array)
 
     def thickness(x: Floats, y: Floats) -> Floats:
         front, back = (_height(face, array, x, y) for face in (body.front, body.back))

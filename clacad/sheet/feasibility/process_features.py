@@ -54,7 +54,7 @@ def groove(window: Window, radius: float) -> Named:
 def steepest(facts: Feasibility) -> Named:
     """Steepest slope of a lens face against the sheet (radians)."""
     lens = min(facts.lenses, key=lambda lens: lens.least_normal_z)
-    return Named(acos(min(1.0, max(-1.0, lens.least_normal_z))), f"lens {lens.array + 1}")
+    return Named(acos(min(1.0, max(-1.0, lens.least_normal_z))), lens.name)
 
 
 def draft(window: Window, facts: Feasibility, negligible: float) -> Named:
@@ -67,7 +67,7 @@ def draft(window: Window, facts: Feasibility, negligible: float) -> Named:
     if step.value > negligible:
         return Named(0.0, step.what)
     lens = min(facts.lenses, key=lambda lens: lens.least_normal_z)
-    return Named(asin(min(1.0, max(-1.0, lens.least_normal_z))), f"lens {lens.array + 1}")
+    return Named(asin(min(1.0, max(-1.0, lens.least_normal_z))), lens.name)
 
 
 def narrowest(window: Window) -> Named:
@@ -83,14 +83,13 @@ def narrowest(window: Window) -> Named:
 def shallowest(facts: Feasibility) -> Named:
     """A part of the height of the flatter lens: the least number of layers it takes to shape it (length)."""
     lens = min(facts.lenses, key=lambda lens: lens.sag)
-    return Named(lens.sag / FINE, f"a {FINE}th of the height of lens {lens.array + 1}")
+    return Named(lens.sag / FINE, f"a {FINE}th of the height of {lens.name}")
 
 
 def tallest(window: Window, facts: Feasibility) -> Named:
     """Greatest height over width of a lens, a seam or a baffle's wall."""
     found = [
-        Named(lens.sag / min(window.lattice.pitch), f"lens {lens.array + 1} over the pitch")
-        for lens in facts.lenses
+        Named(lens.sag / min(window.lattice.pitch), f"{lens.name} over the pitch") for lens in facts.lenses
     ]
     if window.land.seam > 0.0:
         deepest = max(

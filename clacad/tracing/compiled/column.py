@@ -197,7 +197,10 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
     for t in (now, high):
         if not well_inside(bodies, b, sx + t * L, sy + t * M):
             return now
-    for at in range(2):
+    for side in range(2):
+        at = int(sheet.faces[2 * b + side, slot.ARRAY])
+        if at < 0:
+            continue
         p, q, _, _ = to_array(lat, array, at, i, j, x + high * L, y + high * M)
         work[STEP + 2 * at], work[STEP + 2 * at + 1] = p - work[HOME + 2 * at], q - work[HOME + 2 * at + 1]
     return float(high)
@@ -207,7 +210,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
 def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
     """Note the cell and the start of a ray in each of the arrays of body b."""
     array, i, j, x, y, _, _, _, _ = ray
-    for k in range(4):
+    for k in range(2 * slot.MOST_ARRAYS):
         work[STEP + k] = 0.0
     for side in range(2):
         at = int(sheet.faces[2 * b + side, slot.ARRAY])
@@ -292,7 +295,7 @@ def _first_stretch(
 def write_event(lat: Floats, kind: int, distance: float, work: Floats, event: Floats) -> None:
     """Write what was met, how far, and cell and start for each array."""
     event[KIND], event[DISTANCE] = kind, distance
-    for at in range(2):
+    for at in range(slot.MOST_ARRAYS):
         place = PLACE + 4 * at
         event[place] = work[HOME + 2 * at] + work[STEP + 2 * at]
         event[place + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]

@@ -17,7 +17,7 @@ from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
 ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, A40, A22, A04 = range(20, 29)
-A60, A42, A24, A06, A80, A62, A44, A26, A08, FACE_NUMBERS = range(29, 39)
+A60, A42, A24, A06, A80, A62, A44, A26, A08, BLIND, FACE_NUMBERS = range(29, 40)
 
 # What BICONIC says: 0 is a quadric.
 POLYNOMIAL = 2.0
@@ -119,6 +119,7 @@ def _face(face: FacePlan) -> list[float]:
     row[LAND], row[LOW], row[HIGH] = face.land, face.low, face.high
     row[CLIMB] = face.slope / sqrt(1.0 + face.slope * face.slope)  # least N of a ray steeper than the face
     row[WHOLE] = float(face.whole)
+    row[BLIND] = float(face.blind)
     return row
 
 

@@ -8,22 +8,26 @@ import numpy as np
 
 from clacad.base.compiled import making
 from clacad.base.types import Bytes, Cells, Floats, Ints
+from clacad.tracing.compiled.packing import MOST_ARRAYS
 
 Vector = tuple[float, float, float]
 
 # Slots of an event, what a ray meets next: what, how far, then for each array its cell i, j and the ray's start seen
 # from there, then the normal of a facet.
-KIND, DISTANCE, PLACE, FACET_NORMAL, EVENT_NUMBERS = 0, 1, 2, 10, 13
+KIND, DISTANCE, PLACE = range(3)
+FACET_NORMAL = PLACE + 4 * MOST_ARRAYS
+EVENT_NUMBERS = FACET_NORMAL + 3
 
 # Places in the search's floats; the first are distances that divide the ray. Two numbers for each array follow: the
 # start as given, the start seen from the present cell, the cell as given, the present cell, the steps in between.
-DIVISIONS, BASE, START, HOME, CELL, STEP, WORK_NUMBERS = 24, 24, 28, 32, 36, 40, 44
+DIVISIONS = 24
+BASE, START, HOME, CELL, STEP, WORK_NUMBERS = range(DIVISIONS, DIVISIONS + 12 * MOST_ARRAYS, 2 * MOST_ARRAYS)
 
 DEPTH = 64
 """Boxes of a tree that wait at most."""
 
 FACET = 20
-"""Place in the search's integers of the facets that arrays 0 and 1 are in; before it, what each division is."""
+"""Place in the search's integers of the facets that the arrays are in; before it, what each division is."""
 
 # Slots of a ray on its walk: cell, point and direction; optical length; point of the sheet; cells met first, last, and
 # first that differs; the array the cell belongs to; marks; the last face met.

@@ -56,6 +56,9 @@ from clacad.tracing.triangles.tiles import Tiles
 Media = tuple[float, float]
 """Refractive indices before a face and behind it."""
 
+FIELD = 2
+"""Array of a field lens."""
+
 BEHIND_START = -8 * 2.0**-52
 """Share of what was gone by which the first face may lie behind the start: rounding."""
 
@@ -516,6 +519,15 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
             turn[row, 0], turn[row, 1], turn[row, 2] = s[DX, i], s[DY, i], s[DZ, i]
 
 
+@exact
+def _same_cell(s: Floats, m: int) -> None:
+    """Rays in another cell of the field lens than of lens 1 are left to the walk, which tells the two apart."""
+    ci, cj, ci0, cj0, good = s[CI], s[CJ], s[CI0], s[CJ0], s[GOOD]
+    for i in range(m):
+        if ci[i] != ci0[i] or cj[i] != cj0[i]:
+            good[i] = 0.0
+
+
 @inlined
 def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: int, origin: Vector) -> None:
     """Carry rays from the cells of an array to where they meet those of a structured face."""
@@ -583,6 +595,8 @@ def straight(
                 if met == 0:
                     copy_row(s[CI], s[CI0], m)
                     copy_row(s[CJ], s[CJ0], m)
+                elif array == FIELD:
+                    _same_cell(s, m)
             climb = 0.0
             if structured:
                 climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]

@@ -263,7 +263,7 @@ def _refract(
     w[PZ] = z + bodies[b, slot.LEVEL]
     w[SURFACE] = 2 * b + side
     if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
-        _note_cell(lat, sheet.rows, w, int(faces[f, slot.ARRAY]), on_lens)
+        _note_cell(lat, sheet.rows, w, faces[f], on_lens)
     opaque = not on_lens and lat[slot.OPAQUE] != 0.0
     total = not opaque and not isfinite(ox)
     if not (opaque or total):
@@ -279,18 +279,22 @@ def _through_facet(event: Floats, ray: Vector, n1: float, n2: float) -> Vector:
 
 
 @exact
-def _note_cell(lat: Floats, rows: Ints, w: Floats, array: int, on_lens: bool) -> None:
+def _note_cell(lat: Floats, rows: Ints, w: Floats, face: Floats, on_lens: bool) -> None:
     """Enter the cell of a structured face, or of land or a hole, in the ray's record."""
     i, j = float(NO_CELL), float(NO_CELL)
     if kept(lat, rows, w[CI], w[CJ]):
         i, j = w[CI], w[CJ]
     if w[FIRST] == NO_CELL and w[FIRST + 1] == NO_CELL:
         w[FIRST], w[FIRST + 1], w[ODD], w[ODD + 1] = i, j, i, j
+    if face[slot.BLIND] == 1.0 and i != NO_CELL:
+        i = w[FIRST]
+    elif face[slot.BLIND] == 2.0 and i != NO_CELL:
+        j = w[FIRST + 1]
     differs = i != w[FIRST] or j != w[FIRST + 1]
     if differs and w[ODD] == w[FIRST] and w[ODD + 1] == w[FIRST + 1]:
         w[ODD], w[ODD + 1] = i, j
     w[LAST], w[LAST + 1] = i, j
-    if array == 1:
+    if face[slot.ARRAY] == 1.0:
         w[SECOND] = 1.0
     if differs and on_lens:
         w[GHOSTLY] = 1.0
@@ -311,7 +315,7 @@ def _pass_hole(sheet: Packed, b: int, w: Floats, distance: float) -> None:
         )  # fmt: skip
         w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
         w[PATH] += distance
-        _note_cell(lat, sheet.rows, w, array, False)
+        _note_cell(lat, sheet.rows, w, faces[2 * b + side], False)
         distance = 0.0
     w[PX], w[PY] = sheet_xy(lat, int(w[AT_ARRAY]), w[CI], w[CJ], w[X], w[Y])
     w[PZ] = w[Z] + sheet.bodies[b, slot.LEVEL]

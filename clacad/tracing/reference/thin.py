@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, VertexChange, extreme_cells
@@ -34,7 +34,7 @@ class ThinPatch:
 
     Attributes
     ----------
-    array : 0 or 1
+    array : 0, 1, or 2 and 3 of field lenses
     vertex : (3,) lengths
         Lens centre: x, y from the cell's centre, z from `level`.
     rotation : (3, 3), lens → sheet
@@ -57,6 +57,14 @@ class ThinPatch:
     box: tuple[float, float, float, float]
     centre: tuple[float, float]
     change: VertexChange | None = None
+
+    @property
+    def blind(self) -> int:
+        """As `Face.blind`, of a field lens."""
+        if self.array < 2 or 0.0 not in self.power or self.power == (0.0, 0.0):
+            return 0
+        flat = self.power.index(0.0)
+        return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
 
     def lens_centre(self, layout: Layout, cell: Ints) -> tuple[float | Floats, float | Floats, float]:
         """Centres of the lenses of cells (m, 2): x and y, one or (m,), and z."""
@@ -121,36 +129,40 @@ def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
 
 
 def thin_layout(layout: Layout) -> Layout:
-    """The same window with array 2's cells where the thin pair has them."""
+    """The same window with the cells of array 2 and of field lenses where the thin pair has them."""
     pair = layout.window.thin
-    window = replace(layout.window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch)))
+    field = tuple(CellPlacement((float(x), float(y))) for x, y, _ in map(pair.field_centre, pair.field))
+    window = replace(
+        layout.window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch), *field)
+    )
     return replace(layout, window=window, **array_numbers(layout.lattice, window.placements))
 
 
-def thin_patches(layout: Layout) -> tuple[ThinPatch, ThinPatch]:
-    """Both arrays of patches of a `thin_layout`: lens 1's centre in its cell's centre at z = 0, lens 2's at the pair's offset."""
+def thin_patches(layout: Layout) -> tuple[ThinPatch, ...]:
+    """The arrays of patches of a `thin_layout` in the order of the light.
+
+    Lens 1's centre lies in its cell's centre at z = 0, lens 2's at the pair's offset, a field lens's in its cell's centre.
+    """
     pair = layout.window.thin
-    first, second = (
-        _patch(layout, array, vertex, change)
-        for array, vertex, change in (
-            (0, (0.0, 0.0, 0.0), None),
-            (
-                1,
-                (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2]),
-                pair.change,
-            ),
-        )
+    second = (pair.offset[0] - pair.shift[0], pair.offset[1] - pair.shift[1], pair.offset[2])
+    return (
+        _patch(layout, 0, (0.0, 0.0, 0.0), pair.focal_length[0]),
+        *(
+            _patch(layout, 2 + k, (0.0, 0.0, float(pair.field_centre(lens)[2])), lens.focal_length)
+            for k, lens in enumerate(pair.field)
+        ),
+        _patch(layout, 1, second, pair.focal_length[1], pair.change),
     )
-    return first, second
 
 
 def _patch(
     layout: Layout,
     array: int,
     vertex: tuple[float, float, float],
-    change: VertexChange | None,
+    focal_length: Pair2,
+    change: VertexChange | None = None,
 ) -> ThinPatch:
-    """Thin lens of an array whose `vertex` is in lengths, with the room that all its patches take."""
+    """Thin lens of an array whose `vertex` and focal lengths are in lengths, with the room that all its patches take."""
     pair, place = layout.window.thin, layout.window.placements[array]
     box = place.extent(layout.lattice)
     centre = (0.0, 0.0) if layout.window.form == "slab" else place.shift
@@ -173,7 +185,7 @@ def _patch(
         tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
     pad = 1e-9 * layout.lattice.circumradius
-    f_x, f_y = pair.focal_length[array]
+    f_x, f_y = focal_length
     return ThinPatch(
         array=array,
         vertex=(vertex[0], vertex[1], 0.0),
@@ -188,9 +200,39 @@ def _patch(
     )
 
 
-def _trace_block(layout: Layout, patches: tuple[ThinPatch, ThinPatch], ledger: Ledger, rows: Rows) -> None:
-    """Trace the rays `rows` (k,) through both arrays and write their rows of the ledger."""
-    first, second = patches
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """m rays that passed lens 1, and perhaps a field lens.
+
+    Attributes
+    ----------
+    one : Met
+        At lens 1.
+    beam : Beam
+        Behind the last lens.
+    path : (m,) lengths
+    land : (m,) bool
+        Land was passed.
+    odd : (m, 2) ints
+        Cell of the first field lens that is not that of lens 1's cell; else lens 1's.
+    """
+
+    one: Met
+    beam: Beam
+    path: Floats
+    land: Bools
+    odd: Ints
+
+    def take(self, chosen: Bools) -> Passed:
+        """The chosen rays, (m,) bool."""
+        return Passed(
+            _take(self.one, chosen), self.beam.take(chosen), self.path[chosen], self.land[chosen], self.odd[chosen]
+        )  # fmt: skip
+
+
+def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger, rows: Rows) -> None:
+    """Trace the rays `rows` (k,) through all arrays and write their rows of the ledger."""
+    first, *fields, second = patches
     beam, carried = launch(layout, first, ledger.position, ledger.direction, rows)
     one = _meet(layout, first, beam)
     path = carried + one.distance
@@ -198,26 +240,63 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ThinPatch], ledger: L
     one, path = _take(one, on), path[on]
     here, out = _go_on(layout, ledger, first, one, path)
     one, path, out = _take(one, here), path[here], out[here]
-    start = replace(one.beam, direction=out)
-    left_at = _position(layout, first, start)
-    gap = (second.level + second.low - first.level - start.z) / out[:, 2]
-    local = start.local + gap[:, None] * out[:, :2]
-    beam = to_array(layout, replace(start, local=local, z=np.full(len(gap), second.low)), 1)
-    two = _meet(layout, second, beam)
-    length = gap + two.distance
+    gone = Passed(one, replace(one.beam, direction=out), path, one.land, one.beam.cell)
+    last = first
+    for patch in fields:
+        gone, last = _through_field(layout, ledger, gone, last, patch), patch
+    start, one, path = gone.beam, gone.one, gone.path
+    two, length = _carried(layout, start, last, second)
     passes = ~two.beside
     if layout.window.baffle is not None:
         order = two.beam.cell - one.beam.cell
         share = honeycomb.reach(layout, start.local, two.beam.local, order)
         stopped = np.isfinite(share) | two.beside
         run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
-        at = left_at[stopped] + run[:, None] * out[stopped]
-        _end(layout, ledger, _take(one, stopped), Fate.VIGNETTED, at, out[stopped], path[stopped] + run, 0)
+        at = _position(layout, first, start)[stopped] + run[:, None] * start.direction[stopped]
+        stray = start.direction[stopped]
+        _end(layout, ledger, _take(one, stopped), Fate.VIGNETTED, at, stray, path[stopped] + run, 0)
         passes &= ~stopped
     else:
-        ledger.miss(start.rows[two.beside])
-        ledger.cell[start.rows[two.beside]] = _named(layout, one.beam)[two.beside]
-    _leave(layout, ledger, second, _take(one, passes), _take(two, passes), (path + length)[passes])
+        _pass_beside(layout, ledger, one, two)
+    _leave(layout, ledger, second, gone.take(passes), _take(two, passes), (path + length)[passes])
+
+
+def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -> tuple[Met, Floats]:
+    """What rays (m) meet in the next array, and how far (m,) that is from where they left the last one."""
+    out = start.direction
+    gap = (entered.level + entered.low - left.level - start.z) / out[:, 2]
+    local = start.local + gap[:, None] * out[:, :2]
+    at_plane = replace(start, local=local, z=np.full(len(gap), entered.low))
+    met = _meet(layout, entered, to_array(layout, at_plane, entered.array))
+    return met, gap + met.distance
+
+
+def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, patch: ThinPatch) -> Passed:
+    """Bend rays at a field lens; those that pass beside it are missed."""
+    met, length = _carried(layout, gone.beam, left, patch)
+    _pass_beside(layout, ledger, gone.one, met)
+    on = ~met.beside
+    gone, met, path = gone.take(on), _take(met, on), (gone.path + length)[on]
+    here, out = _go_on(layout, ledger, patch, met, path)
+    gone, met = gone.take(here), _take(met, here)
+    own = gone.one.beam.cell
+    cell = met.beam.cell
+    blind = patch.blind
+    if blind:  # the cells are one cylinder along that index
+        cell = cell.copy()
+        cell[:, blind - 1] = own[:, blind - 1]
+    fresh = (gone.odd == own).all(axis=1, keepdims=True)
+    return Passed(
+        gone.one, replace(met.beam, direction=out[here]), path[here], gone.land | met.land,
+        np.where(fresh, cell, gone.odd),
+    )  # fmt: skip
+
+
+def _pass_beside(layout: Layout, ledger: Ledger, one: Met, met: Met) -> None:
+    """Give back as launched the rays that pass beside an array; the cell of lens 1 stays known."""
+    beside = one.beam.rows[met.beside]
+    ledger.miss(beside)
+    ledger.cell[beside] = _named(layout, one.beam)[met.beside]
 
 
 def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Floats) -> tuple[Bools, Floats]:
@@ -229,20 +308,25 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
     opaque = met.land & met.solid & layout.window.land.opaque
     backward = ~opaque & (~(out[:, 2] > 0.0) | ~(patch.climb(beam.direction) > 0.0))
     stopped = opaque | backward
-    ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
+    if patch.array < 2:
+        ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
     for ended, fate in ((opaque, Fate.VIGNETTED), (backward, Fate.BACKWARD)):
-        if patch.array == 0:
+        if patch.array != 1:
             _end(layout, ledger, _take(met, ended), fate, at[ended], beam.direction[ended], path[ended], 0)
     return ~stopped, out
 
 
-def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, one: Met, two: Met, path: Floats) -> None:
+def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: Met, path: Floats) -> None:
     """Bend at lens 2 and write the rays."""
+    one = gone.one
     goes, out = _go_on(layout, ledger, patch, two, path)
     rows = two.beam.rows
     first, last = _named(layout, one.beam), _named(layout, two.beam)
     ghost = (first != last).any(axis=1)
-    land = one.land | two.land
+    order, astray = last - first, gone.odd - one.beam.cell
+    order = np.where((order == 0).all(axis=1, keepdims=True), astray, order)
+    ghost |= (astray != 0).any(axis=1)
+    land = gone.land | two.land
     fate = np.select([land, ghost], [Fate.LAND, Fate.GHOST], Fate.ALIVE)
     opaque = two.land & two.solid & layout.window.land.opaque
     fate = np.select([opaque, ~goes], [Fate.VIGNETTED, Fate.BACKWARD], fate).astype(np.uint8)
@@ -250,7 +334,7 @@ def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, one: Met, two: Met,
     ledger.end(rows, fate, _position(layout, patch, two.beam), direction, path, 1)
     ledger.cell[rows] = first
     known = (first != NO_CELL).all(axis=1) & (last != NO_CELL).all(axis=1)
-    ledger.order[rows] = np.where(known[:, None], last - first, NO_CELL)
+    ledger.order[rows] = np.where(known[:, None], order, NO_CELL)
 
 
 def _end(

@@ -273,6 +273,9 @@ def _note_cell(here: BodyWalk, walkers: Walkers, face: FacePlan, on_lens: Bools)
     cell = np.where(kept[:, None], walkers.beam.cell, NO_CELL)
     unmet = (walkers.first == NO_CELL).all(axis=1, keepdims=True)
     first = np.where(unmet, cell, walkers.first)
+    if face.blind:  # the cells are one cylinder along that index
+        cell = cell.copy()
+        cell[kept, face.blind - 1] = first[kept, face.blind - 1]
     differs = (cell != first).any(axis=1)
     fresh = differs & (walkers.odd == first).all(axis=1)
     odd = np.where(unmet, first, np.where(fresh[:, None], cell, walkers.odd))

@@ -170,6 +170,10 @@ def straight_through(
                     return False
                 if met == 0:
                     fi, fj = i, j
+                if faces[f, slot.BLIND] == 1.0:
+                    i = fi
+                elif faces[f, slot.BLIND] == 2.0:
+                    j = fj
                 ghost |= i != fi or j != fj
                 li, lj, met = i, j, met + 1
             path += media[0] * far

@@ -73,7 +73,7 @@ def first_soup_change(
     else:
         kind = FRONT if nz < 0.0 else BACK
     event[KIND], event[DISTANCE] = kind, t
-    for at in range(2):
+    for at in range(slot.MOST_ARRAYS):
         p, q, u, v = to_array(lat, array, at, i, j, x + t * L, y + t * M)
         place = PLACE + 4 * at
         event[place], event[place + 1], event[place + 2], event[place + 3] = p, q, u - t * L, v - t * M

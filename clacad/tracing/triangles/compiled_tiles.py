@@ -113,6 +113,13 @@ def _kind(tiles: Tiles, faces: Floats, row: int, facet: int) -> int:
     return BACK_LAND if land else BACK
 
 
+@inlined
+def _look_up_again(causes: Ints) -> None:
+    """Forget which facets the arrays are in."""
+    for at in range(slot.MOST_ARRAYS):
+        causes[FACET + at] = NOT_LOOKED_UP
+
+
 @exact
 def first_facet_change(
     tiles: Tiles, sheet: Packed, b: int, ray: CellRay, inside: bool, event: Floats, work: Floats, causes: Ints
@@ -123,7 +130,7 @@ def first_facet_change(
     """
     lat = sheet.lattice
     start_search(sheet, b, ray, work)
-    causes[FACET], causes[FACET + 1] = NOT_LOOKED_UP, NOT_LOOKED_UP
+    _look_up_again(causes)
     along, above, aside = ends_of_body(sheet, b, ray, inside)
     limit = min(aside, above)
     since, cause, kind = 0.0, WALL, ASIDE
@@ -153,7 +160,7 @@ def first_facet_change(
             t = jump(sheet, b, ray, entered, work)
             if t > entered:
                 entered, since, cause = t, t, WALL
-                causes[FACET], causes[FACET + 1] = NOT_LOOKED_UP, NOT_LOOKED_UP
+                _look_up_again(causes)
                 continue
         if across >= 0:
             step_on(across, sense, work, STEP + 2 * at)

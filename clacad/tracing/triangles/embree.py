@@ -141,7 +141,7 @@ class _Straight:
 
     position, direction : (n, 3), sheet frame
     path : (n,) lengths
-    cells : (2, n, 2) ints
+    cells : (arrays, n, 2) ints
         Cell of each array, NO_CELL before it is met.
     decided : (n,) bool
         All has been beyond doubt so far.
@@ -163,7 +163,13 @@ class _Straight:
         bottom = min(plan.level + plan.low for plan in layout.bodies)
         decided = np.isfinite(position).all(axis=1) & np.isfinite(direction).all(axis=1)
         decided &= (position[:, 2] < bottom) & (direction[:, 2] > 0.0)
-        return cls(position, direction, np.zeros(n), np.full((2, n, 2), NO_CELL, dtype=np.int64), decided)
+        return cls(
+            position,
+            direction,
+            np.zeros(n),
+            np.full((len(layout.window.placements), n, 2), NO_CELL, dtype=np.int64),
+            decided,
+        )
 
     def cross(
         self, window: Window, triangles: BodyTree, face: Face, indices: tuple[float, float], entering: bool
@@ -193,8 +199,10 @@ class _Straight:
         self.cells[array, rows] = cell
 
     def result(self, last: int) -> TraceResult:
-        """All n rows as if they had left through the last surface."""
+        """All n rows as if they had left through the last surface; where a field lens was met elsewhere is not decided here."""
         n = len(self.path)
+        for other in self.cells[2:]:
+            self.decided[(other != self.cells[0]).any(axis=1)] = False
         order = self.cells[1] - self.cells[0]
         fate = np.where((order == 0).all(axis=1), Fate.ALIVE, Fate.GHOST).astype(np.uint8)
         surface = np.full(n, last, dtype=np.int32)

@@ -101,8 +101,8 @@ def _factor(corners: Floats, window: Window) -> float:
         boxes = [body.box for body in lay_out(window).bodies]
         x0, x1 = min(b[0] for b in boxes), max(b[1] for b in boxes)
         y0, y1 = min(b[2] for b in boxes), max(b[3] for b in boxes)
-    elif len(window.bodies) == 2:
-        dx, dy = np.subtract(window.shifts[1], window.shifts[0])
+    elif len(window.bodies) > 1:
+        dx, dy = np.subtract(window.shifts[1], window.shifts[0])  # a field lens stands between
         x0, x1, y0, y1 = min(x0, x0 + dx), max(x1, x1 + dx), min(y0, y0 + dy), max(y1, y1 + dy)
     size = np.ptp(corners.reshape(-1, 3), axis=0)[:2]
     wanted = np.array([x1 - x0, y1 - y0])

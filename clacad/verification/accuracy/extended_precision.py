@@ -105,7 +105,9 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
         for face, after in ((body.front, inside), (body.back, Decimal(1))):
             vertex = _vector(face.vertex)
             if face.array is not None:
-                index = cell if face.array == 0 else cell + order
+                index = (
+                    cell + order if face.array == 1 else cell
+                )  # light that keeps to its pair meets its own field lens
                 vertex = _added(vertex, _centre(window, int(index[0]), int(index[1]), face.array))
             turn = None
             if not face.untilted:

@@ -101,7 +101,7 @@ def _one_piece(body: BodyFacts) -> Check:
 
 
 def _cover(design: Design, window: Window, lens: LensFacts, *, solved: bool) -> Check:
-    name = f"lens {lens.array + 1}"
+    name = lens.name
     limit = design.check.cover
     if lens.cover >= limit:
         sentence = f"{name} fills its cell"
@@ -219,7 +219,7 @@ def _covering_index(design: Design, lens: LensFacts) -> float | None:
 
 def _graph(design: Design, lens: LensFacts) -> Check:
     value, limit = lens.least_normal_z, design.check.graph
-    name = f"lens {lens.array + 1}"
+    name = lens.name
     if value >= limit:
         slope = np.degrees(np.arccos(min(1.0, value)))
         sentence = f"steepest slope of {name} against the sheet is {slope:.3g} deg"
@@ -255,7 +255,7 @@ def _process_checks(design: Design, facts: Feasibility) -> list[Check]:
             text = f"least thickness that joins neighbours in {body.name} after the step between them"
             found.append(_thicker(design, _at_least("neck", body.neck, limit, source, unit, text, body.name)))
     for lens in facts.lenses:
-        name = f"lens {lens.array + 1}"
+        name = lens.name
         limit, source = process_limit(design, rules, "radius")
         smallest = min(abs(r) for r in lens.radii)
         found.append(

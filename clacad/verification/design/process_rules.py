@@ -135,8 +135,8 @@ def _rule(
 def _undercut(facts: Feasibility, rules: ProcessProfile) -> Check:
     lens = min(facts.lenses, key=lambda lens: lens.least_normal_z)
     return _rule(
-        "undercut", Named(lens.least_normal_z, f"lens {lens.array + 1}"), 0.0, ">=", "",
+        "undercut", Named(lens.least_normal_z, lens.name), 0.0, ">=", "",
         from_profile(rules),
-        f"the normals of lens {lens.array + 1} lean to a z component of {lens.least_normal_z:.3g}",
+        f"the normals of {lens.name} lean to a z component of {lens.least_normal_z:.3g}",
         "less tilt or larger radii: what overhangs cannot be reached",
     )  # fmt: skip

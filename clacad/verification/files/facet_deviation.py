@@ -129,7 +129,8 @@ def forecast_rms(window: Window, found: Deviation) -> float:
         known = np.isfinite(turn).all(axis=1)
         if not known.any():
             return float("nan")
-        gain = 1.0 / ratio if array == 0 else np.ones(2)
+        # light is at a focus on a field lens (2): what turns it there leaves its exit direction alone
+        gain = (1.0 / ratio, np.ones(2), np.zeros(2))[array]
         total += float(((turn[known] * gain) ** 2).sum(axis=1).mean())
     return sqrt(total)
 

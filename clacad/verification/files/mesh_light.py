@@ -132,7 +132,7 @@ def _by_cell(
         lost = 1.0 - both.sum() / max(1, good.sum())
         if lost > LOST:
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
-            lost = _lost(good, ideal.fate == Fate.ALIVE, alive)
+            lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
         law = window.law.refract(main.rays.direction[:count][alive])
         yield (
             _rms_between(seen.direction[both], truth.direction[:count][both]),
@@ -149,7 +149,7 @@ def _enough(gathered: CellFacets) -> int:
     return min(MOST_RAYS, RAYS_A_FACET * finest)
 
 
-def _lost(good: Bools, ideal: Bools, alive: Bools) -> float:
+def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> float:
     """Share of rays lost in a file that do not get lost because facets are coarse.
 
     Coarse facets send some rays of a strongly magnifying pair past their partner and others into it: as many get
@@ -160,9 +160,12 @@ def _lost(good: Bools, ideal: Bools, alive: Bools) -> float:
     ----------
     good, ideal, alive : (n,)
         Rays that get through the exact surfaces, the design cut as the file is, and the file.
+    field : bool
+        Whether there is a field lens: its coarse facets send light past the partner, and none comes in return.
     """
     known = good & ideal
-    kept = [alive.sum() / max(1, good.sum()), (known & alive).sum() / max(1, known.sum())]
+    whole = min(good.sum(), ideal.sum()) if field else good.sum()
+    kept = [alive.sum() / max(1, whole), (known & alive).sum() / max(1, known.sum())]
     return float(1.0 - min(kept))
 
 

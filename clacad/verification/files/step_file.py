@@ -94,7 +94,10 @@ def gain(window: Window) -> float:
     smallest = min(abs(m) for m in focal_ratio(window.thin))
     for body in window.bodies:
         for face in (body.front, body.back):
-            if face.array is not None:
+            if face.array in (
+                0,
+                1,
+            ):  # at a field lens light is at a focus: what turns it there leaves its exit alone
                 total += ((body.index - 1.0) * (1.0 / smallest if face.array == 0 else 1.0)) ** 2
     return float(total**0.5)
 

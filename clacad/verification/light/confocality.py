@@ -56,7 +56,8 @@ def confocality(window: Window) -> Confocality:
 
     Notes
     -----
-    Lens 2 is first moved sideways so that the axis ray meets its apex: the offset δ is no part of this check.
+    Lens 2, and a field lens before it, are first moved sideways so that the axis ray meets their apexes: the offset δ is no
+    part of this check.
     The power is nearly linear in the slide, so the secant through two slides finds its zero in a few rounds.
     """
     turn = window.thin.rotation
@@ -64,11 +65,12 @@ def confocality(window: Window) -> Confocality:
     along = window.faces[arrays.index(1)].rotation[:, 2]
     distance = lens_distance(window)
     size = STEP * window.lattice.circumradius
-    start = _axis_start(window, turn[:, 2])
-    aside = _onto_axis(window, turn[:, 2], start, along)
+    start = axis_start(window, turn[:, 2])
+    field = field_onto_axis(window, start)
+    aside = _onto_axis(window, 1, turn[:, 2], start, along, field)
 
     def power(slide: float) -> Floats:
-        return parabasal(interfaces(window, aside + slide * along), turn, start, size).slopes
+        return parabasal(interfaces(window, aside + slide * along, field), turn, start, size).slopes
 
     as_built = power(0.0)
     if not np.isfinite(as_built).all():
@@ -86,7 +88,21 @@ def confocality(window: Window) -> Confocality:
     return Confocality(np.where(powered, shift, np.nan), distance, as_built)
 
 
-def _axis_start(window: Window, axis: Floats) -> Floats:
+def field_onto_axis(window: Window, start: Floats) -> Floats | None:
+    """Slide (3,) of the field lens that puts its first apex on the axis ray from `start` (3,), lengths; None without one.
+
+    Raises
+    ------
+    ValueError
+        The axis ray does not reach it.
+    """
+    if not window.thin.field:
+        return None
+    axis = window.thin.rotation[:, 2]
+    return _onto_axis(window, 2, axis, start, axis, None)
+
+
+def axis_start(window: Window, axis: Floats) -> Floats:
     """Point (3,) before the window from which light along the law's axis meets the first apex of lens 1."""
     seq = interfaces(window)
     first = [face.array for face in window.faces].index(0)
@@ -98,12 +114,18 @@ def _axis_start(window: Window, axis: Floats) -> Floats:
     return np.asarray(start)
 
 
-def _onto_axis(window: Window, axis: Floats, start: Floats, along: Floats) -> Floats:
-    """Slide (3,), across lens 2's axis, that puts its first apex on the axis ray."""
-    target = [face.array for face in window.faces].index(1)
+def _onto_axis(
+    window: Window, array: int, axis: Floats, start: Floats, along: Floats, field: Floats | None
+) -> Floats:
+    """Slide (3,), across its axis `along`, that puts the first apex of lens 2 or the field lens on the axis ray.
+
+    field : slide (3,) of the field lens where lens 2 is asked for
+    """
+    target = [face.array for face in window.faces].index(array)
     aside = np.zeros(3)
     for _ in range(6):  # sliding a tilted lens moves the landing point a little
-        seq = interfaces(window, aside)[: target + 1]
+        seq = interfaces(window, aside, field) if array == 1 else interfaces(window, None, aside)
+        seq = seq[: target + 1]
         gap = _hit(seq, start, axis, to_plane=True) - np.asarray(seq[-1].vertex)
         aside = aside + gap - along * (gap @ along)
     return aside

@@ -19,6 +19,7 @@ from clacad.sheet.like_cell import like_cell, outer_cells, sampled_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
 from clacad.verification.checks import Check
+from clacad.verification.light.field_lens_checks import field_lens_checks
 from clacad.verification.light.image_checks import image_checks
 from clacad.verification.light.law_checks import (
     FIT_SCALE,
@@ -171,6 +172,8 @@ def judge_light(
     found = [
         *law_checks(design, optics), throughput_check(design, seen.like, optics), confocality_check(design, seen.like)
     ]  # fmt: skip
+    if window.thin.field:
+        found += field_lens_checks(design, window, optics.main)
     return [
         *(seen.named(check) for check in found),
         viewed_check(design, window),

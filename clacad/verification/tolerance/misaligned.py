@@ -93,9 +93,9 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
     """
     at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
     made = as_made(window, errors)
-    motions = (_first(errors), _second(made, errors))
+    motions = (_first(errors), _second(made, errors), _field(errors))
     seq, faces = [], []
-    for body in made.bodies:
+    for number, body in enumerate(made.bodies):
         for face, other, before, after in (
             (body.front, body.back, 1.0, body.index),
             (body.back, body.front, body.index, 1.0),
@@ -104,13 +104,20 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
             assert array is not None  # a body has at least one lens face
             shift = made.shifts[array]
             vertex = np.asarray(face.vertex) + [*shift, 0.0]
-            motion = motions[array]
+            motion = motions[array if len(made.bodies) == 1 else _moves_with(number, len(made.bodies))]
             moved = vertex + motion.moves(vertex + [*at, 0.0])
             turn = motion.turn @ face.rotation
             plain = np.array_equal(turn, np.eye(3))
             seq.append(Interface(face.surface, moved, before, after, None if plain else turn))
             faces.append((face, array, motion))
     return Telescopelet(_baffled(made), seq, faces, at)
+
+
+def _moves_with(number: int, bodies: int) -> int:
+    """Array 0, 1 or 2 whose motion is that of a body: array 1's, array 2's, or that of the plate between."""
+    if number == 0:
+        return 0
+    return 1 if number == bodies - 1 else 2
 
 
 def _baffled(window: Window) -> Window:
@@ -130,14 +137,28 @@ def as_made(window: Window, errors: Errors) -> Window:
         )
         made = replace(body, front=front, back=back, index=body.index + errors.get(f"index.{number}", 0.0))
         change = errors.get(f"thickness.{number}", 0.0)
-        bodies.append(made if change == 0.0 or window.form == "slab" else thicker(made, change))
+        if window.form == "slab" and len(window.bodies) == 2:
+            made = _thicker_outside(made, change, number)
+        elif window.form != "slab":
+            made = thicker(made, change) if change else made
+        bodies.append(made)
     return replace(window, bodies=tuple(bodies))
+
+
+def _thicker_outside(body: Body, change: float, number: int) -> Body:
+    """The first or second plate of a slab with a field lens, `change` (length) thicker: the inner faces keep the air gap."""
+    if number == 1:
+        x, y, z = body.front.vertex
+        return replace(body, front=replace(body.front, vertex=(x, y, z - change)))
+    x, y, z = body.back.vertex
+    return replace(body, back=replace(body.back, vertex=(x, y, z + change)))
 
 
 def _radius(errors: Errors, body: Body, face: Face, part: str) -> float:
     if face.array is None:
         return 0.0
-    return errors.get(f"radius.{face.array + 1}" + (f".{part}" if body.columnar else ""), 0.0)
+    own = body.columnar or face.array == 2
+    return errors.get(f"radius.{face.array + 1}" + (f".{part}" if own else ""), 0.0)
 
 
 def grown(surface: Surface, part: float) -> Surface:
@@ -151,12 +172,18 @@ def _first(errors: Errors) -> Motion:
     return Motion(np.eye(3), shift, np.zeros(3))
 
 
+def _field(errors: Errors) -> Motion:
+    """The plate of a field lens, moved aside."""
+    shift = np.array([errors.get("decentre.3.x", 0.0), errors.get("decentre.3.y", 0.0), 0.0])
+    return Motion(np.eye(3), shift, np.zeros(3))
+
+
 def _second(window: Window, errors: Errors) -> Motion:
     """Array 2: moved aside, turned about the sheet's normal, tilted about x and y, its spacer too high."""
     heights = [face.vertex[2] for face in window.faces if face.array == 1]
     pivot = np.array([*window.shifts[1], sum(heights) / len(heights)])
     up = errors.get("separation", 0.0)
-    if window.form == "slab":
+    if len(window.bodies) == 1:
         up += errors.get("thickness.1", 0.0)
     shift = np.array([errors.get("decentre.2.x", 0.0), errors.get("decentre.2.y", 0.0), up])
     loose = errors.get("pins.turn", 0.0)

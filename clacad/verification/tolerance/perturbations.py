@@ -60,13 +60,20 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     for array, half in enumerate(spec.decentre, 1):
         found += [Parameter(f"decentre.{array}.{axis}", "decentre", half, unit) for axis in "xy"]
     found.append(Parameter("rotation", "rotation", spec.rotation, "rad"))
-    if window.form != "slab":
+    if len(window.bodies) > 1:
         found.append(Parameter("separation", "separation", spec.separation, unit))
+    if len(window.bodies) == 3:
+        aside = spec.of_array(spec.decentre, 2)
+        found += [Parameter(f"decentre.3.{axis}", "decentre", aside, unit) for axis in "xy"]
     for array, part in curved_faces(window):
-        found.append(Parameter(f"radius.{array}{part}", "radius", spec.radius[array - 1], ""))
+        half = spec.of_array(spec.radius, array - 1)
+        found.append(Parameter(f"radius.{array}{part}", "radius", half, ""))
     bodies = range(1, len(window.bodies) + 1)
     found += [Parameter(f"index.{body}", "index", spec.index, "") for body in bodies]
-    found += [Parameter(f"thickness.{body}", "thickness", spec.thickness[body - 1], unit) for body in bodies]
+    found += [
+        Parameter(f"thickness.{body}", "thickness", spec.of_body(body, len(window.bodies)), unit)
+        for body in bodies
+    ]
     found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
     found += _play(design)
@@ -93,9 +100,9 @@ def _play(design: Design) -> list[Parameter]:
 
 
 def curved_faces(window: Window) -> list[tuple[int, str]]:
-    """Lens faces in the order of the light: array (1 or 2), and ".front" or ".back" where it has two."""
+    """Lens faces in the order of the light: array (1, 2; 3: field lens), and ".front" or ".back" where it has two."""
     return [
-        (face.array + 1, part if body.columnar else "")
+        (face.array + 1, part if body.columnar or face.array == 2 else "")
         for body in window.bodies
         for part, face in ((".front", body.front), (".back", body.back))
         if face.array is not None

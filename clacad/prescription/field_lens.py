@@ -1,0 +1,424 @@
+"""Field lenses: faces at the common focus that image lens 1 onto lens 2, so that light of any slope finds its partner.
+
+All light of one direction meets there in a point, so that a lens there changes where light meets lens 2 and leaves the
+law alone; 1/f_F = 1/f1 + 1/f2 per meridian. Its vertex lies on the straight line (slopes in air) from the middle of cell 1
+to that of cell 2, and so do its cells.
+
+Two plates (slab, η the same in both meridians)
+    The power stands on both inner faces, 1/f_k on that of the plate which carries lens k, so that for η = −1 both plates are
+    the same part. Plates n f_k thick with an air gap g between them and lenses of 1/a_k = 1/f_k − g/(2 f_k²) are afocal
+    together with exactly η, and image lens 1 exactly onto lens 2, whatever g. Their radii are those of the slab but for g/2f.
+One plate (biconvex, plano; slab whose meridians differ)
+    A plano-convex field lens with its vertex at the focus, or two crossed arrays of cylinders, each at the focus of its own
+    meridian: the plate is n |f1x − f1y| thick, and lens 2 stands (1 − 1/n) times that farther away, so that nothing changes
+    along the axis. A slab becomes array 1, plate and array 2, with air between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Floats, Pair2
+from clacad.design.process_profiles import profile
+from clacad.optics.surface import Quadric, Surface
+from clacad.prescription.given import GivenFaces
+from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
+from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
+
+if TYPE_CHECKING:
+    from clacad.prescription.assemble import Intent
+
+ARRAY = 2
+"""Number of the field lens's array; lens 1 and lens 2 have 0 and 1."""
+
+STEEPEST = 1.05
+"""Least radius of a field face over half the width of its cell."""
+
+ROOM = 1.25
+"""Times the process's least gap or edge that what is free is made: from less on, checks warn."""
+
+
+def thin_field(eta: Pair2, separation: float) -> tuple[FieldLens, ...]:
+    """The ideal field lens of a thin pair (lengths): one, or two cylinders in the order of the light."""
+    first, _ = thin_pair(eta, separation)
+    power = field_focal_lengths(eta, separation)
+    if first[0] == first[1]:
+        return (FieldLens(power, first[0]),)
+    lenses = (FieldLens((power[0], np.inf), first[0]), FieldLens((np.inf, power[1]), first[1]))
+    return lenses if first[0] < first[1] else lenses[::-1]
+
+
+def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
+    """Refuse a field face (radius: length) that would end inside its cell, across `axis`, or everywhere (None).
+
+    Raises
+    ------
+    NoSuchLens
+    """
+    tile = intent.lattice.tile() @ intent.turn[:2, :2]
+    half = float(np.abs(tile).max(axis=0)[axis]) if axis is not None else 0.5 * max(intent.lattice.pitch)
+    if axis is None and _conic(intent, 0.0) > -1.0:
+        reach = intent.lattice.circumradius * sqrt(1.0 + _conic(intent, 0.0))
+        half = max(half, reach / STEEPEST)
+    if radius < STEEPEST * half:
+        scale = radius / (STEEPEST * half)
+        separation = intent.design.pair.separation
+        further = "" if separation is None else f", or separation > {separation / scale:.6g}"
+        raise NoSuchLens(
+            f"the field lens would have the radius {radius:.6g}, less than {STEEPEST * half:.6g}: its surface ends inside "
+            "the cell",
+            key="lattice.pitch",
+            hint=f"pitch < {max(intent.lattice.pitch) * scale:.6g}{further}",
+            code="CL128",
+        )
+
+
+def _conic(intent: Intent, default: float) -> float:
+    given = intent.design.pair.field.conic
+    return default if given is None else given
+
+
+def _face(intent: Intent, derived: Quadric, after: int) -> Surface:
+    """The field face that has `after` others before it: as given, else as derived."""
+    if isinstance(intent.shape, GivenFaces):
+        return intent.shape.of_field(derived.side, after)
+    return derived
+
+
+def _sphere(radius: float, side: int, conic: float) -> Quadric:
+    return Quadric(1.0 / radius, 1.0 / radius, (1.0 + conic) / radius, side)
+
+
+def _cylinder(radius: float, axis: int, side: int, conic: float) -> Quadric:
+    """Cylinder with power in one meridian."""
+    curvature = [0.0, 0.0]
+    curvature[axis] = 1.0 / radius
+    return Quadric(curvature[0], curvature[1], (1.0 + conic) / radius, side)
+
+
+def air_gap(intent: Intent) -> float:
+    """Air gap (length) between a slab's plates, vertex to vertex."""
+    design = intent.design
+    if design.pair.field.gap is not None:
+        return design.pair.field.gap
+    limit = design.check.clearance
+    if limit is None:
+        limit = profile(design.check.process).clearance / design.unit_m
+    return max(min(design.lattice.pitch) / 25.0, ROOM * limit)
+
+
+# -- two plates -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Plates:
+    """Two plates, each with a lens and part of the field lens.
+
+    focal_length : (a1, a2), lengths
+        Of the lens of each plate, alone, in air.
+    field : (f1, f2), lengths
+        Of the part of the field lens on each plate, alone, in air; and thickness over index of the plate.
+    gap : float, length
+    """
+
+    focal_length: Pair2
+    field: Pair2
+    gap: float
+
+    @property
+    def length(self) -> float:
+        """From lens 1 to lens 2 in air equivalents."""
+        return self.field[0] + self.gap + self.field[1]
+
+    def offset(self, delta: Floats, eta: float, slope: Floats) -> Floats:
+        """Vertex of lens 2 (2,), lengths from the axis of lens 1, that gives δ (2,) where the middle of the field has `slope` (2,)."""
+        last = self.focal_length[1]
+        return np.asarray(last * (-delta / eta - slope * (1.0 - 1.0 / eta - self.length / last)))
+
+
+def paired_plates(eta: float, separation: float, gap: float) -> Plates:
+    """Plates that are afocal together with exactly η (see the module's notes); lengths.
+
+    Raises
+    ------
+    NoSuchLens
+        The gap is twice a focal length or more.
+    """
+    f1, f2 = (f[0] for f in thin_pair((eta, eta), separation))
+    if gap >= 2.0 * min(f1, f2):
+        raise NoSuchLens(
+            f"an air gap of {gap:.6g} is too wide for field faces of focal length {min(f1, f2):.6g}",
+            key="pair.field" , hint=f"gap < {2.0 * min(f1, f2):.6g}", code="CL129",
+        )  # fmt: skip
+    a1, a2 = (f / (1.0 - 0.5 * gap / f) for f in (f1, f2))
+    return Plates((a1, a2), (f1, f2), gap)
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Bodies of a window with a field lens.
+
+    moved : (x, y), lengths
+        Displacement of array 2's cells.
+    field : (x, y), lengths
+        Displacement of the field lens's cells.
+    offset : (2,) lengths
+        Of lens 2 off lens 1's axis, lens frame.
+    told : mapping
+        What the recipe says of the field lens.
+    """
+
+    bodies: tuple[Body, ...]
+    moved: Pair2
+    field: Pair2
+    offset: Floats
+    told: dict[str, object]
+
+
+def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
+    """Two plates with the field lens on both inner faces, lens radii times `scale`; separation: length."""
+    eta, n = intent.eta[0], intent.index
+    plates = paired_plates(eta, separation, air_gap(intent))
+    radius = [(n - 1.0) * a for a in plates.focal_length]
+    inner = [(n - 1.0) * f for f in plates.field]
+    for r in inner:
+        refuse_too_steep(r, intent, None)
+    thickness = [n * f for f in plates.field]
+    legs = ((thickness[0], n), (plates.gap, 1.0), (thickness[1], n))
+    aligned = intent.design.lattice.aperture == "aligned"
+    slope = np.zeros(2) if aligned else np.asarray(intent.delta) / (1.0 - eta)
+    chief = Chief.of(intent, slope * plates.length, plates.length)
+    turn = intent.turn[:2, :2]
+    before, behind, moved = (turn @ chief.across(legs[:k]) for k in (1, 2, 3))
+    offset = plates.offset(np.asarray(intent.delta), eta, moved @ turn / plates.length)
+    if intent.design.pair.vertex is not None:
+        offset = np.array(intent.design.pair.vertex)
+    lens_2 = turn @ offset
+    conic = _conic(intent, 0.0)
+    centre, half = 0.5 * (before + behind), 0.5 * (behind - before)
+    top = thickness[0] + plates.gap
+    rotation = IDENTITY if np.array_equal(intent.turn, IDENTITY) else intent.turn
+
+    def lens(number: int, side: int, place: Floats, z: float) -> Face:
+        r = scale * radius[number]
+        return Face(intent.shape.face((r, r), side, number), _vertex(place, z), rotation, number)
+
+    first = Body(
+        lens(0, +1, np.zeros(2), 0.0),
+        Face(_face(intent, _sphere(inner[0], -1, conic), 0), _vertex(-half, thickness[0]), array=ARRAY), n, "array1",
+    )  # fmt: skip
+    second = Body(
+        Face(_face(intent, _sphere(inner[1], +1, conic), 1), _vertex(half, top), array=ARRAY),
+        lens(1, -1, lens_2 - moved, top + thickness[1]), n, "array2",
+    )  # fmt: skip
+    told = {
+        "R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic, "gap": plates.gap,
+        "thickness": thickness, "equal_plates": _equal(first, second),
+    }  # fmt: skip
+    return Placed((first, second), _pair(moved), _pair(centre), offset, told)
+
+
+def _equal(first: Body, second: Body) -> bool:
+    """Whether the second plate is the first one turned over: the same part ordered twice."""
+
+    def mirrored(face: Face) -> tuple[object, ...]:
+        s = face.surface
+        return (type(s), *(getattr(s, name) for name in s.__dataclass_fields__ if name != "side"))
+
+    places = [
+        tuple(abs(v) for v in face.vertex[:2])
+        for face in (first.front, first.back, second.back, second.front)
+    ]
+    thick = [body.back.vertex[2] - body.front.vertex[2] for body in (first, second)]
+    return (
+        mirrored(first.front) == mirrored(second.back)
+        and mirrored(first.back) == mirrored(second.front)
+        and not any(v for place in places for v in place)
+        and abs(thick[0] - thick[1]) <= 1e-12 * thick[0]
+    )
+
+
+# -- one plate --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """The plate with the field lens, and where its faces stand; lengths along the lens axis.
+
+    foci : (x, y)
+        Of lens 1 in air, from its reference point; the plate's front stands at the nearer one.
+    thickness : float
+    told : mapping
+        What the recipe says of it.
+    """
+
+    foci: Pair2
+    thickness: float
+    told: dict[str, object]
+
+    @property
+    def crossed(self) -> bool:
+        """Whether each face has power in one meridian."""
+        return self.foci[0] != self.foci[1]
+
+    def added(self, index: float) -> float:
+        """How much farther away lens 2 stands for the plate (length)."""
+        return self.thickness * (1.0 - 1.0 / index)
+
+
+def symmetric_foci(radius: Pair2, thickness: float, index: float) -> Pair2:
+    """Distance (x, y) from the centre of a lens of faces R, −R to its focus in air (lengths)."""
+    x, y = (_behind_centre(r, thickness, index) for r in radius)
+    return x, y
+
+
+def _behind_centre(radius: float, thickness: float, index: float) -> float:
+    shrunk = (index - 1.0) * thickness / (index * radius)  # of the beam from face to face
+    power = (index - 1.0) * (2.0 - shrunk) / radius
+    return 0.5 * thickness + (1.0 - shrunk) / power
+
+
+def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, behind: float) -> Plate:
+    """The field plate of a pair whose lens 1 has its foci there, with `behind` of air from the far one to the next body.
+
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
+        Of lens 1 and lens 2 as built.
+
+    Raises
+    ------
+    NoSuchLens
+        A face ends inside its cell, or there is no room for the plate.
+    """
+    n, design = intent.index, intent.design
+    power = [f1 * f2 / (f1 + f2) for f1, f2 in zip(*focal_length, strict=True)]
+    radius = [(n - 1.0) * f for f in power]
+    crossed = foci[0] != foci[1]
+    for axis in (0, 1):
+        refuse_too_steep(radius[axis], intent, axis if crossed else None)
+    tile = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
+    sag = sum(float(tile[k]) ** 2 / (2.0 * radius[k]) for k in (0, 1))
+    lean = 2.0 * intent.lattice.circumradius * abs(float(np.tan(intent.law.theta)))
+    least = sag + intent.neck + lean
+    if crossed:
+        thickness = n * abs(foci[0] - foci[1])
+        if thickness < least:
+            apart = least / n
+            raise NoSuchLens(
+                f"the foci lie {abs(foci[0] - foci[1]):.4g} apart, so that the plate between the field faces would be "
+                f"{thickness:.4g} thick: they need {least:.4g}",
+                key="law.eta",
+                hint=f"eta_x = eta_y (one field lens), or focal lengths f1 at least {apart:.4g} apart",
+                code="CL129",
+            )
+    else:
+        edge = design.check.edge
+        edge = profile(design.check.process).edge / design.unit_m if edge is None else edge
+        wanted = least + max(ROOM * edge, max(design.lattice.pitch))
+        thickness = max(least, min(wanted, 0.5 * n * behind))
+    room = behind - (0.0 if crossed else thickness / n)
+    if room <= 0.0 or behind <= 0.0:
+        raise NoSuchLens(
+            f"there is no room for the field plate: it would reach {-room:.4g} into the body behind it",
+            key="pair.separation", hint="a larger separation, or thinner lenses", code="CL129",
+        )  # fmt: skip
+    told: dict[str, object] = {
+        "R": radius if crossed else radius[0], "f": power if crossed else power[0],
+        "conic": _conic(intent, -(n**2)), "thickness": thickness,
+    }  # fmt: skip
+    return Plate(foci, thickness, told)
+
+
+def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> tuple[Body, Pair2]:
+    """The plate's body, and the displacement of its cells (lengths).
+
+    points : ((2,), (2,)) lengths, lens frame
+        Where the ray in the middle of the field meets front and back.
+    """
+    power_of = plate.told["R"]
+    conic = _conic(intent, -(intent.index**2))
+    near = min(plate.foci)
+    front, back = (
+        intent.turn @ np.array([*point, z])
+        for point, z in zip(points, (near, near + plate.thickness), strict=True)
+    )
+    tilted = intent.law.theta != 0.0
+    rotation = intent.turn if tilted or plate.crossed else IDENTITY
+    rotation = IDENTITY if np.array_equal(rotation, IDENTITY) else rotation
+    if not plate.crossed:
+        assert isinstance(power_of, float)
+        lens = Face(
+            _face(intent, _sphere(power_of, +1, conic), 0), (0.0, 0.0, float(front[2])), rotation, ARRAY
+        )
+        if not tilted:
+            plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
+        else:
+            plane = Face(
+                Quadric(0.0, 0.0, 0.0, -1), _vertex(back[:2] - front[:2], float(back[2])), rotation, ARRAY
+            )
+        return Body(lens, plane, intent.index, "field"), _pair(front[:2])
+    assert isinstance(power_of, list)
+    axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)
+    # a cylinder is the same all along: each face says where the cells stand across its own axis alone
+    middle = np.empty(2)
+    for axis, point in zip(axes, points, strict=True):
+        middle[axis] = point[axis]
+    faces = [
+        Face(
+            _face(intent, _cylinder(power_of[axis], axis, side, conic), after),
+            (0.0, 0.0, float(at[2])),
+            rotation,
+            ARRAY,
+        )
+        for after, (axis, side, at) in enumerate(zip(axes, (+1, -1), (front, back), strict=True))
+    ]
+    return Body(faces[0], faces[1], intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
+
+
+# -- the ray in the middle of the field -------------------------------------------------------------
+
+Legs = tuple[tuple[float, float], ...]
+"""Stretches of a ray across parallel planes: length along the axis, refractive index."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chief:
+    """The ray from the middle of cell 1 to that of cell 2, lens frame.
+
+    slope : (2,)
+        In air.
+    exact : bool
+        Whether it is refracted exactly, as where the design gives its slope; else to first order, as lenses are placed.
+    """
+
+    slope: Floats
+    exact: bool
+
+    @staticmethod
+    def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
+        """As the design's aperture says; `to_cell_2` (2,) lies `reduced` (air equivalents) away, lengths, lens frame."""
+        aperture = intent.design.lattice.aperture
+        if isinstance(aperture, str):
+            return Chief(to_cell_2 / reduced, False)
+        ray = np.array([*aperture, 1.0]) @ intent.turn
+        return Chief(ray[:2] / ray[2], True)
+
+    def across(self, legs: Legs) -> Floats:
+        """How far aside (2,), lengths, it gets over some stretches."""
+        square = float(self.slope @ self.slope)
+        run = 0.0
+        for length, index in legs:
+            # n sin θ' = sin θ: in glass the tangent is smaller than that over n
+            run += length / (sqrt(index * index * (1.0 + square) - square) if self.exact else index)
+        return self.slope * run
+
+
+def _vertex(place: Floats, z: float) -> tuple[float, float, float]:
+    return float(place[0]), float(place[1]), z
+
+
+def _pair(values: Floats) -> Pair2:
+    return float(values[0]), float(values[1])

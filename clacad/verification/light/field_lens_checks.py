@@ -1,0 +1,176 @@
+"""Checks of a field lens: it stands at the foci, images lens 1 onto lens 2, fills the field, and leaves the law alone.
+
+Light along the axis and through the middle of cell 1 is traced face by face through the window as built; nothing here
+knows how the faces were found.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.optics.law import angle_between
+from clacad.optics.parabasal import STEP
+from clacad.optics.rays import Fate, Rays
+from clacad.optics.sequence import Interface, trace_sequence
+from clacad.sheet.bundle import Bundle, bundle
+from clacad.sheet.light_against_law import rms_error
+from clacad.sheet.telescopelet import interfaces
+from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace
+from clacad.verification.checks import Check, judge, not_run
+from clacad.verification.light.confocality import axis_start, field_onto_axis
+from clacad.verification.limit_sources import other
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+FOCUS, PUPIL, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
+"""Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without the lens."""
+
+PART = 0.9
+"""Of the full field, where the share is measured."""
+
+SLOPE = 1e-4
+"""Change of slope by which du/dt is taken."""
+
+RAYS = 4096
+FIXED = other("fixed: what a field lens is for")
+
+
+def field_lens_checks(design: Design, window: Window, main: Bundle) -> list[Check]:
+    """Judge the field lens of a window; `main` are the test rays of the design."""
+    found = []
+    for name, check, limit, unit in (
+        ("field_focus", _focus, FOCUS, "of f1"),
+        ("pupil", _pupil, PUPIL, "of separation"),
+    ):
+        try:
+            found.append(check(window, name, limit, unit))
+        except ValueError as error:
+            found.append(not_run(name, str(error), limit=limit, where="surfaces, parabasal"))
+    return [*found, _throughput(window), _law(design, window, main)]
+
+
+def _focus(window: Window, name: str, limit: float, unit: str) -> Check:
+    """How far the field faces stand from the foci of what lies before them."""
+    pair = window.thin
+    start = axis_start(window, pair.rotation[:, 2])
+    seq = interfaces(window, None, field_onto_axis(window, start))
+    worst, where = 0.0, ""
+    for number, face in enumerate(window.faces):
+        if face.array != 2:
+            continue
+        for axis, curvature in enumerate((face.surface.curvature_x, face.surface.curvature_y)):
+            if curvature == 0.0:
+                continue
+            off = _from_focus(window, seq[:number], np.asarray(seq[number].vertex), start, axis)
+            part = abs(off) / seq[number].index_before / pair.focal_length[0][axis]
+            if part >= worst:
+                worst, where = part, f"face {number + 1}, {'xy'[axis]}"
+    sentence = f"the field faces stand at most {worst:.3g} of f1 from the foci of lens 1 ({where})"
+    return judge(name, worst, limit, sentence, unit=unit, where="surfaces, parabasal", limit_source=FIXED)
+
+
+def _from_focus(window: Window, before: list[Interface], vertex: Floats, start: Floats, axis: int) -> float:
+    """Distance (length) along the axis from where light beside the axis ray crosses it to a vertex (3,)."""
+    turn = window.thin.rotation
+    aside = STEP * window.lattice.circumradius * turn[:, axis]
+    rays = Rays(start + np.array([np.zeros(3), aside, -aside]), np.tile(turn[:, 2], (3, 1)))
+    seen = trace_sequence(before, rays)
+    if (seen.fate != Fate.ALIVE).any():
+        raise ValueError("light beside the axis ray does not reach the field lens")
+    place, ray = (seen.position - vertex) @ turn, seen.direction @ turn
+    slope = ray[:, axis] / ray[:, 2]
+    at_vertex = place[:, axis] - place[:, 2] * slope  # in the plane through the vertex
+    return float((at_vertex[1] - at_vertex[2]) / (slope[1] - slope[2]))
+
+
+def _pupil(window: Window, name: str, limit: float, unit: str) -> Check:
+    """How far the ray through the middle of cell 1 moves over lens 2 with its slope."""
+    turn, s = window.thin.rotation, window.thin.separation
+    ax, ay = aperture_slope(window)
+    middle = np.array([ax, ay, 1.0]) @ turn
+    slope = middle[:2] / middle[2]
+    change = SLOPE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    direction = np.column_stack([slope + change, np.ones(4)]) @ turn.T
+    below = abs(window.z_range[0]) + max(window.lattice.pitch)
+    start = -direction / direction[:, 2:] * below
+    seen = trace_sequence(interfaces(window), Rays(start, direction), record=True)
+    if seen.hits is None or (seen.fate != Fate.ALIVE).any():
+        raise ValueError("the ray in the middle of the field does not get through")
+    second = [face.array == 1 for face in window.faces]
+    at = seen.hits[second].mean(axis=0) @ turn
+    moved = [abs(at[2 * k, k] - at[2 * k + 1, k]) / (2.0 * SLOPE * s) for k in (0, 1)]
+    sentence = (
+        f"light through the middle of cell 1 moves over lens 2 by {moved[0]:.3g}, {moved[1]:.3g} of the separation a unit "
+        "of slope (x, y); without a field lens it would be 1"
+    )
+    return judge(
+        name, max(moved), limit, sentence, unit=unit, where="surfaces, parabasal", limit_source=FIXED
+    )
+
+
+def _throughput(window: Window) -> Check:
+    """Share at 0.9 of the full field, left, right, up and down, against thin lenses."""
+    cells = thin_cells(window)
+    turn = window.thin.rotation
+    ax, ay = aperture_slope(window)
+    middle = np.array([ax, ay, 1.0]) @ turn
+    worst, at, ratio = np.inf, 0.0, np.nan
+    for axis, half in enumerate(half_field(cells)):
+        for sense in (PART, -PART):
+            slope = middle[:2] / middle[2]
+            slope[axis] += sense * half
+            direction = turn @ np.array([*slope, 1.0])
+            if not direction[2] > 0.0:
+                continue
+            lit = bundle(window, RAYS, 0.0, middle=direction / sqrt(float(direction @ direction)))
+            passed = float((trace(window, lit.rays, path="size").fate == Fate.ALIVE).mean())
+            closed = float(share(cells, lit.middle[None])[0])
+            ratio = passed / closed if closed > 0.0 else np.nan
+            if ratio < worst:
+                worst, at = ratio, passed
+    sentence = f"at {PART:g} of the full field {at:.3f} of the light passes at worst, {worst:.3f} of what thin lenses pass"
+    value = worst if worst < np.inf else np.nan
+    return judge(
+        "field_throughput", value, SHARE, sentence, relation=">=", unit="of closed form", where="surfaces",
+        bundle=f"4 directions, {RAYS} Sobol rays each over the whole cell", limit_source=FIXED,
+    )  # fmt: skip
+
+
+def _law(design: Design, window: Window, main: Bundle) -> Check:
+    """Error of the law with the field lens over that without, of the light that passes both."""
+    from clacad.design import DesignError
+    from clacad.prescription.prescribe import prescribe
+
+    without = {
+        key: value for key, value in design.given["pair"].items() if key not in ("field", "field_lens")
+    }
+    try:
+        plain = prescribe(type(design).from_dict({**design.given, "pair": without}))
+    except DesignError as error:
+        why = f"the same pair without a field lens cannot be built: {str(error).splitlines()[0]}"
+        return not_run("field_law", why, limit=LAW, where="surfaces", required=False)
+    rms = []
+    lit = [
+        bundle(one, min(len(main.rays), 2 * RAYS), design.check.field, design.check.field_centre)
+        for one in (window, plain)
+    ]
+    seen = [trace(one, rays.rays, path="size") for one, rays in zip((window, plain), lit, strict=True)]
+    both = (seen[0].fate == Fate.ALIVE) & (seen[1].fate == Fate.ALIVE)
+    for rays, result in zip(lit, seen, strict=True):
+        expected = window.law.refract(rays.rays.direction[both])
+        rms.append(rms_error(angle_between(result.direction[both], expected)))
+    ratio = rms[0] / rms[1] if rms[1] > 0.0 else np.nan
+    sentence = (
+        f"of the light that passes with and without the field lens the rms error is {1e3 * rms[0]:.4g} mrad with it, "
+        f"{1e3 * rms[1]:.4g} mrad without"
+    )
+    return judge(
+        "field_law", ratio, LAW, sentence, unit="of that without", where="surfaces", bundle=str(lit[0]), limit_source=FIXED
+    )  # fmt: skip
