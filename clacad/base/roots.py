@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from clacad.base.types import Floats
+from clacad.base.unique_rows import distinct
 
 Function = Callable[[Floats], Floats]
 
@@ -82,7 +83,7 @@ def _monotone_knots(function: Function, noise: float) -> tuple[Floats, Floats]:
             stack += [(middle, high, depth + 1), (low, middle, depth + 1)]
         else:
             knots += [critical, np.array([high])]
-    t = np.unique(np.concatenate(knots))
+    t = distinct(np.concatenate(knots))
     return t, function(t)
 
 

@@ -1,12 +1,27 @@
-"""Distinct rows of whole numbers, told apart as single numbers where they fit into one."""
+"""Distinct numbers, and distinct rows of whole numbers, told apart as single numbers where they fit into one."""
 
 from __future__ import annotations
 
 from math import prod
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.base.types import Ints
+
+Number = TypeVar("Number", bound=np.number[Any])
+
+
+def distinct(numbers: NDArray[Number]) -> NDArray[Number]:
+    """Distinct numbers (k,) of those (n,), in ascending order; none may be NaN.
+
+    What ``numpy.unique`` gives, which loads masked arrays to see that these are none: 0.03 s.
+    """
+    ordered = np.sort(numbers)
+    first = np.ones(len(ordered), dtype=np.bool_)
+    first[1:] = ordered[1:] != ordered[:-1]
+    return np.asarray(ordered[first])
 
 
 def unique_rows(rows: Ints) -> tuple[Ints, Ints]:

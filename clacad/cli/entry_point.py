@@ -31,6 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Without the program's name; default sys.argv[1:].
     """
     make_writable()
+    os.environ.setdefault(
+        "PYDANTIC_DISABLE_PLUGINS", "1"
+    )  # else it reads the list of all installed packages: 0.02 s
     given = list(sys.argv[1:] if arguments is None else arguments)
     interrupts = InterruptHandler()
     try:

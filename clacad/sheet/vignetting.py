@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats, Ints
+from clacad.base.unique_rows import distinct
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import polygon_area, polygon_areas, relocate
@@ -254,7 +255,7 @@ def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
         order = np.argsort(~kept, axis=1, kind="stable")[:, : count.max(initial=0)]
         corners = np.take_along_axis(made.reshape(len(places), -1, 2), order[..., None], axis=1)
     areas = np.zeros(len(places))
-    for n in np.unique(count[count > 2]):
+    for n in distinct(count[count > 2]):
         here = count == n
         areas[here] = polygon_areas(corners[here, :n])
     return areas

@@ -10,6 +10,7 @@ import numpy as np
 
 from clacad.base.roots import sign_changes
 from clacad.base.types import Bools, Floats
+from clacad.base.unique_rows import distinct
 from clacad.sheet.window import PLANE, Body, Face, Window
 from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Part, Side, Stretch
 
@@ -109,7 +110,7 @@ def make_border(
         left, right = _alone(left, sides[0]), _alone(right, sides[0])
     sides = tuple(s for s in sides if getattr(left, s).face.array is not None)
     candidates = _candidates(left, right, sides, columnar)
-    roots = np.unique(np.concatenate(candidates)) if candidates else np.empty(0)
+    roots = distinct(np.concatenate(candidates)) if candidates else np.empty(0)
     breaks = _spaced(roots, spacing / length)
     on = _stretches(left, right, breaks)
     steps = {side: _step(on, SIDES.index(side), merge) for side in sides}

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.base.unique_rows import distinct
 
 Heights = Callable[[Floats, Floats], Floats]
 """A function of cell-frame x and y, (n,) lengths each; NaN where it has no value."""
@@ -136,7 +137,7 @@ def share_covered(inside: Inside, polygon: Floats, pole: Floats) -> float:
         return 0.0
     kinks = _kinks(inside, polygon)
     angles = np.arctan2(kinks[:, 1] - pole[1], kinks[:, 0] - pole[0])
-    angles = np.unique(np.concatenate([angles, [-np.pi, np.pi]]))
+    angles = distinct(np.concatenate([angles, [-np.pi, np.pi]]))
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     middle, half = 0.5 * (angles[1:] + angles[:-1]), 0.5 * np.diff(angles)
     phi = (middle[:, None] + half[:, None] * nodes).ravel()

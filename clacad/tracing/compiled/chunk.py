@@ -6,7 +6,7 @@ from math import exp, isfinite, nan
 
 import numpy as np
 
-from clacad.base.compiled import exact, owning
+from clacad.base.compiled import exact, making, owning
 from clacad.base.types import Floats, Rows, Singles
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
@@ -37,6 +37,7 @@ from clacad.tracing.compiled.straight_path_slots import (
 )
 from clacad.tracing.compiled.walk import walk_ray
 from clacad.tracing.triangles.compiled_grid import straight_through
+from clacad.tracing.triangles.compiled_squares import ROWS, store_sheet_block, suits_squares, through_squares
 from clacad.tracing.triangles.facet_grid import FacetGrid
 from clacad.tracing.triangles.hierarchy import Hierarchy
 from clacad.tracing.triangles.tiles import Tiles
@@ -161,7 +162,11 @@ def trace_chunk_of_triangles(
     """Trace the rays `chosen` through triangles from anywhere; as `trace_chunk`."""
     scratch, waiting, count = new_scratch(), np.empty(len(chosen), dtype=np.intp), 0
     plain = len(grid.walled) > 0 and len(trees.corner_normal) == 0 and len(out.hits) == 0
-    for row in chosen:
+    rest = chosen
+    if plain and suits_squares(grid, sheet.lattice):
+        rest = np.empty(len(chosen), dtype=np.intp)
+        rest = rest[: _through_squares(grid, sheet, chosen, start, ray, out, rest)]
+    for row in rest:
         decided = False
         if plain and blank_row(row, start, ray, out):
             reaches, launched = launch_ray(sheet, start, ray, row)
@@ -170,6 +175,22 @@ def trace_chunk_of_triangles(
             waiting[count] = row
             count += 1
     _walk(None, trees, sheet, waiting[:count], start, ray, out, scratch)
+    return count
+
+
+@making
+def _through_squares(
+    grid: FacetGrid, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome, left: Rows
+) -> int:  # fmt: skip
+    """Trace rays where facets halve the bins of the grid; `left` takes those that this does not decide, and how many is given."""
+    s, count = np.zeros((ROWS, BLOCK)), 0
+    for first in range(0, len(chosen), BLOCK):
+        block = chosen[first : first + BLOCK]
+        load_block(block, start, ray, s)
+        launch_block(sheet.lattice, sheet.bodies[0], s, len(block))
+        through_squares(grid, sheet, s, len(block))
+        store_sheet_block(s, block, len(sheet.faces) - 1, out)
+        count = queue_undecided(s, block, left, count)
     return count
 
 

@@ -35,6 +35,9 @@ from clacad.tracing.compiled.straight_path_slots import (
 from clacad.tracing.triangles.compiled_tiles import facet_normal, locate_facet
 from clacad.tracing.triangles.tiles import BIN, BINS_X, BINS_Y, LENS, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, Tiles
 
+SquareGrid = tuple[float, float, float, float, float, float, float, float]
+"""Corner of a grid of halved bins, bins per length, how many, number of the first, and which way diagonals go (SPLIT)."""
+
 TRIES = 8
 """Facets looked up before a ray is left to the walk; two do for lens-like slopes."""
 
@@ -52,7 +55,7 @@ def cross_facets(
     tile = tiles.of[f // 2, side]
     row = tiles.table[tile]
     level = 0.5 * (faces[f, slot.LOW] + faces[f, slot.HIGH])
-    _to_level(row, s, m, level)
+    to_level(_squares_of(row), s, m, level)
     _planes_of_bins(tiles, side, s, m)
     _to_planes(row, s, m)
     _planes_of_bins(tiles, side, s, m)
@@ -62,20 +65,25 @@ def cross_facets(
 
 
 @exact
-def _to_level(row: Floats, s: Floats, m: int, level: float) -> None:
+def _squares_of(row: Floats) -> SquareGrid:
+    """The regular grid of a tile."""
+    return (row[LOW_X], row[LOW_Y], row[PER_X], row[PER_Y], row[BINS_X], row[BINS_Y], row[BIN], row[SPLIT])
+
+
+@exact
+def to_level(squares: SquareGrid, s: Floats, m: int, level: float) -> None:
     """Carry rays to a level, in thought, and find the half bin there."""
     x, y, z, dx, dy, dz, bins = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[HALF]
-    low_x, low_y, per_x, per_y, split = row[LOW_X], row[LOW_Y], row[PER_X], row[PER_Y], row[SPLIT]
-    nx, ny, first = row[BINS_X], row[BINS_Y], row[BIN]
+    low_x, low_y, per_x, per_y, nx, ny, first, split = squares
     for i in range(m):
         t = (level - z[i]) / dz[i]
-        bins[i] = _half_bin(
+        bins[i] = half_bin(
             (x[i] + t * dx[i] - low_x) * per_x, (y[i] + t * dy[i] - low_y) * per_y, nx, ny, first, split
         )
 
 
 @exact
-def _half_bin(u: float, v: float, nx: float, ny: float, first: float, split: float) -> float:
+def half_bin(u: float, v: float, nx: float, ny: float, first: float, split: float) -> float:
     """Number of the half square over a point given in bins: twice the bin's, plus one beyond the diagonal."""
     i, j = np.floor(u), np.floor(v)
     i, j = least(nx - 1.0, i), least(ny - 1.0, j)
@@ -97,11 +105,10 @@ def _to_planes(row: Floats, s: Floats, m: int) -> None:
     """Carry rays to their planes, in thought: how far, NaN if the hit lies over another half bin, and that one."""
     x, y, z, dx, dy, dz, bins, far = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ], s[HALF], s[RANGE]
     a, b, c = s[GX], s[GY], s[GZ]
-    low_x, low_y, per_x, per_y, split = row[LOW_X], row[LOW_Y], row[PER_X], row[PER_Y], row[SPLIT]
-    nx, ny, first = row[BINS_X], row[BINS_Y], row[BIN]
+    low_x, low_y, per_x, per_y, nx, ny, first, split = _squares_of(row)
     for i in range(m):
         t = (c[i] + a[i] * x[i] + b[i] * y[i] - z[i]) / (dz[i] - a[i] * dx[i] - b[i] * dy[i])
-        here = _half_bin(
+        here = half_bin(
             (x[i] + t * dx[i] - low_x) * per_x, (y[i] + t * dy[i] - low_y) * per_y, nx, ny, first, split
         )
         far[i] = t if here == bins[i] else np.nan

@@ -16,12 +16,15 @@ from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.sheet.window import WALL
 from clacad.tracing.triangles.hierarchy import Hierarchy
+from clacad.tracing.triangles.squares import squares
 from clacad.tracing.triangles.tiles import over_bins
 
 # Columns of a body's row: corner of the grid, bins per length, bins in x and y, number of the first bin and of the first
-# corner of bins, and the heights between which facets that look down, and those that look up, lie.
+# corner of bins, and the heights between which facets that look down, and those that look up, lie. Of its squares: which
+# way diagonals go on both sides, the steepest slopes there, and what corners lie off.
 LOW_X, LOW_Y, PER_X, PER_Y, BINS_X, BINS_Y, BIN, CORNER, DOWN_LOW, DOWN_HIGH, UP_LOW, UP_HIGH = range(12)
-GRID_NUMBERS = 12
+SPLIT, CLIMB, OFF = 12, 14, 16
+GRID_NUMBERS = 17
 
 HAIR = 1e-4
 """Share of a bin, along its borders, in which a ray is left to the trees: facets that reach no further are not listed."""
@@ -41,12 +44,18 @@ class FacetGrid(NamedTuple):
         Triangles of the hierarchy over bin b are member[start[b] : start[b + 1]].
     walled : (corners of bins,) ints
         For each corner of bins, how many bins to its left and below hold walls: four of them tell of any rectangle.
+    odd : (corners of bins,) ints
+        The same of bins that hold walls or are not halved; see `squares`.
+    plane : (2 bins, 2, 4)
+        See `squares`.
     """
 
     table: Floats
     start: Ints
     member: NDArray[np.int32]
     walled: NDArray[np.int32]
+    odd: NDArray[np.int32]
+    plane: Floats
 
 
 class Triangles(NamedTuple):
@@ -65,32 +74,33 @@ NO_GRID = FacetGrid(
     np.zeros(1, dtype=np.int64),
     np.zeros(0, dtype=np.int32),
     np.zeros(0, dtype=np.int32),
+    np.zeros(0, dtype=np.int32),
+    np.zeros((0, 2, 4)),
 )
 
 
 def facet_grid(trees: Hierarchy) -> FacetGrid:
     """Sort a hierarchy's triangles into bins; `NO_GRID` where they are too unlike in size for that to help."""
-    walled: list[NDArray[np.int32]] = []
-    tables, starts, members, first = [], [np.zeros(1, dtype=np.int64)], [], 0
+    made: list[FacetGrid] = []
+    first = edge = 0
     for begin, count in trees.tree[:, 1:3].tolist():
-        corners = trees.corner[begin : begin + count]
-        made = _body_grid(corners)
-        if made is None:
+        own = _body_grid(trees.corner[begin : begin + count])
+        if own is None:
             return NO_GRID
-        table, start, member, walls = made
-        table[BIN], table[CORNER] = first, sum(len(each) for each in walled)
-        tables.append(table)
-        starts.append(start[1:] + starts[-1][-1])
-        members.append((member + begin).astype(np.int32))
-        walled.append(walls)
-        first += len(start) - 1
+        own.table[0, BIN], own.table[0, CORNER] = first, edge
+        made.append(own._replace(member=(own.member + begin).astype(np.int32)))
+        first, edge = first + len(own.start) - 1, edge + len(own.walled)
+    ends = np.cumsum([0, *(grid.start[-1] for grid in made)])
+    starts = [grid.start[1:] + end for grid, end in zip(made, ends, strict=False)]
     return FacetGrid(
-        np.array(tables), np.concatenate(starts), np.concatenate(members), np.concatenate(walled)
+        np.concatenate([grid.table for grid in made]),
+        np.concatenate([np.zeros(1, dtype=np.int64), *starts]),
+        *(np.concatenate([getattr(grid, name) for grid in made]) for name in FacetGrid._fields[2:]),
     )
 
 
-def _body_grid(corners: Floats) -> tuple[Floats, Ints, Ints, NDArray[np.int32]] | None:
-    """One body's row of the table, starts, members (numbers among `corners`), sums of walls."""
+def _body_grid(corners: Floats) -> FacetGrid | None:
+    """One body's grid, its members numbers among `corners`; None where there is none."""
     normal = doubled_normals(corners)
     walls = normal[:, 2] ** 2 < WALL**2 * np.einsum("ij,ij->i", normal, normal)
     lens = np.flatnonzero(~walls)
@@ -115,11 +125,28 @@ def _body_grid(corners: Floats) -> tuple[Floats, Ints, Ints, NDArray[np.int32]] 
         return None
     facet, where = over_bins(lens, i0, across, int(bins[0]))
     order = np.argsort(where, kind="stable")
-    start = np.searchsorted(where[order], np.arange(int(bins.prod()) + 1)).astype(np.int64)
+    facet, where = facet[order], where[order]
+    start = np.searchsorted(where, np.arange(int(bins.prod()) + 1)).astype(np.int64)
     up = normal[lens, 2] > 0.0
     heights = [_range(corners[lens[side], :, 2]) for side in (~up, up)]
-    table = np.array([*low, *per, *bins.astype(float), 0.0, 0.0, *heights[0], *heights[1]])
-    return table, start, facet[order], _sums_of_walls(np.flatnonzero(walls), i0, across, bins)
+    halved = squares((corners[..., :2] - low) * per, corners, normal, facet, where, bins)
+    table = [
+        *low,
+        *per,
+        *bins.astype(float),
+        0.0,
+        0.0,
+        *heights[0],
+        *heights[1],
+        *halved.split,
+        *halved.climb,
+        halved.off,
+    ]
+    walled = over_bins(np.flatnonzero(walls), i0, across, int(bins[0]))[1]
+    odd = np.concatenate([walled, np.flatnonzero(halved.odd)])
+    return FacetGrid(
+        np.array([table]), start, facet.astype(np.int32), _sums(walled, bins), _sums(odd, bins), halved.plane
+    )
 
 
 def _range(heights: Floats) -> tuple[float, float]:
@@ -127,10 +154,9 @@ def _range(heights: Floats) -> tuple[float, float]:
     return (float(heights.min()), float(heights.max())) if heights.size else (np.inf, -np.inf)
 
 
-def _sums_of_walls(walls: Ints, first: Ints, across: Ints, bins: Ints) -> NDArray[np.int32]:
-    """Bins with walls to the left and below of every corner of bins, row by row."""
-    held = np.zeros((int(bins[1]) + 1, int(bins[0]) + 1), dtype=np.int32)
-    _, where = over_bins(walls, first, across, int(bins[0]))
-    j, i = np.divmod(where, int(bins[0]))
-    held[j + 1, i + 1] = 1
-    return np.ascontiguousarray(held.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)).ravel()
+def _sums(held: Ints, bins: Ints) -> NDArray[np.int32]:
+    """How many of some bins are to the left and below of every corner of bins, row by row."""
+    found = np.zeros((int(bins[1]) + 1, int(bins[0]) + 1), dtype=np.int32)
+    j, i = np.divmod(held, int(bins[0]))
+    found[j + 1, i + 1] = 1
+    return np.ascontiguousarray(found.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)).ravel()
