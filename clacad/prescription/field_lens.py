@@ -24,6 +24,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.process_profiles import profile
+from clacad.design.sections import AimedAt
 from clacad.optics.surface import Quadric, Surface
 from clacad.prescription.given import GivenFaces
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
@@ -401,7 +402,7 @@ class Chief:
     def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
         """As the design's aperture says; `to_cell_2` (2,) lies `reduced` (air equivalents) away, lengths, lens frame."""
         aperture = intent.design.lattice.aperture
-        if isinstance(aperture, str):
+        if isinstance(aperture, str | AimedAt):  # one aimed at a point is refused later
             return Chief(to_cell_2 / reduced, False)
         ray = np.array([*aperture, 1.0]) @ intent.turn
         return Chief(ray[:2] / ray[2], True)

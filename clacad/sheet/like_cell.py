@@ -15,6 +15,7 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.sheet.cell_places import CellPlacement, extreme_cells
 from clacad.sheet.lattice import Circle, Lattice, Outline
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 
 SAMPLED = 64
@@ -109,6 +110,7 @@ def _larger(outline: Outline, factor: float) -> Outline:
     factor = max(factor, 1.0)
     if isinstance(outline, Circle):
         return Circle(outline.diameter * factor)
+    assert not isinstance(outline, Plate)  # plates are refused where cells differ
     return replace(outline, width=outline.width * factor, height=outline.height * factor)
 
 

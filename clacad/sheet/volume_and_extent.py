@@ -75,6 +75,8 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
         whole = len(cells) * window.lattice_of(array).cell_area
     elif isinstance(outline, Circle):
         whole = 0.25 * pi * outline.diameter**2
+    elif isinstance(outline, Plate):
+        whole = outline.area
     else:
         whole = outline.width * outline.height
     value = error = 0.0

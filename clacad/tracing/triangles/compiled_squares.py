@@ -218,9 +218,8 @@ def _refract(s: Floats, m: int, n1: float, n2: float, climb: float, level: float
 def _note_cells(sheet: Packed, s: Floats, m: int, array: int, first: bool) -> None:
     """Cells of an array in which hits lie for certain: first and last of each ray, and whether they ever differ."""
     lat = sheet.lattice
-    hair, sign = INSIDE_CELL * lat[slot.HALF], 1.0 if array > 0 else 0.0
-    dx, dy = sign * lat[slot.RESIDUAL], sign * lat[slot.RESIDUAL + 1]
-    di, dj = sign * lat[slot.WHOLE_STEPS], sign * lat[slot.WHOLE_STEPS + 1]
+    hair, at = INSIDE_CELL * lat[slot.HALF], slot.BETWEEN + 4 * array
+    dx, dy, di, dj = lat[at], lat[at + 1], lat[at + 2], lat[at + 3]
     for k in range(m):
         if not s[GOOD, k] > 0.0:
             continue
