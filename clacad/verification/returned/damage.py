@@ -182,7 +182,8 @@ def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArr
         middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
         inside = np.hypot(*(points - middle).T) < 0.5 * window.outline.diameter * (1.0 - 1e-3) - room
     else:
-        inside = (points > np.array([x0, y0]) + room).all(axis=1) & (points < np.array([x1, y1]) - room).all(axis=1)  # fmt: skip
+        above, below = points > np.array([x0, y0]) + room, points < np.array([x1, y1]) - room
+        inside = np.asarray(above.all(axis=1) & below.all(axis=1))
     lattice = window.lattice
     for face in (body.front, body.back):
         shift = window.shifts[owner(body, face)]
