@@ -20,6 +20,7 @@ from typing import Any, Final
 from clacad.base import units
 from clacad.base.reading_budgets import BUDGETS
 from clacad.base.regular_file import read_regular
+from clacad.config.design_error import DesignTooLarge
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
 from clacad.design.plate_keys import MOST_VERTICES, Vertex, vertex_lists
@@ -32,6 +33,14 @@ JOINED: Final = 1e-6
 """Part of the drawing's size within which two ends are one."""
 
 KEY: Final = "lattice.outline.dxf"
+
+
+class _TooMuch(Exception):
+    """A drawing beyond what is read of one."""
+
+    def __init__(self, message: str, allowed: str) -> None:
+        super().__init__(message)
+        self.mistake = Mistake("CL100", message, KEY, allowed=allowed)
 
 
 class _Unfit(ValueError):
@@ -56,6 +65,11 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
     -------
     data : dict
     mistakes : list of Mistake
+
+    Raises
+    ------
+    DesignTooLarge
+        The drawing is beyond its reader's budget.
     """
     lattice = data.get("lattice")
     outline = lattice.get("outline") if isinstance(lattice, dict) else None
@@ -67,6 +81,8 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
         points = read_outline(
             os.path.dirname(path) or ".", outline["dxf"], unit.metres if unit else Fraction(1)
         )
+    except _TooMuch as problem:
+        raise DesignTooLarge([problem.mistake]) from None
     except _Unfit as problem:
         return data, [problem.mistake]
     polygon = {"polygon": vertex_lists(points)}
@@ -117,9 +133,7 @@ def _text(folder: str, name: str) -> list[str]:
         raw = read_regular(os.path.join(folder, name), budget.bytes)
     except OSError as problem:
         if problem.errno == EFBIG:
-            raise _Unfit(
-                "CL100", f"{name}: too large for an outline", f"up to {budget.bytes:,} bytes"
-            ) from None
+            raise _TooMuch(f"{name}: too large for an outline", f"up to {budget.bytes:,} bytes") from None
         reason = (problem.strerror or str(problem)).lower()
         raise _Unfit("CL100", f"cannot read the drawing {shown(name)}: {reason}") from None
     if raw.startswith(b"AutoCAD Binary DXF"):
@@ -128,9 +142,7 @@ def _text(folder: str, name: str) -> list[str]:
         )
     lines = raw.decode("utf-8", "replace").splitlines()
     if len(lines) > (budget.items or 0):
-        raise _Unfit(
-            "CL100", f"{name}: {len(lines):,} lines are too many for an outline", f"up to {budget.items:,}"
-        )
+        raise _TooMuch(f"{name}: {len(lines):,} lines are too many for an outline", f"up to {budget.items:,}")
     return lines
 
 
@@ -199,6 +211,7 @@ def _sections(pairs: list[Pair], name: str) -> tuple[dict[str, str], list[_Entit
     header: dict[str, str] = {}
     entities: list[_Entity] = []
     section, variable, latest = "", "", ""
+    current: _Entity | None = None
     for code, value, line in pairs:
         if code == 0:
             if value in ("SECTION", "ENDSEC", "EOF"):
@@ -218,7 +231,7 @@ def _sections(pairs: list[Pair], name: str) -> tuple[dict[str, str], list[_Entit
                 variable = value
             else:
                 header.setdefault(variable, value)
-        elif section == "ENTITIES":
+        elif section == "ENTITIES" and current is not None:
             current.values.append((code, value, line))
     if not entities:
         raise _Unfit("CL100", f"{name}: no entities are drawn in it")
