@@ -14,10 +14,10 @@ from clacad.sheet.plate import (
     Hole,
     Plate,
     counter_clockwise,
-    next_crossing,
     plate_of_circle,
     plate_of_rectangle,
 )
+from clacad.sheet.plate_edges import next_crossing
 from clacad.sheet.simple_outline import fault
 from clacad.tracing.compiled.plate import in_plate, next_edge
 
