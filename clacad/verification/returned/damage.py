@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.facet_vectors import doubled_normals
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.lattice import Circle
@@ -175,14 +175,13 @@ def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
 def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArray[np.bool_]:
     """Which points (n, 2) are farther than `room` inside the rim of a body and from the borders of its kept cells."""
     x0, x1, y0, y1 = body_extent(window, body)
-    if isinstance(window.outline, Plate):
-        size = max(x1 - x0, y1 - y0)
-        deep = nearest_edges(window.outline.edges, points)[0] > 1e-3 * size + room
-        inside: Bools = window.outline.inside(points)
-        inside[~deep] = False
-    elif isinstance(window.outline, Circle):
+    if isinstance(window.outline, Circle):
         middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
         inside = np.hypot(*(points - middle).T) < 0.5 * window.outline.diameter * (1.0 - 1e-3) - room
+    elif isinstance(window.outline, Plate):
+        size = max(x1 - x0, y1 - y0)
+        deep = nearest_edges(window.outline.edges, points)[0] > 1e-3 * size + room
+        inside = window.outline.inside(points) & deep
     else:
         inside = (points > np.array([x0, y0]) + room).all(axis=1) & (points < np.array([x1, y1]) - room).all(axis=1)  # fmt: skip
     lattice = window.lattice
