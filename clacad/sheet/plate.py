@@ -30,6 +30,7 @@ from clacad.sheet.plate_edges import (
     inside,
     keeps_off,
     loop_area,
+    nearest_edges,
     within_polygon,
 )
 
@@ -122,6 +123,16 @@ class Plate:
             low, high = (share, high) if self._clear(sides) else (low, share)
         share = low * (1.0 - 1e-9)
         return 0.5 * share * (x1 - x0), 0.5 * share * (y1 - y0)
+
+    @property
+    def least_land(self) -> float:
+        """Least distance of a hole's side from the boundary or from another hole (length); infinite without holes."""
+        middles = np.array([(hole.x, hole.y) for hole in self.holes]).reshape(-1, 2)
+        radii = np.array([0.5 * hole.diameter for hole in self.holes])
+        gaps = [nearest_edges(self.loops[0], middles)[0] - radii] if self.holes else []
+        for n in range(1, len(radii)):
+            gaps.append(np.hypot(*(middles[n:] - middles[n - 1]).T) - radii[n:] - radii[n - 1])
+        return float(np.min(np.concatenate(gaps))) if gaps else np.inf
 
     def free_width(self, low: float, high: float) -> float:
         """Width of the widest rectangle about x = 0 between two heights y that no edge reaches into; 0 without one."""
