@@ -13,33 +13,28 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from errno import EFBIG
 from fractions import Fraction
 from typing import Any, Final
 
 from clacad.base import units
-from clacad.base.reading_budgets import BUDGETS
-from clacad.base.regular_file import read_regular
+from clacad.config.design_error import DesignTooLarge
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
+from clacad.design.dxf_entities import (
+    Entity,
+    TooMuch,
+    Unfit,
+    finite_number,
+    group_pairs,
+    sections,
+    text_lines,
+    unit_factor,
+)
 from clacad.design.plate_keys import MOST_VERTICES, Vertex, vertex_lists
-
-UNITS: Final = {1: "in", 4: "mm", 5: "cm", 6: "m", 12: "nm", 13: "um"}
-"""$INSUNITS → unit of length."""
 
 LAYER: Final = "OUTLINE"
 JOINED: Final = 1e-6
 """Part of the drawing's size within which two ends are one."""
-
-KEY: Final = "lattice.outline.dxf"
-
-
-class _Unfit(ValueError):
-    """What is wrong with a drawing: code, sentence, what would be right, the nearest way out."""
-
-    def __init__(self, code: str, message: str, allowed: str = "", hint: str = "") -> None:
-        super().__init__(message)
-        self.mistake = Mistake(code, message, KEY, allowed=allowed, hint=hint)
 
 
 def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[Mistake]]:
@@ -56,6 +51,11 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
     -------
     data : dict
     mistakes : list of Mistake
+
+    Raises
+    ------
+    DesignTooLarge
+        The drawing is beyond its reader's budget.
     """
     lattice = data.get("lattice")
     outline = lattice.get("outline") if isinstance(lattice, dict) else None
@@ -67,7 +67,9 @@ def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[M
         points = read_outline(
             os.path.dirname(path) or ".", outline["dxf"], unit.metres if unit else Fraction(1)
         )
-    except _Unfit as problem:
+    except TooMuch as problem:
+        raise DesignTooLarge([problem.mistake]) from None
+    except Unfit as problem:
         return data, [problem.mistake]
     polygon = {"polygon": vertex_lists(points)}
     return {**data, "lattice": {**data["lattice"], "outline": polygon}}, []
@@ -90,172 +92,28 @@ def read_outline(folder: str, name: str, unit: Fraction) -> tuple[Vertex, ...]:
     ValueError
         With the mistake.
     """
-    pairs = _pairs(_text(folder, name), name)
-    header, entities = _sections(pairs, name)
-    factor = _factor(header, unit, name)
+    pairs = group_pairs(text_lines(folder, name), name)
+    header, entities = sections(pairs, name)
+    factor = unit_factor(header, unit, name)
     chosen = [one for one in entities if one.layer.upper() == LAYER] or entities
     loop = _one_loop(chosen, name)
     points = tuple((float(Fraction(x) * factor), float(Fraction(y) * factor), bulge) for x, y, bulge in loop)
     if len(points) > MOST_VERTICES:
-        raise _Unfit("CL108", f"{name}: its outline has {len(points)} corners", f"at most {MOST_VERTICES}")
+        raise Unfit("CL108", f"{name}: its outline has {len(points)} corners", f"at most {MOST_VERTICES}")
     return points
-
-
-def _text(folder: str, name: str) -> list[str]:
-    """Lines of the file."""
-    why = "is not a relative path" if os.path.isabs(name) or "\0" in name or name[1:2] == ":" else ""
-    if not why:
-        home, real = os.path.realpath(folder), os.path.realpath(os.path.join(folder, name))
-        if os.path.commonpath([home, real]) != home:  # links are followed first, so that none leads out
-            why = "lies outside the design's folder"
-    if why:
-        raise _Unfit(
-            "CL100", f"the drawing {shown(name)} {why}", "a DXF file in the design's folder or below it"
-        )
-    budget = BUDGETS["outline"]
-    try:
-        raw = read_regular(os.path.join(folder, name), budget.bytes)
-    except OSError as problem:
-        if problem.errno == EFBIG:
-            raise _Unfit(
-                "CL100", f"{name}: too large for an outline", f"up to {budget.bytes:,} bytes"
-            ) from None
-        reason = (problem.strerror or str(problem)).lower()
-        raise _Unfit("CL100", f"cannot read the drawing {shown(name)}: {reason}") from None
-    if raw.startswith(b"AutoCAD Binary DXF"):
-        raise _Unfit(
-            "CL100", f"{name} is a binary DXF file", "DXF as text", "save it as ASCII DXF (R12 or later)"
-        )
-    lines = raw.decode("utf-8", "replace").splitlines()
-    if len(lines) > (budget.items or 0):
-        raise _Unfit(
-            "CL100", f"{name}: {len(lines):,} lines are too many for an outline", f"up to {budget.items:,}"
-        )
-    return lines
-
-
-Pair = tuple[int, str, int]
-"""Group code, value, line."""
-
-
-def _pairs(lines: list[str], name: str) -> list[Pair]:
-    """Group codes and values."""
-    found: list[Pair] = []
-    for n in range(0, len(lines) - 1, 2):
-        code = lines[n].strip()
-        if not (code.lstrip("-").isdecimal() and len(code) < 6):
-            raise _Unfit("CL100", f"{name}, line {n + 1}: {shown(code[:20])} is not a group code of DXF")
-        found.append((int(code), lines[n + 1].strip(), n + 2))
-    if not found or found[-1][:2] != (0, "EOF"):
-        raise _Unfit("CL100", f"{name}: cut short, or no DXF file: it does not end with EOF")
-    return found
-
-
-class _Entity:
-    """One entity: its kind, where it stands in the file, its values in order."""
-
-    def __init__(self, kind: str, line: int) -> None:
-        self.kind, self.line = kind, line
-        self.values: list[Pair] = []
-        self.corners: list[_Entity] = []
-
-    @property
-    def layer(self) -> str:
-        """Its layer, "0" if it names none."""
-        return next((value for code, value, _ in self.values if code == 8), "0")
-
-    def number(self, code: int, name: str, default: float | None = None) -> float:
-        """The number under a code.
-
-        Raises
-        ------
-        _Unfit
-            There is none, or it is no finite number.
-        """
-        for at, value, line in self.values:
-            if at == code:
-                return _number(value, line, name)
-        if default is None:
-            raise _Unfit("CL100", f"{name}, line {self.line}: {self.kind} without group {code}")
-        return default
-
-    def flags(self, name: str) -> int:
-        """Group 70."""
-        return int(self.number(70, name, 0.0))
-
-
-def _number(value: str, line: int, name: str) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= 1e30:
-        raise _Unfit("CL100", f"{name}, line {line}: {shown(value[:20])} is not a number from -1e30 to 1e30")
-    return number
-
-
-def _sections(pairs: list[Pair], name: str) -> tuple[dict[str, str], list[_Entity]]:
-    """Variables of the header, and the entities of model space."""
-    header: dict[str, str] = {}
-    entities: list[_Entity] = []
-    section, variable, latest = "", "", ""
-    for code, value, line in pairs:
-        if code == 0:
-            if value in ("SECTION", "ENDSEC", "EOF"):
-                section = ""
-            elif section == "ENTITIES":
-                entity = _Entity(value, line)
-                if value == "VERTEX" and entities and entities[-1].kind == "POLYLINE":
-                    entities[-1].corners.append(entity)
-                elif value != "SEQEND":
-                    entities.append(entity)
-                current = entity
-            latest = value
-        elif code == 2 and latest == "SECTION" and not section:
-            section = value
-        elif section == "HEADER":
-            if code == 9:
-                variable = value
-            else:
-                header.setdefault(variable, value)
-        elif section == "ENTITIES":
-            current.values.append((code, value, line))
-    if not entities:
-        raise _Unfit("CL100", f"{name}: no entities are drawn in it")
-    paper = [one for one in entities if (67, "1") in {(code, value) for code, value, _ in one.values}]
-    return header, [one for one in entities if one not in paper] if paper else entities
-
-
-def _factor(header: dict[str, str], unit: Fraction, name: str) -> Fraction:
-    """Design units of a unit of the drawing."""
-    said = header.get("$INSUNITS", "0")
-    words = " | ".join(f"{code} ({word})" for code, word in UNITS.items())
-    if not said.isdecimal() or int(said) not in UNITS:
-        why = (
-            "states no unit"
-            if said in ("0", "")
-            else f"has $INSUNITS = {shown(said[:20])}, which is not read"
-        )
-        raise _Unfit(
-            "CL105",
-            f"{name} {why}",
-            f"$INSUNITS = {words}",
-            "set the unit of the drawing to millimetres, say",
-        )
-    return units.LENGTHS[UNITS[int(said)]] / unit
 
 
 # -- from entities to one loop -----------------------------------------------------------------------
 
 
-def _one_loop(entities: list[_Entity], name: str) -> list[Vertex]:
+def _one_loop(entities: list[Entity], name: str) -> list[Vertex]:
     """The one closed outline that is drawn."""
     loops: list[list[Vertex]] = []
     pieces: list[tuple[Vertex, Vertex]] = []
     circles: list[tuple[float, float, float]] = []
     for one in entities:
         if one.number(230, name, 1.0) < 0.999999:
-            raise _Unfit("CL141", f"{name}, line {one.line}: {one.kind} is drawn in another plane than x, y")
+            raise Unfit("CL141", f"{name}, line {one.line}: {one.kind} is drawn in another plane than x, y")
         if one.kind in ("LWPOLYLINE", "POLYLINE"):
             loops.append(_polyline(one, name))
         elif one.kind in ("LINE", "ARC"):
@@ -263,26 +121,26 @@ def _one_loop(entities: list[_Entity], name: str) -> list[Vertex]:
         elif one.kind == "CIRCLE":
             circles.append((one.number(10, name), one.number(20, name), one.number(40, name)))
         else:
-            raise _Unfit("CL141", f"{name}, line {one.line}: a {shown(one.kind[:20])} is no outline",
+            raise Unfit("CL141", f"{name}, line {one.line}: a {shown(one.kind[:20])} is no outline",
                          "one closed polyline, or LINEs and ARCs that close",
                          f"draw the outline alone on a layer {LAYER}: other layers are then left out")  # fmt: skip
     if circles:
         x, y, r = circles[0]
-        raise _Unfit("CL141", f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} beside the outline",
+        raise Unfit("CL141", f"{name}: {len(circles)} circle{'s' * (len(circles) > 1)} beside the outline",
                      "one closed outline; holes are said in the design",
                      f"body.holes = [{{diameter = {2 * r:g}, at = [[{x:g}, {y:g}]]}}], and the outline alone on a layer {LAYER}")  # fmt: skip
     loops += _linked(pieces, name)
     if len(loops) != 1:
-        raise _Unfit("CL141", f"{name}: {len(loops)} closed outlines are drawn in it", "exactly one",
+        raise Unfit("CL141", f"{name}: {len(loops)} closed outlines are drawn in it", "exactly one",
                      f"draw it alone on a layer {LAYER}; holes go into body.holes")  # fmt: skip
     return loops[0]
 
 
-def _polyline(one: _Entity, name: str) -> list[Vertex]:
+def _polyline(one: Entity, name: str) -> list[Vertex]:
     """Corners of a closed polyline of either kind."""
     flags = one.flags(name)
     if one.kind == "POLYLINE" and flags & (8 | 16 | 64):
-        raise _Unfit("CL141", f"{name}, line {one.line}: a POLYLINE of space or a mesh is no outline")
+        raise Unfit("CL141", f"{name}, line {one.line}: a POLYLINE of space or a mesh is no outline")
     found: list[list[float]] = []
     if one.kind == "POLYLINE":
         corners = [corner for corner in one.corners if not corner.flags(name) & 16]
@@ -293,11 +151,11 @@ def _polyline(one: _Entity, name: str) -> list[Vertex]:
     else:
         for code, value, line in one.values:
             if code == 10:
-                found.append([_number(value, line, name), math.nan, 0.0])
+                found.append([finite_number(value, line, name), math.nan, 0.0])
             elif code in (20, 42) and found:
-                found[-1][1 if code == 20 else 2] = _number(value, line, name)
+                found[-1][1 if code == 20 else 2] = finite_number(value, line, name)
     if any(math.isnan(y) for _, y, _ in found):
-        raise _Unfit("CL100", f"{name}, line {one.line}: a corner of {one.kind} without y")
+        raise Unfit("CL100", f"{name}, line {one.line}: a corner of {one.kind} without y")
     points = [(x, y, bulge) for x, y, bulge in found]
     size = max((abs(v) for x, y, _ in points for v in (x, y)), default=0.0)
     closes = len(points) > 1 and math.dist(points[0][:2], points[-1][:2]) <= JOINED * size
@@ -305,12 +163,12 @@ def _polyline(one: _Entity, name: str) -> list[Vertex]:
         points.pop()
     elif not flags & 1:
         gap = math.dist(points[0][:2], points[-1][:2]) if points else 0.0
-        raise _Unfit("CL141", f"{name}, line {one.line}: the {one.kind} is open: its ends are {gap:.6g} apart", "a closed one",
+        raise Unfit("CL141", f"{name}, line {one.line}: the {one.kind} is open: its ends are {gap:.6g} apart", "a closed one",
                      "close it in the drawing program")  # fmt: skip
     return points
 
 
-def _line(one: _Entity, name: str) -> tuple[Vertex, Vertex]:
+def _line(one: Entity, name: str) -> tuple[Vertex, Vertex]:
     return (one.number(10, name), one.number(20, name), 0.0), (
         one.number(11, name),
         one.number(21, name),
@@ -318,13 +176,13 @@ def _line(one: _Entity, name: str) -> tuple[Vertex, Vertex]:
     )
 
 
-def _arc(one: _Entity, name: str) -> tuple[Vertex, Vertex]:
+def _arc(one: Entity, name: str) -> tuple[Vertex, Vertex]:
     """Ends of an arc, which runs counter-clockwise; its bulge stands with the first."""
     x, y, r = (one.number(code, name) for code in (10, 20, 40))
     start, end = (math.radians(one.number(code, name)) for code in (50, 51))
     swept = (end - start) % math.tau
     if not r > 0.0 or swept == 0.0:
-        raise _Unfit("CL141", f"{name}, line {one.line}: an ARC without extent")
+        raise Unfit("CL141", f"{name}, line {one.line}: an ARC without extent")
     first, last = ((x + r * math.cos(turn), y + r * math.sin(turn)) for turn in (start, end))
     return (*first, math.tan(0.25 * swept)), (*last, 0.0)
 
@@ -345,7 +203,7 @@ def _linked(pieces: list[tuple[Vertex, Vertex]], name: str) -> list[list[Vertex]
             others = [other for other in ends.at(last) if other[0] != number]
             if len(others) != 1:
                 why = "it is open" if not others else "more than two pieces meet"
-                raise _Unfit("CL141", f"{name}: the outline does not close: at ({last[0]:.6g}, {last[1]:.6g}) {why}",
+                raise Unfit("CL141", f"{name}: the outline does not close: at ({last[0]:.6g}, {last[1]:.6g}) {why}",
                              "pieces that meet end to end")  # fmt: skip
             number, backwards = others[0]
         loops.append(loop)

@@ -189,7 +189,7 @@ class Design:
         return Design(**read_changed(self.given, self.path, changed_keys(changes, value)))
 
     def with_cells(self, cells: tuple[int, int]) -> Design:
-        """Return the same design with another number of cells, centred on the origin, without an outline.
+        """Return the same design with another number of cells, centred on the origin, without an outline, corners, holes or pins.
 
         Parameters
         ----------
@@ -202,10 +202,13 @@ class Design:
         section = {k: v for k, v in self.given.get("lattice", {}).items() if k != "outline"} | {
             "count": [a, b]
         }
+        shape = ("corners", "holes", "pins")
+        body = {k: v for k, v in self.given.get("body", {}).items() if k not in shape}
         return replace(
             self,
             lattice=replace(self.lattice, count=(a, b), outline=None),
-            given={**self.given, "lattice": section},
+            body=replace(self.body, corners=None, holes=(), pins=None),
+            given={**self.given, "lattice": section} | ({"body": body} if "body" in self.given else {}),
             source=None,
         )
 

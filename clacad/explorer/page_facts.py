@@ -12,6 +12,7 @@ from clacad.explorer.design_text import lines
 from clacad.explorer.sliders import Slider, sheet_width
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.need_window import need_equal_cells
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 
 MOST_CELLS = 8192
@@ -55,6 +56,8 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
 
 def _outline(design: Design) -> list[Any] | None:
     spec = design.lattice.outline
+    if spec is not None and spec.shape == "polygon":
+        return ["rectangle", *spec.size]
     return None if spec is None else [spec.shape, *spec.size[: 1 if spec.shape == "circle" else 2]]
 
 
@@ -70,6 +73,8 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
         )
     if design.body.frame is not None:
         found.append("the frame")
+    if isinstance(window.outline, Plate):
+        found.append("the plate's own boundary and holes: cells fill the rectangle round it")
     if design.body.roughness > 0.0 or design.body.slope_rms > 0.0:
         found.append("what rough faces scatter")
     if max(window.lattice.count) > MOST_CELLS:

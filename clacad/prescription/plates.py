@@ -16,16 +16,8 @@ from clacad.base.types import Pair2
 from clacad.design.sections import BodySpec, Outline
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.lattice import Circle, Rectangle
-from clacad.sheet.plate import (
-    Hole,
-    Plate,
-    Vertex,
-    counter_clockwise,
-    edge_gaps,
-    inside,
-    plate_of_circle,
-    plate_of_rectangle,
-)
+from clacad.sheet.plate import Hole, Plate, counter_clockwise, plate_of_circle, plate_of_rectangle
+from clacad.sheet.plate_edges import Vertex, edge_gaps, inside
 from clacad.sheet.window import Window
 
 MOST_CELLS = 10_000_000

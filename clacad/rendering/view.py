@@ -19,6 +19,7 @@ from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_s
 from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
 from clacad.rendering.spectrum import SpectralLine, lines
 from clacad.scene import Camera, Scene
+from clacad.sheet.plate import Plate
 from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
 
@@ -155,6 +156,8 @@ def sheet_box(window: Window) -> Floats:
     )  # fmt: skip
     edges = np.array(boxes + [(sx - half[0] / 2, sx + half[0] / 2, sy - half[1] / 2, sy + half[1] / 2)
                               for sx, sy in window.shifts])  # fmt: skip
+    if isinstance(window.outline, Plate):
+        edges = np.append(edges, [window.outline.box], axis=0)
     pad = 2.0 * window.lattice.circumradius + window.land.border
     z0, z1 = min(window.z_range[0], 0.0), max(window.z_range[1], 0.0)
     low = (edges[:, 0].min() - pad, edges[:, 2].min() - pad, z0)

@@ -8,7 +8,8 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.edge_columns import CX, CY, SENSE, X0, Y0
-from clacad.sheet.plate import Plate, Vertex
+from clacad.sheet.plate import Plate
+from clacad.sheet.plate_edges import Vertex
 
 CHORDS = 8
 """Sides an arc of 90° is held against others by: they leave it by 1/50 of its radius, a thousandth of what a mill needs."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.sheet.plate import nearest_edges
+from clacad.sheet.plate_edges import nearest_edges
 from clacad.tracing.layout import BodyPlan, Layout
 
 NUDGE = 16 * 2.0**-52

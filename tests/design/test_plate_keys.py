@@ -122,6 +122,13 @@ def test_the_way_out_that_is_named_works():
     assert plate_of(made(border=3, holes=[{"diameter": 1, "at": [[5.8 - inward * 1.001, 0]]}])).holes
 
 
+def test_a_sheet_of_another_number_of_cells_is_a_plain_one():
+    asked = made(PLANO, border=4, corners={"round": 1}, holes=[{"diameter": 1, "at": [[5, 5]]}])
+    few = asked.with_cells((2, 2))
+    assert not isinstance(prescribe(few).outline, Plate)
+    assert few == Design.from_dict(few.given) == made(PLANO, {"count": [2, 2]}, border=4)
+
+
 # -- drawings ---------------------------------------------------------------------------------------
 
 

@@ -14,10 +14,10 @@ from clacad.sheet.plate import (
     Hole,
     Plate,
     counter_clockwise,
-    next_crossing,
     plate_of_circle,
     plate_of_rectangle,
 )
+from clacad.sheet.plate_edges import next_crossing
 from clacad.sheet.simple_outline import fault
 from clacad.tracing.compiled.plate import in_plate, next_edge
 
@@ -193,6 +193,15 @@ def test_ten_thousand_corners_are_looked_at_in_seconds_and_one_crossing_found():
     assert fault(tuple(corners)) == ""
     corners[5000], corners[5003] = corners[5003], corners[5000]
     assert "meet" in fault(tuple(corners))
+
+
+def test_the_least_land_beside_a_hole_is_that_of_the_sketch():
+    assert ROUNDED.least_land == pytest.approx(
+        5 - 1.6
+    )  # to the bottom of the round corner, whose centre the hole has
+    two = Plate(plate_of_rectangle(60, 40), (Hole(0, 0, 4), Hole(10, 0, 6), Hole(-20, 12, 3)))
+    assert two.least_land == pytest.approx(5.0)
+    assert Plate(plate_of_circle(9)).least_land == np.inf
 
 
 def test_turning_an_outline_round_keeps_it():

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.sheet.lattice import Circle
-from clacad.sheet.plate import Plate, bulges
+from clacad.sheet.plate import Plate
+from clacad.sheet.plate_edges import bulges
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Body, Face, Window, column, lens_height, optical_tile
 from clacad.storage.archive import Attributes, parse_xml

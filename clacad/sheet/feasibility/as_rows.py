@@ -13,7 +13,8 @@ from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
-from clacad.sheet.lattice import Circle
+from clacad.sheet.lattice import Circle, Outline
+from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 
@@ -124,6 +125,17 @@ def _sheet_rows(
         FactRow("sheet", "height", of_length(top - low), name, "from the lowest point of all bodies to the highest"),
         FactRow("sheet", "cells", cells, "", "telescopelets" if lattice.outline is None else
             "telescopelets that lie wholly inside the outline"),
+        *_plate_rows(rim, of_length, name),
+    ]  # fmt: skip
+
+
+def _plate_rows(rim: Outline | None, of_length: Callable[[float | Pair2], str], name: str) -> list[FactRow]:
+    """Rows of the holes of a plate; none where there are none."""
+    if not isinstance(rim, Plate) or not rim.holes:
+        return []
+    return [
+        FactRow("sheet", "holes through the plate", str(len(rim.holes)), "", "for mounting and for pins"),
+        FactRow("sheet", "least land beside a hole", of_length(rim.least_land), name, "to the plate's edge or to another hole"),
     ]  # fmt: skip
 
 

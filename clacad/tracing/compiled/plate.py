@@ -1,4 +1,4 @@
-"""Compiled twins of `clacad.sheet.plate`: whether a point lies in a plate, and where a ray next crosses an edge of it."""
+"""Compiled twins of `clacad.sheet.plate_edges`: whether a point lies in a plate, and where a ray next crosses an edge of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 
 @exact
 def in_plate(edges: Floats, x: float, y: float) -> bool:
-    """Whether a point lies in the material that edges (e, EDGE_NUMBERS) bound; see `clacad.sheet.plate.inside`."""
+    """Whether a point lies in the material that edges (e, EDGE_NUMBERS) bound; see `clacad.sheet.plate_edges.inside`."""
     found = False
     for n in range(len(edges)):
         low, high = edges[n, Y0] <= y, edges[n, Y1] <= y

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.facet_vectors import doubled_normals
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.lattice import Circle
-from clacad.sheet.plate import Plate, nearest_edges
+from clacad.sheet.plate import Plate
+from clacad.sheet.plate_edges import nearest_edges
 from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import Body, Window
 from clacad.verification.files.cell_triangles import levels, owner
@@ -174,13 +175,15 @@ def _made_walls(window: Window, corners: Floats, noise: float) -> Floats:
 def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArray[np.bool_]:
     """Which points (n, 2) are farther than `room` inside the rim of a body and from the borders of its kept cells."""
     x0, x1, y0, y1 = body_extent(window, body)
-    if isinstance(window.outline, Plate):
+    if isinstance(window.outline, Circle):
+        middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
+        inside: NDArray[np.bool_] = (
+            np.hypot(*(points - middle).T) < 0.5 * window.outline.diameter * (1.0 - 1e-3) - room
+        )
+    elif isinstance(window.outline, Plate):
         size = max(x1 - x0, y1 - y0)
         deep = nearest_edges(window.outline.edges, points)[0] > 1e-3 * size + room
-        inside: Bools = np.asarray(window.outline.inside(points) & deep)
-    elif isinstance(window.outline, Circle):
-        middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
-        inside = np.hypot(*(points - middle).T) < 0.5 * window.outline.diameter * (1.0 - 1e-3) - room
+        inside = window.outline.inside(points) & deep
     else:
         above, below = points > np.array([x0, y0]) + room, points < np.array([x1, y1]) - room
         inside = np.asarray(above.all(axis=1) & below.all(axis=1))
