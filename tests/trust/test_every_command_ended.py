@@ -49,7 +49,8 @@ LINES = {
     "new": Line(("new", "out/fresh"), ("fresh.toml", "clacad.schema.json")),
     "new for": Line(("new", "out/wished", "--for", "eta=-1, width=5, process=moulding"), ("wished.toml", "clacad.schema.json")),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
-    "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml"), ("better.toml",), (), ("better.toml",)),
+    "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml", "--compare", "out/page.html"),
+                     ("better.toml", "page.html"), (), ("better.toml",)),
     "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
