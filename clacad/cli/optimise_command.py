@@ -126,17 +126,17 @@ def optimise_design(
                 design, request.free, request.field, best_so_far, weights=request.weights, tolerances=request.tolerances,
                 seconds=request.seconds,
             )  # fmt: skip
-            made = _compared(found, page, overwrite=request.overwrite)
-        ended.append((found, made))
+        ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
 
     try:
         write_file(
             request.out, search, overwrite=request.overwrite
         )  # a name that is taken is refused before the search
+        made = _compared(ended[0], page, overwrite=request.overwrite)
     finally:
         progress.done()
-    return _finished(*ended[0], request, json=json, quiet=quiet)
+    return _finished(ended[0], made, request, json=json, quiet=quiet)
 
 
 def page_seconds() -> float:

@@ -51,5 +51,5 @@ SAGS = [
     HardSag("polynomial, small", "terms of 1e-16 beside a base of 1e-4", op(1, 1, -1, -1, (0.2, 0.4, 0.1)), 1e-4, 2e-4),
     HardSag("polynomial near its equator", "the radicand cancels, the terms do not", op(1, 1, 0, 0, (0.3, 0.6, 0.3)), 0.999999, 0.0),
     HardSag("polynomial of eighth order", "powers of 2.5 from 40 to 1500", op(0.1, 0.1, -1, -1, (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1)), 2.5, -1.5),
-    HardSag("polynomial, x beyond 1e50", "0 times an eighth power that overflows is 0", op(0, 0, 0, 0, (1e-200, 0, 0)), 1e55, 0.0),
+    HardSag("polynomial, x beyond 1e50", "0 times an eighth power that overflows is 0", op(0, 0, 0, 0, (1e-200, 0, 0), a8=(0, 0, 0, 0, 1e-300)), 1e55, 0.0),
 ]  # fmt: skip

@@ -213,3 +213,28 @@ def test_the_compiled_twin_misses_where_the_base_has_ended():
     surface = EvenPolynomial(1.0, 1.0, 0.0, 0.0, (0.3, 0.6, 0.3))
     start = np.array([[1.001, 0.0, 0.0], [0.0, 1.2, -3.0], [0.8, 0.8, 0.0], [1.0 + 1e-9, 0.0, -1.0]])
     assert np.isnan(compiled(surface, start, np.array([[0.0, 0.0, 1.0]] * 4))).all()
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.long) for k in range(3, 30))]
+)
+def test_random_faces_of_all_orders_are_met_where_fifty_digits_say(seed):
+    """A fixed tenth by default. Slopes stay below 1 and rays are steeper: there is one crossing."""
+    rng = np.random.default_rng(seed)
+    for _ in range(8):
+        conic = tuple(rng.choice([-1.0, rng.uniform(-3.0, 1.0)], 2))
+        terms = [tuple(scale * rng.uniform(-1.0, 1.0, n)) for scale, n in ((0.15, 3), (0.2, 4), (0.3, 5))]
+        shape = Shape(tuple(rng.uniform(-0.8, 0.8, 2)), conic, terms[0], int(rng.choice([-1, 1])), *terms[1:])
+        start, direction = rays_at(seed, 3, 0.3)
+        met, point = meet_at(surface_of(shape), start, direction)
+        with mp.workdps(DIGITS):
+            for k in range(3):
+                exact = crossing(shape, start[k], direction[k], 1.0)
+                x, y, z = (mpf(p) + exact * mpf(d) for p, d in zip(start[k], direction[k]))
+                normal = shape.normal(x, y)
+                graze = abs(sum(n * mpf(d) for n, d in zip(normal, direction[k]))) / normal[2]
+                room = BOUND * ULP * (shape.terms(x, y) + mpf(5e-324)) / graze
+                assert abs(mpf(float(point[k, 2])) - z) <= room
+                along, length = -1 if direction[k, 2] < 0 else 1, np.linalg.norm(met.gradient[k])
+                off = max(abs(mpf(float(g)) - along * n) for g, n in zip(met.gradient[k] / length, normal))
+                assert off <= 16 * ULP / normal[2]

@@ -214,6 +214,12 @@ def test_least_squares_find_the_least_of_a_known_sum():
     np.testing.assert_allclose(minimise(lambda v: matrix @ v - right, np.zeros(4)), exact, atol=1e-6)
 
 
+def test_least_squares_follow_a_bent_valley():
+    """Rosenbrock's: the undamped step from here makes it worse by four orders."""
+    found = minimise(lambda v: np.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]]), np.array([-1.2, 1.0]))
+    np.testing.assert_allclose(found, [1.0, 1.0], atol=1e-4)
+
+
 def test_the_same_search_gives_the_same_file_and_the_file_reads_back(paper):
     from clacad.optimising.optimised_text import design_text
 

@@ -241,19 +241,35 @@ def _walked_roots(face, p, d):
     """Every crossing of a polynomial face: changes of sign of z − sag along the ray, narrowed to all digits."""
     size = _size(face)
     middle = -p[2] / d[2] if abs(d[2]) > mpf("1e-3") else -dot(p, d)
-    places = [middle + size * mpf(k) for k in (-40, 40)]
     t = np.linspace(-40.0, 40.0, WALK)
     at = [float((u + middle * v) / size) + float(v) * t for u, v in zip(p, d)]
-    gap = at[2] - _heights(face, at[0], at[1], float(size))
-    found = []
+    heights = at[2] - _heights(face, at[0], at[1], float(size))
+    real = np.isfinite(heights)
+    changes = real[:-1] & real[1:] & (np.sign(heights[:-1]) != np.sign(heights[1:]))
+
+    def place(k):
+        return middle + size * (mpf(80) * mpf(int(k)) / (WALK - 1) - 40)
+
+    def gap(s):
+        height = sag(face, p[0] + s * d[0], p[1] + s * d[1])
+        return None if height is None else p[2] + s * d[2] - height
+
+    brackets = [(place(k), place(k + 1)) for k in np.flatnonzero(changes)]
     for k in np.flatnonzero(
-        np.isfinite(gap[:-1]) & np.isfinite(gap[1:]) & (np.sign(gap[:-1]) != np.sign(gap[1:]))
-    ):
-        low, high = (places[0] + (places[1] - places[0]) * mpf(int(n)) / (WALK - 1) for n in (k, k + 1))
-        found.append(
-            _narrowed(lambda s: p[2] + s * d[2] - sag(face, p[0] + s * d[0], p[1] + s * d[1]), low, high)
-        )
+        real[:-1] != real[1:]
+    ):  # the base ends here: from just inside to the first real place
+        inside, outside = (k, k + 1) if real[k] else (k + 1, k)
+        brackets.append((_end_of_base(gap, place(inside), place(outside)), place(inside)))
+    found = [_narrowed(gap, low, high) for low, high in brackets]
     return [root for root in found if root is not None]
+
+
+def _end_of_base(gap, inside, outside):
+    """The last place, to all digits, at which there is a height."""
+    for _ in range(4 * mp.dps):
+        half = (inside + outside) / 2
+        inside, outside = (half, outside) if gap(half) is not None else (inside, half)
+    return inside
 
 
 def _size(face):
@@ -277,16 +293,25 @@ def _heights(face, x, y, size):
 
 
 def _narrowed(gap, low, high):
-    """Root between two places of opposite signs: halved until Newton's differences converge; None where the base ends."""
-    at_low, at_high = gap(low), gap(high)
+    """Root between two places of opposite signs, by the Illinois rule; None where the signs are the same."""
+    at_low, at_high, before, side = gap(low), gap(high), None, 0
     if at_low is None or at_high is None or at_low * at_high > 0:
         return None
-    for _ in range(8):
-        half = (low + high) / 2
-        here = gap(half)
-        low, high, at_low = (half, high, here) if here * at_low > 0 else (low, half, at_low)
     close = abs(high - low) * mpf(10) ** (4 - mp.dps)
-    return mp.findroot(gap, (low, high), solver="anderson", tol=close, verify=False, maxsteps=4 * mp.dps)
+    for _ in range(4 * mp.dps):
+        here = (low * at_high - high * at_low) / (at_high - at_low)
+        if before is not None and abs(here - before) <= close:
+            return here
+        before, at_here = here, gap(here)
+        if at_here == 0:
+            return here
+        if at_here * at_high > 0:
+            high, at_high, at_low = here, at_here, at_low / 2 if side < 0 else at_low
+            side = -1
+        else:
+            low, at_low, at_high = here, at_here, at_high / 2 if side > 0 else at_high
+            side = 1
+    return before
 
 
 def _times(a, b):

@@ -7,7 +7,8 @@ one. Where a ray steeper than the surface meets it there is one such crossing; o
 upwards more than once, the one the search comes to first is taken. What does not settle is a miss: NaN.
 
 Error of the point along z: at most 8 ulp of |Q|/(1 + w) and the sizes of all terms over |H|/(w |N|), the factor by
-which the ray grazes (1 at right angles); seen 3.3, tests/optics/test_even_polynomial.py.
+which the ray grazes (1 at right angles); seen 3.3, tests/optics/test_even_polynomial.py. Of the normal of a hit w is taken
+from the height where the base stands steep: there 1 − w² of the place has lost what z still has.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ CLOSE = 2.0**-24
 """Height over the surface, part of the sizes of its terms, above which a small step is no sign of a root: near the equator
 of the base, where the surface stands upright, every step is small.
 """
+
+UPRIGHT = 0.7
+"""w below which a hit's own height says it better than its place."""
 
 TIGHT = 4 * ULP
 """Relative width of a bracket that cannot be halved any more."""
@@ -76,6 +80,14 @@ def polynomial_root(surface: EvenPolynomial, base: Columns, ray: Columns) -> Flo
         rows, t, low, high, stride = (v[going] for v in (rows, following, low, high, stride))
         search = search.of(going)
     return np.asarray(sense * found)
+
+
+def slope_root_of_hit(surface: EvenPolynomial, x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
+    """The normal's w (n,) at points met (n,), lengths, from Q/(1 + w) = side z − P where w (n,) of the place is small."""
+    q = lateral_square(surface, x, y)
+    base, terms = q / (1.0 + w), even_terms(surface.a4, surface.a6, surface.a8, x, y)[0]
+    better = q / (base + surface.side * (z - surface.side * (base + terms))) - 1.0
+    return np.where((w < UPRIGHT) & (better > 0.0), better, w)
 
 
 class _Search:

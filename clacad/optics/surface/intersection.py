@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from clacad.base.types import Floats
 from clacad.optics.surface.biconic import biconic_root
-from clacad.optics.surface.even_polynomial import polynomial_root
+from clacad.optics.surface.even_polynomial import polynomial_root, slope_root_of_hit
 from clacad.optics.surface.quadric import Columns, carry, quadric_root
 from clacad.optics.surface.sag_and_normal import (
     EvenPolynomial,
@@ -129,6 +129,8 @@ def _judge(
     x, y, z = point
     quadric = isinstance(surface, Quadric)
     gz = 1.0 - surface.side * surface.kappa * z if isinstance(surface, Quadric) else slope_root(surface, x, y)
+    if isinstance(surface, EvenPolynomial):
+        gz = slope_root_of_hit(surface, x, y, z, gz)
     gx, gy = lateral_gradient(surface, x, y, gz)
     if not quadric:
         root = np.abs(gx * ray[0] + gy * ray[1] + gz * ray[2])

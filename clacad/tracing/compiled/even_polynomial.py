@@ -6,7 +6,7 @@ from math import copysign, inf, isfinite, isnan, nan, sqrt
 
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
-from clacad.optics.surface.even_polynomial import CLOSE, POLYNOMIAL_STEPS, SETTLED, TIGHT
+from clacad.optics.surface.even_polynomial import CLOSE, POLYNOMIAL_STEPS, SETTLED, TIGHT, UPRIGHT
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.records import Ray, Vector
 
@@ -19,16 +19,40 @@ def polynomial_over(
     the size of what is subtracted.
     """
     cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
-    of_x, of_y = 1.0 + faces[row, slot.KX], 1.0 + faces[row, slot.KY]
     xx, yy = x * x, y * y
-    p = of_x * cx * cx * xx + of_y * cy * cy * yy
+    p = (1.0 + faces[row, slot.KX]) * cx * cx * xx + (1.0 + faces[row, slot.KY]) * cy * cy * yy
     w = sqrt(1.0 - p) if p < 1.0 else 0.0
-    twist = side * (cx * cy * (of_x * cx - of_y * cy)) * x * y / ((1.0 + w) * (1.0 + w))
     terms, px, py = _even_terms(faces, row, xx, yy)
-    gx = -side * cx * x - side * w * (x * px) - twist * y
-    gy = -side * cy * y - side * w * (y * py) + twist * x
+    gx, gy = _lateral(faces, row, x, y, w, px, py)
     base = (cx * xx + cy * yy) / (1.0 + w)
     return gx, gy, w, z - side * (base + terms), abs(z) + abs(base) + abs(terms)
+
+
+@exact
+def polynomial_normal(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Normal G towards +z at a point met; its w from the height where the base stands steep, as numpy's."""
+    gx, gy, w, gap, _ = polynomial_over(faces, row, x, y, z)
+    q = faces[row, slot.CX] * x * x + faces[row, slot.CY] * y * y
+    above = q / (1.0 + w) + faces[row, slot.SIDE] * gap
+    if not 0.0 < w < UPRIGHT or above == 0.0 or not q / above - 1.0 > 0.0:
+        return gx, gy, w
+    w = q / above - 1.0
+    _, px, py = _even_terms(faces, row, x * x, y * y)
+    gx, gy = _lateral(faces, row, x, y, w, px, py)
+    return gx, gy, w
+
+
+@exact
+def _lateral(
+    faces: Floats, row: int, x: float, y: float, w: float, px: float, py: float
+) -> tuple[float, float]:
+    """G_x and G_y where G_z = w, and the terms have slopes px and py over x and y."""
+    cx, cy, side = faces[row, slot.CX], faces[row, slot.CY], faces[row, slot.SIDE]
+    skew = cx * cy * ((1.0 + faces[row, slot.KX]) * cx - (1.0 + faces[row, slot.KY]) * cy)
+    twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
+    gx = -side * cx * x - side * w * (x * px) - twist * y
+    gy = -side * cy * y - side * w * (y * py) + twist * x
+    return gx, gy
 
 
 @exact

@@ -15,7 +15,7 @@ from clacad.optics.surface import ULP
 from clacad.optics.surface.biconic import FLAT, NEWTON_STEPS, POLISHES, SETTLED
 from clacad.optics.surface.quadric import CANCELS, STEEPEST
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.even_polynomial import polynomial_over, polynomial_root
+from clacad.tracing.compiled.even_polynomial import polynomial_normal, polynomial_over, polynomial_root
 from clacad.tracing.compiled.records import Ray, Vector
 
 ROOT_STEPS = 60
@@ -256,7 +256,7 @@ def meet(
     px, py, pz = base[0] + t * L, base[1] + t * M, base[2] + t * N
     gx, gy, gz = -side * cx * px, -side * cy * py, 1.0 - side * faces[row, slot.KX] * pz
     if faces[row, slot.BICONIC] == slot.POLYNOMIAL:
-        gx, gy, gz, _, _ = polynomial_over(faces, row, px, py, pz)
+        gx, gy, gz = polynomial_normal(faces, row, px, py, pz)
         root = abs(gx * L + gy * M + gz * N)
     elif faces[row, slot.BICONIC] != 0.0:
         w, _ = _biconic_parts(faces, row, px, py)
