@@ -151,16 +151,16 @@ def look(lit: Situation, name: str) -> WaveReport:
 def _look(lit: Situation, name: str) -> WaveReport:
     refused: dict[str, str] = {}
     exact, thin, thin_share, side = None, None, np.nan, exit_pupil.FEWEST
+    if lit.pupil_suits:
+        side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
+    else:
+        refused["pupil"] = lit.unsuited
     try:
         thin, thin_share = _thin(lit)
     except LimitRefused as why:
         if not lit.pupil_suits:
             raise
         refused["angular spectrum"] = str(why)
-    if lit.pupil_suits:
-        side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
-    else:
-        refused["pupil"] = lit.unsuited
     found = exit_pupil.pupil(lit.window, lit.direction, lit.wavelength, side)
     if not found.alive.any():
         raise BadRequest("no light of this direction gets through the exact surfaces by the law")

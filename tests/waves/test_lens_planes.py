@@ -98,6 +98,26 @@ def test_a_field_lens_needs_a_real_focus_in_every_axis():
         telescope(focal, (0.0, 0.0), (0.0, 0.0), 0.01, zone, field_lens=True)
 
 
+@pytest.mark.parametrize(("fresnel", "wide"), [(0.5, 1.0), (3.0, 1.0), (12.0, 0.6)])
+def test_without_lenses_a_slit_casts_the_shadow_of_fresnel_s_integrals(fresnel, wide):
+    """Share of the light of one slit in another behind it, to many digits: ½ |C + iS|² between the edges."""
+    import mpmath
+
+    pitch, distance = 5e-4, 5e-4**2 / (4.0 * fresnel * GREEN)
+    second = LensPlane(distance, (0.0,), (0.0,), slit(wide * pitch))
+    share = propagate([LensPlane(0.0, (0.0,), (0.0,), slit(pitch)), second], (0.0,), GREEN).share
+    scale = mpmath.sqrt(mpmath.mpf(2) / (GREEN * distance))
+
+    def intensity(x):
+        near, far = scale * (-0.5 * pitch - x), scale * (0.5 * pitch - x)
+        real = mpmath.fresnelc(far) - mpmath.fresnelc(near)
+        return (real**2 + (mpmath.fresnels(far) - mpmath.fresnels(near)) ** 2) / 2
+
+    places = mpmath.linspace(0, wide * pitch / 2, 9)
+    asked = 2 * mpmath.quad(intensity, places) / pitch
+    assert share == pytest.approx(float(asked), abs=1e-3)
+
+
 def test_light_that_no_second_rim_stops_is_all_there():
     first, last = pair(pitch_of(5.0), -1.0, 0.01)
     open_ = LensPlane(last.distance, (0.0,), last.vertex, 8.0 * last.stop)
