@@ -157,7 +157,7 @@ def _look(lit: Situation, name: str) -> WaveReport:
         refused["pupil"] = lit.unsuited
     try:
         thin, thin_share = _thin(lit)
-    except LimitRefused as why:
+    except (LimitRefused, ValueError) as why:  # too large a grid, or crossed field lenses over turned cells
         if not lit.pupil_suits:
             raise
         refused["angular spectrum"] = str(why)
@@ -192,7 +192,7 @@ def outlook(lit: Situation) -> dict[str, float]:
             for one in axes:
                 slope = [lit.slope[k] for k in one]
                 points += [grid_for(lit.planes(one), slope, lit.wave).points] * len(one)
-        except LimitRefused:
+        except (LimitRefused, ValueError):
             if not lit.pupil_suits:
                 raise
     except ValueError as why:
