@@ -25,7 +25,7 @@ NEAR = 0.8
 CODES: Mapping[str, str] = {
     "law_rms": "CL301", "law_bias": "CL302", "eta": "CL303", "delta": "CL304", "tilt": "CL305",
     "confocality": "CL306", "spread": "CL307", "throughput": "CL308", "field": "CL309", "residual": "CL310",
-    "fresnel_number": "CL311", "accounting": "CL312", "orders": "CL319", "one_piece": "CL321", "cover": "CL322", "clearance": "CL323",
+    "fresnel_number": "CL311", "accounting": "CL312", "orders": "CL320", "one_piece": "CL321", "cover": "CL322", "clearance": "CL323",
     "graph": "CL324", "edge": "CL331", "neck": "CL332", "radius": "CL333", "sag": "CL334", "pitch": "CL335",
     "tool": "CL336", "wall": "CL337", "draft": "CL338", "allowance": "CL360", "slope": "CL361", "voxel": "CL362",
     "layer": "CL363", "aspect": "CL364", "undercut": "CL365",

@@ -40,7 +40,7 @@ def test_only_a_design_in_coherent_light_is_told_how_near_the_law_orders_come():
     facts = feasibility(window)
     assert not [c for c in design_checks(design, window, facts) if c.id == "orders"]
     (said,) = (c for c in design_checks(coherent, window, facts) if c.id == "orders")
-    assert (said.code, said.state, said.value) == ("CL319", "pass", pytest.approx(0.55e-3))
+    assert (said.code, said.state, said.value) == ("CL320", "pass", pytest.approx(0.55e-3))
     strict = coherent.replace("check.law_rms", "0.5 mrad")
     (said,) = (c for c in design_checks(strict, window, facts) if c.id == "orders")
     assert (said.state, said.required) == ("warn", False)
