@@ -56,7 +56,7 @@ def test_shares_and_half_maxima_are_those_of_another_wave_program(case):
     far = marginal(wave.field, 0, wave.spacing, case["wavelength"], width)
     scale = case["wavelength"] / width
     assert far.width / scale == pytest.approx(case["fwhm_in_lambda_over_w"], rel=0.01)
-    # that program's lenses bend by their phase, these by slopes: they differ by half a slope cubed
+    # that program's lenses are stigmatic phases, these bend by slopes: they differ by (x/f)³/2, coma of the one off its axis
     law = chief_ray(planes, (slope,))[1][0]
     assert law == pytest.approx(slope / eta, rel=1e-12)
     for found, asked in zip(far.half_maximum, case["half_maximum_slopes"], strict=True):
@@ -77,6 +77,21 @@ def test_above_fresnel_number_20_waves_and_rays_leave_in_the_same_direction(fres
     pitch = pitch_of(fresnel)
     far = seen(propagate(pair(pitch, -1.0, 0.01), (part * pitch / 0.01,), GREEN), pitch)
     assert abs(far.middle) < 0.02 * GREEN / pitch
+
+
+@pytest.mark.parametrize(
+    ("fresnel", "asked"), [(22.7, 0.009), (9.1, 0.020), (5.7, 0.047), (1.818, 0.074), (0.91, 0.11)]
+)
+def test_off_the_middle_of_the_field_the_brightest_direction_leaves_the_law_as_another_program_found(
+    fresnel, asked
+):
+    """At three tenths of p/s, in λ/w; where seven tenths of the cell are lit the core is that much wider."""
+    pitch = pitch_of(fresnel)
+    wave = propagate(pair(pitch, -1.0, 0.01), (0.3 * pitch / 0.01,), GREEN)
+    far = seen(wave, 32.0 * pitch)  # finely, to find the peak
+    assert far.off[int(np.argmax(far.density))] / (GREEN / pitch) == pytest.approx(asked, abs=0.005)
+    if fresnel > 5.0:
+        assert far.width == pytest.approx(1.26 * GREEN / pitch, rel=0.02)
 
 
 def test_a_field_lens_brings_the_rim_of_lens_1_to_that_of_lens_2():
