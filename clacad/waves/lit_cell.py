@@ -84,7 +84,11 @@ class Situation:
             for m, f in zip(focal_ratio(self.window.thin), self.window.thin.focal_length[1], strict=True)
             if np.isfinite(f)
         ]
-        return (not self.field_lens or self.built) and min(self.fresnel) >= HOLDS and all(m < 0.0 for m in powered)
+        return (
+            (not self.field_lens or self.built)
+            and min(self.fresnel) >= HOLDS
+            and all(m < 0.0 for m in powered)
+        )
 
     @property
     def along_axes(self) -> bool:
