@@ -3,7 +3,7 @@
 *Model.* The light of one telescopelet leaves through a slit in each lens axis, as wide as what is lit: the overlap of
 lens 1's image with the lens 2 it meets (a cell turned against the axes: the slit with the same core). Each ray's exit direction cosines are changed by a draw from Fraunhofer's
 sinc²(π w Δ/λ). Draws are deterministic.
-*Law.* Draws follow the slit's pattern; the change vanishes as λ → 0.
+*Law.* Draws follow the slit's pattern; the change vanishes as λ → 0. `clacad.waves`, which knows of no draw, judges it.
 *On when* λ/w (first zero), axes in quadrature, exceeds the angle that matters. Below Fresnel number 1 the ray picture
 itself is void (design error CL311).
 """

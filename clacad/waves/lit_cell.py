@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot, tan
 from typing import TYPE_CHECKING
@@ -42,6 +42,7 @@ class Situation:
     direction : (3,) unit, sheet frame
     wavelength : float, metres
     field_lens : bool
+        Whether a lens at the common focus images lens 1 onto lens 2, built or imagined.
     """
 
     window: Window
@@ -53,6 +54,11 @@ class Situation:
     def cells(self) -> ThinCells:
         """One telescopelet as thin lenses with cells."""
         return thin_cells(self.window)
+
+    @property
+    def built(self) -> bool:
+        """Whether the window itself has lenses at the common focus."""
+        return bool(getattr(self.window.thin, "field", ()))
 
     @property
     def wave(self) -> float:
@@ -78,7 +84,11 @@ class Situation:
             for m, f in zip(focal_ratio(self.window.thin), self.window.thin.focal_length[1], strict=True)
             if np.isfinite(f)
         ]
-        return not self.field_lens and min(self.fresnel) >= HOLDS and all(m < 0.0 for m in powered)
+        return (
+            (not self.field_lens or self.built)
+            and min(self.fresnel) >= HOLDS
+            and all(m < 0.0 for m in powered)
+        )
 
     @property
     def along_axes(self) -> bool:
@@ -106,7 +116,7 @@ class Situation:
     @property
     def unsuited(self) -> str:
         """Why the pupil method does not hold."""
-        if self.field_lens:
+        if self.field_lens and not self.built:
             return "the sheet as built has no field lens to trace"
         if min(self.fresnel) < HOLDS:
             return f"Fresnel number {min(self.fresnel):.3g}: below {HOLDS:g} lens 1's rim blurs what lens 2 lets through"
@@ -170,6 +180,8 @@ def situation(
     slope = [middle + tan(angle) for middle, angle in zip(aperture_slope(window), field, strict=True)]
     direction = np.array([*slope, 1.0]) / hypot(*slope, 1.0)
     found = Situation(window, direction, wave, field_lens)
+    if found.built:
+        found = replace(found, field_lens=True)
     if len(found.lit) == 0:
         x, y = (f"{1e3 * half:.3g}" for half in half_field(found.cells))
         raise BadRequest(

@@ -20,7 +20,7 @@ from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.waves import exit_pupil
 from clacad.waves.far_field import FarField, marginal, peak
 from clacad.waves.lens_planes import grid_for, propagate
-from clacad.waves.lit_cell import HOLDS, Situation, area, situation
+from clacad.waves.lit_cell import Situation, area, situation
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -72,15 +72,10 @@ class WaveReport:
 
     @property
     def far_field(self) -> FarField:
-        """The one that holds here."""
+        """The one that holds here: the pupil's wherever it was computed."""
         found = self.exact or self.thin
         assert found is not None, "one of them was computed, or `wave` raised"
-        return self.thin if self.thin is not None and not self.pupil_holds else found
-
-    @property
-    def pupil_holds(self) -> bool:
-        """Whether the pupil method is the one that holds."""
-        return self.exact is not None and min(self.fresnel) >= HOLDS
+        return found
 
     @property
     def share(self) -> float:
@@ -89,7 +84,7 @@ class WaveReport:
         Rays through the exact surfaces times what waves change in it through ideal lenses.
         """
         change = self.thin_share / self.thin_share_of_rays if np.isfinite(self.thin_share) else 1.0
-        return self.thin_share if not self.pupil_holds else min(1.0, self.rays.share * change)
+        return self.thin_share if self.exact is None else min(1.0, self.rays.share * change)
 
     def picture(self, format: Literal["png", "svg"] = "png") -> bytes:
         """Far field along both lens axes, waves over rays, as the bytes of a picture."""
@@ -151,16 +146,16 @@ def look(lit: Situation, name: str) -> WaveReport:
 def _look(lit: Situation, name: str) -> WaveReport:
     refused: dict[str, str] = {}
     exact, thin, thin_share, side = None, None, np.nan, exit_pupil.FEWEST
-    try:
-        thin, thin_share = _thin(lit)
-    except LimitRefused as why:
-        if not lit.pupil_suits:
-            raise
-        refused["angular spectrum"] = str(why)
     if lit.pupil_suits:
         side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
     else:
         refused["pupil"] = lit.unsuited
+    try:
+        thin, thin_share = _thin(lit)
+    except (LimitRefused, ValueError) as why:  # too large a grid, or crossed field lenses over turned cells
+        if not lit.pupil_suits:
+            raise
+        refused["angular spectrum"] = f"{why}; shares are those of rays"
     found = exit_pupil.pupil(lit.window, lit.direction, lit.wavelength, side)
     if not found.alive.any():
         raise BadRequest("no light of this direction gets through the exact surfaces by the law")
@@ -192,7 +187,7 @@ def outlook(lit: Situation) -> dict[str, float]:
             for one in axes:
                 slope = [lit.slope[k] for k in one]
                 points += [grid_for(lit.planes(one), slope, lit.wave).points] * len(one)
-        except LimitRefused:
+        except (LimitRefused, ValueError):
             if not lit.pupil_suits:
                 raise
     except ValueError as why:

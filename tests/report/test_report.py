@@ -357,3 +357,30 @@ def test_a_whole_report_is_small_whatever_the_count_of_lenslets(name, tmp_path):
     design = load(Path(__file__).parents[2] / "designs" / f"{name}.toml")
     html, _ = write_report(verify(design), tmp_path)
     assert html.stat().st_size < 5_000_000
+
+
+def test_waves_stand_in_the_page_where_an_effect_or_coherent_light_calls_for_them(made, monkeypatch):
+    from clacad.waves import wave
+
+    home = importlib.import_module("clacad.report.page")
+    monkeypatch.setattr(home, "SECTIONS", tuple(s for s in home.SECTIONS if s[0] == "effects"))
+    evidence = made.report.evidence
+    assert ("diffraction" in evidence.plan.names) is (evidence.waves is not None) is False
+    assert "<h3>Waves</h3>" not in home.sections(made)[0].body
+    assert "waves" not in evidence.to_dict()
+    found = wave(made.report.design)
+    told = replace(made, report=replace(made.report, evidence=replace(evidence, waves=found)))
+    body = home.sections(told)[0].body
+    assert "<h3>Waves</h3>" in body
+    assert "waves, exact surfaces" in body
+    assert f"{found.share:.4g}" in body
+    assert told.evidence.to_dict()["waves"]["share"] == found.share
+
+
+def test_a_design_in_coherent_light_has_its_waves_measured(monkeypatch):
+    evidence = importlib.import_module("clacad.verification.evidence")
+    monkeypatch.setattr(evidence, "climb", lambda *_: None)  # the ladder is another's
+    coherent = Design.from_dict({**TEXT, "light": {"coherent": True}})
+    found = verify(coherent, rays=1024).with_evidence()
+    assert found.evidence.waves.exact is not None
+    assert "orders" in {check.id for check in found.checks}

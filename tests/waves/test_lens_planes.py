@@ -56,7 +56,7 @@ def test_shares_and_half_maxima_are_those_of_another_wave_program(case):
     far = marginal(wave.field, 0, wave.spacing, case["wavelength"], width)
     scale = case["wavelength"] / width
     assert far.width / scale == pytest.approx(case["fwhm_in_lambda_over_w"], rel=0.01)
-    # that program's lenses bend by their phase, these by slopes: they differ by half a slope cubed
+    # that program's lenses are stigmatic phases, these bend by slopes: they differ by (x/f)³/2, coma of the one off its axis
     law = chief_ray(planes, (slope,))[1][0]
     assert law == pytest.approx(slope / eta, rel=1e-12)
     for found, asked in zip(far.half_maximum, case["half_maximum_slopes"], strict=True):
@@ -79,6 +79,21 @@ def test_above_fresnel_number_20_waves_and_rays_leave_in_the_same_direction(fres
     assert abs(far.middle) < 0.02 * GREEN / pitch
 
 
+@pytest.mark.parametrize(
+    ("fresnel", "asked"), [(22.7, 0.009), (9.1, 0.020), (5.7, 0.047), (1.818, 0.074), (0.91, 0.11)]
+)
+def test_off_the_middle_of_the_field_the_brightest_direction_leaves_the_law_as_another_program_found(
+    fresnel, asked
+):
+    """At three tenths of p/s, in λ/w; where seven tenths of the cell are lit the core is that much wider."""
+    pitch = pitch_of(fresnel)
+    wave = propagate(pair(pitch, -1.0, 0.01), (0.3 * pitch / 0.01,), GREEN)
+    far = seen(wave, 32.0 * pitch)  # finely, to find the peak
+    assert far.off[int(np.argmax(far.density))] / (GREEN / pitch) == pytest.approx(asked, abs=0.005)
+    if fresnel > 5.0:
+        assert far.width == pytest.approx(1.26 * GREEN / pitch, rel=0.02)
+
+
 def test_a_field_lens_brings_the_rim_of_lens_1_to_that_of_lens_2():
     pitch = pitch_of(22.7272727)
     without, with_it = (
@@ -96,6 +111,26 @@ def test_a_field_lens_needs_a_real_focus_in_every_axis():
     zone = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * 2.5e-4
     with pytest.raises(ValueError, match="different depths"):
         telescope(focal, (0.0, 0.0), (0.0, 0.0), 0.01, zone, field_lens=True)
+
+
+@pytest.mark.parametrize(("fresnel", "wide"), [(0.5, 1.0), (3.0, 1.0), (12.0, 0.6)])
+def test_without_lenses_a_slit_casts_the_shadow_of_fresnel_s_integrals(fresnel, wide):
+    """Share of the light of one slit in another behind it, to many digits: ½ |C + iS|² between the edges."""
+    import mpmath
+
+    pitch, distance = 5e-4, 5e-4**2 / (4.0 * fresnel * GREEN)
+    second = LensPlane(distance, (0.0,), (0.0,), slit(wide * pitch))
+    share = propagate([LensPlane(0.0, (0.0,), (0.0,), slit(pitch)), second], (0.0,), GREEN).share
+    scale = mpmath.sqrt(mpmath.mpf(2) / (GREEN * distance))
+
+    def intensity(x):
+        near, far = scale * (-0.5 * pitch - x), scale * (0.5 * pitch - x)
+        real = mpmath.fresnelc(far) - mpmath.fresnelc(near)
+        return (real**2 + (mpmath.fresnels(far) - mpmath.fresnels(near)) ** 2) / 2
+
+    places = mpmath.linspace(0, wide * pitch / 2, 9)
+    asked = 2 * mpmath.quad(intensity, places) / pitch
+    assert share == pytest.approx(float(asked), abs=1e-3)
 
 
 def test_light_that_no_second_rim_stops_is_all_there():
