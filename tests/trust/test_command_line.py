@@ -55,6 +55,7 @@ def test_a_call_that_cannot_be_understood_is_2(
 @pytest.mark.parametrize("line", [
     "export DESIGN -o OUT", "export DESIGN -o OUT --dry-run", "export DESIGN -o OUT --format baffle,table,mask", "check DESIGN",
     "check DESIGN --json", "verify DESIGN", "verify DESIGN -o OUT", "accuracy DESIGN", "effects DESIGN", "explore DESIGN -o OUT/p.html",
+    "stack DESIGN DESIGN --gap 1 -o OUT",
     "tolerance DESIGN", "sweep DESIGN --vary law.eta.0=-0.25:-4:3",
     "trace DESIGN RAYS -o OUT/o.npz", "trace DESIGN RAYS -o OUT/o.npz --rung mesh",
 ])  # fmt: skip

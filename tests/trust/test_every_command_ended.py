@@ -50,6 +50,8 @@ LINES = {
     "new for": Line(("new", "out/wished", "--for", "eta=-1, width=5, process=moulding"), ("wished.toml", "clacad.schema.json")),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml"), ("better.toml",), (), ("better.toml",)),
+    "stack": Line(("stack", "{}/t.toml", "{}/t.toml", "--gap", "3", "--rays", "256", "--quads", "2", "-o", "out"),
+                  ("stack.step", "stack.glb", "stack.json", "manifest.json")),
     "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
