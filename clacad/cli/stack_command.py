@@ -206,20 +206,20 @@ def _make(
     quiet: bool,
 ) -> int:
     """Measure, write, print: the share of light first."""
-    from clacad.stacking.make_stack import stack
+    from clacad.stacking.make_stack import run_stack
     from clacad.stacking.stack_cost import TASK, in_all, light_seconds
 
     progress = Progress(quiet=quiet)
     try:
         if out is None:
             with forecast(TASK, light_seconds(len(designs), asked), quiet=quiet):
-                made = stack(designs, request=asked, progress=progress)
+                made = run_stack(designs, asked, None, progress)
         else:
             span = in_all(standing, asked)
             progress.expect(span.middle)
             if span.low >= WORTH_SAYING:
                 say(f"this takes {span} of processor time", quiet=quiet)
-            made = stack(designs, out=out, request=asked, progress=progress)
+            made = run_stack(designs, asked, out, progress)
     finally:
         progress.done()
     if json:

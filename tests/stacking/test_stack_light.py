@@ -17,7 +17,7 @@ from clacad import Fate, Rays
 from clacad.base.sobol import sobol
 from clacad.optics import chief_rays
 from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, standing
-from clacad.stacking import StackRequest, stack
+from clacad.stacking import stack
 from clacad.stacking.chief_matrices import meridian
 from clacad.stacking.stack_image import measure_image, nearest_point
 from clacad.stacking.stack_light import measure_light
@@ -384,8 +384,7 @@ def test_the_nearest_point_of_lines_is_theirs_and_parallel_ones_have_none():
 
 
 def test_equal_designs_are_one_window_and_numbers_are_the_same_every_time():
-    request = StackRequest(gaps=(100.0,), rays=512, cells=(20, 20))
-    one, again = stack([DESIGN, DESIGN], request=request), stack([DESIGN, DESIGN], request=request)
+    one, again = (stack([DESIGN, DESIGN], 100, rays=512, cells=(20, 20)) for _ in range(2))
     assert one.stack.sheets[0].window is one.stack.sheets[1].window
     assert json.dumps(one.to_dict(), sort_keys=True, default=str) == json.dumps(
         again.to_dict(), sort_keys=True, default=str
