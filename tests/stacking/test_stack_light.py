@@ -229,7 +229,7 @@ def exactly(made, found, row):
 
 @pytest.mark.parametrize("gap", [0.0, 100.0, 2500.0], ids=["touching", "100 mm", "5000 pitches"])
 def test_exact_rays_through_two_sheets_keep_to_fifty_digits(gap):
-    """Handed on with coordinates of the size of the gap's sideways step: so many ulp of them, over a radius."""
+    """However far the sheets are apart: 8.3e-16 rad at most were seen over 200 rays of each gap."""
     made = stacked([WINDOW, WINDOW], [gap])
     rays = launched(made, 4096, 0.004)
     found = trace_stack(made, rays)
@@ -242,7 +242,7 @@ def test_exact_rays_through_two_sheets_keep_to_fifty_digits(gap):
             away = max(
                 abs(mpf(float(a)) - b) for a, b in zip(found.direction[row], path.directions[-1], strict=True)
             )
-            assert away < 1e-15 * (8.0 + gap)
+            assert away < 4e-15
 
 
 def test_a_ray_is_what_the_worst_of_its_sheets_made_of_it():
