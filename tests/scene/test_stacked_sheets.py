@@ -193,3 +193,11 @@ def test_a_picture_says_of_every_sheet_how_light_passed_it(tmp_path, capsys):
     (shown,) = json.loads(capsys.readouterr().out)["pictures"]
     assert shown["metadata"]["clacad:rung"] == "a: thin (as asked); b: thin (as asked)"
     assert set(shown["plans"]) == {"a", "b"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", ["thin", "surfaces"])
+def test_compiled_and_numpy_pictures_of_two_sheets_agree(rung):
+    scene = read(**{"sheet.a.rung": rung, "sheet.b.rung": rung, "effects.mode": "list", "effects.list": ["ghosts"]})
+    one, other = (view_through(scene, compiled=fast).light for fast in (True, False))
+    assert (np.abs(one - other).max(axis=-1) < 1e-9).mean() > 0.995
