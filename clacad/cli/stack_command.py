@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import WORTH_SAYING, forecast
-from clacad.cli.console import Progress, say, show_json, show_text, table
+from clacad.cli.console import Progress, say, show_json, show_text, size, table
 from clacad.cli.option_values import BadOption, one_of, parse_angle, parse_cells, parse_design_length
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def _dry(standing: Stack, asked: StackRequest, words: StackWords, *, json: bool,
     from clacad.base.units import millimetres
     from clacad.cli.tables import forecast_text
     from clacad.stacking.assembly import sheet_facts
-    from clacad.stacking.stack_cost import in_all, refuse, rows
+    from clacad.stacking.stack_cost import in_all, refuse, rows, rows_by_sheet
     from clacad.storage.atomic import require_folder
 
     if words.out is not None:
@@ -155,7 +155,11 @@ def _dry(standing: Stack, asked: StackRequest, words: StackWords, *, json: bool,
     found = [row.to_dict() for row in rows(standing, asked)]
     span = in_all(standing, asked)
     mm = millimetres(standing.unit)
-    sheets = [sheet_facts(one, mm) for one in standing.sheets]
+    own = rows_by_sheet(standing, asked)
+    sheets = [
+        sheet_facts(one, mm) | {"bytes": {row.format: row.bytes for row in own[one.id]}}
+        for one in standing.sheets
+    ]
     if json:
         show_json({"files": found, "sheets": sheets, "seconds": [span.low, span.high]})
     else:
@@ -206,20 +210,20 @@ def _make(
     quiet: bool,
 ) -> int:
     """Measure, write, print: the share of light first."""
-    from clacad.stacking.make_stack import stack
+    from clacad.stacking.make_stack import run_stack
     from clacad.stacking.stack_cost import TASK, in_all, light_seconds
 
     progress = Progress(quiet=quiet)
     try:
         if out is None:
             with forecast(TASK, light_seconds(len(designs), asked), quiet=quiet):
-                made = stack(designs, request=asked, progress=progress)
+                made = run_stack(designs, asked, None, progress)
         else:
             span = in_all(standing, asked)
             progress.expect(span.middle)
             if span.low >= WORTH_SAYING:
                 say(f"this takes {span} of processor time", quiet=quiet)
-            made = stack(designs, out=out, request=asked, progress=progress)
+            made = run_stack(designs, asked, out, progress)
     finally:
         progress.done()
     if json:
@@ -288,8 +292,11 @@ def _spaces(made: Stacked) -> Iterable[str]:
 def _sheets_text(sheets: Iterable[dict[str, Any]]) -> str:
     rows = [["sheet", "design", "from / mm", "to / mm", ""]]
     for one in sheets:
-        passed = f"passes {100.0 * one['share']:.3g} % of what came so far" if "share" in one else ""
-        rows.append([one["id"], one["design"], *(f"{z:.6g}" for z in one["span"]), passed])
+        said = f"passes {100.0 * one['share']:.3g} % of what came so far" if "share" in one else ""
+        if "bytes" in one:
+            parts = [f"{name} about {size(count)}" for name, count in one["bytes"].items()]
+            said = ", ".join(parts) or "written already"
+        rows.append([one["id"], one["design"], *(f"{z:.6g}" for z in one["span"]), said])
     return table(rows)
 
 

@@ -291,5 +291,12 @@ CHECKS: dict[str, Text] = {
     "convergence": ("Whether light through facets approaches the exact surfaces as they shrink, at the rate physics predicts.",
                     "A wrong order means that mesh or tracer is wrong, however small the error.", "direction error ∝ L, η error ∝ L²",
                     "This is an error of the program: please report it with the design."),
+    "stack_light": (
+        "Rays that pass every sheet of a stack are sent through the faces of the written assembly, all sheets one after the other, "
+        "and leave as they do through the exact surfaces.",
+        "Each sheet may be right and the assembly wrong: a sheet turned, exchanged or missing.",
+        "max ∠(d' through the file, d' through the exact surfaces) ≤ 10⁻⁶ rad",
+        "Export the stack again; give `clacad stack --files` the designs, gaps and cells it was made with.",
+    ),
     "solids": ("Number of solids in a STEP file.", "A solid too few is a piece that was lost.", "", "Export it again."),
 }  # fmt: skip

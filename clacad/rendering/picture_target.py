@@ -16,6 +16,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.scene import Scene
 from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
+from clacad.storage.errors import BadRequest
 from clacad.verification.accuracy.choose_setting import facets_for
 from clacad.verification.accuracy.error_and_seconds import MOST_DISAGREEMENT, TargetOutOfReach
 
@@ -37,11 +38,13 @@ def within_target(scene: Scene, target: float) -> Scene:
 
     Raises
     ------
+    BadRequest
+        The scene has several sheets.
     TargetOutOfReach
         The scene's rung, or its mesh file, is off by more; the message says by how much and what is not.
     """
     if len(scene.sheets) > 1:
-        raise TargetOutOfReach(
+        raise BadRequest(
             "a target chooses how rays pass one sheet, and the scene has several: give each its own rung, [[sheet]] rung"
         )
     chosen = scene.replace({"effects.angle": f"{1e3 * target!r} mrad"})

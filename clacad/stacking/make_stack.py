@@ -13,12 +13,13 @@ from clacad.base.types import Progress, Rung, silent
 from clacad.base.units import millimetres
 from clacad.exporting.limits import refuse_uncountable, worker_memory
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
+from clacad.formats.step.step_mode import Mode
 from clacad.sheet.stack import BadStack, Stack, stacked
 from clacad.stacking.assembly import NAME, Assembly, sheet_facts
 from clacad.stacking.stack_cost import refuse
 from clacad.stacking.stack_image import StackImage, measure_image
 from clacad.stacking.stack_light import StackLight, measure_light
-from clacad.stacking.stack_request import FORMATS, StackRequest
+from clacad.stacking.stack_request import FORMATS, QUADS, StackRequest
 from clacad.storage.atomic import MANIFEST, Stage, canonical_json, file_hash, require_folder
 from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
@@ -87,7 +88,9 @@ class Stacked:
 
 def stack(
     designs: Sequence[Design], gaps: float | Sequence[float] = (), out: str | os.PathLike[str] | None = None,
-    request: StackRequest | None = None, progress: Progress | None = None, **options: Any,
+    formats: Sequence[str] = FORMATS, field: float | None = None, object_distance: float | None = None, rays: int = 65536,
+    cells: tuple[int, int] | None = None, quads: int = QUADS, step: Mode = "auto", overwrite: bool = False, force: bool = False,
+    mesh_light: bool = False, ids: Sequence[str] | None = None, progress: Progress | None = None,
 ) -> Stacked:  # fmt: skip
     """Put sheets behind one another, measure the light through all of them, and write the assembly.
 
@@ -96,15 +99,13 @@ def stack(
     designs : sequence of Design
         In the order light meets them; one may stand several times.
     gaps : float or sequence of float
-        Clear distances between neighbours, what is solid of both sheets, in the unit of the first design.
+        Clear distances between what is solid of neighbours, in the unit of the first design.
     out : path or None
         Folder for stack.step, stack.glb, stack.json and manifest.json; None: nothing is written.
-    request : StackRequest or None
-        Everything else, instead of `gaps` and `options`.
+    formats, field, object_distance, rays, cells, quads, step, overwrite, force, mesh_light, ids
+        The fields of `clacad.stacking.StackRequest`, one by one.
     progress : callable or None
         Called with a stage's name and the part done.
-    options
-        The other fields of `StackRequest`, by name.
 
     Raises
     ------
@@ -114,7 +115,21 @@ def stack(
         Nothing was published; the message says why.
     """
     many = (gaps,) if isinstance(gaps, int | float) else tuple(gaps)
-    asked = StackRequest(gaps=tuple(float(gap) for gap in many), **options) if request is None else request
+    asked = StackRequest(
+        gaps=tuple(float(gap) for gap in many), formats=tuple(formats), field=field, object_distance=object_distance, rays=rays,
+        cells=cells, quads=quads, step=step, overwrite=overwrite, force=force, mesh_light=mesh_light,
+        ids=None if ids is None else tuple(ids),
+    )  # fmt: skip
+    return run_stack(designs, asked, out, progress)
+
+
+def run_stack(
+    designs: Sequence[Design],
+    asked: StackRequest,
+    out: str | os.PathLike[str] | None,
+    progress: Progress | None,
+) -> Stacked:
+    """Do what `stack` promises."""
     report = progress or silent
     made, standing = prepared(designs, asked)
     if out is not None:
@@ -122,9 +137,7 @@ def stack(
         refuse(standing, asked, Path(out))
     lights, image = measured(made, standing, asked, report)
     found = Stacked(standing, made, lights, image, made[0].unit)
-    if out is None:
-        return found
-    return _written(found, asked, Path(out), report)
+    return found if out is None else _written(found, asked, Path(out), report)
 
 
 def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Design, ...], Stack]:

@@ -20,15 +20,22 @@ TASK = "stack light"
 """Name under which the time of the light is noted."""
 
 
+def rows_by_sheet(standing: Stack, asked: StackRequest) -> dict[str, list[Forecast]]:
+    """What each sheet adds to the files, by its id; none for one that stands there already."""
+    wanted, seen = Request(formats=asked.formats, step=asked.step), set()
+    found: dict[str, list[Forecast]] = {}
+    for one in standing.sheets:
+        found[one.id] = []
+        if id(one.window) not in seen:
+            seen.add(id(one.window))
+            found[one.id] = forecast(Meshes(one.window), asked.formats, asked.quads, wanted)
+    return found
+
+
 def rows(standing: Stack, asked: StackRequest) -> list[Forecast]:
     """What the files would cost: one row a format, of all sheets that differ together."""
-    found: dict[str, list[Forecast]] = {name: [] for name in asked.formats}
-    wanted = Request(formats=asked.formats, step=asked.step)
-    for window in {id(one.window): one.window for one in standing.sheets}.values():
-        meshes = Meshes(window)
-        for row in forecast(meshes, asked.formats, asked.quads, wanted):
-            found[row.format].append(row)
-    return [_together(several) for several in found.values() if several]
+    several = [row for each in rows_by_sheet(standing, asked).values() for row in each]
+    return [_together([row for row in several if row.format == name]) for name in asked.formats]
 
 
 def _together(several: Sequence[Forecast]) -> Forecast:

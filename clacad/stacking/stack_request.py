@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+
+from clacad.formats.step.step_mode import Mode
 
 FORMATS = ("step", "glb")
 """What a stack is written as: formats that know assemblies."""
@@ -47,7 +48,7 @@ class StackRequest:
     rays: int = 65536
     cells: tuple[int, int] | None = None
     quads: int = QUADS
-    step: Literal["auto", "fused", "instanced"] = "auto"
+    step: Mode = "auto"
     overwrite: bool = False
     force: bool = False
     mesh_light: bool = False

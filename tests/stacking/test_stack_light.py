@@ -17,7 +17,7 @@ from clacad import Fate, Rays
 from clacad.base.sobol import sobol
 from clacad.optics import chief_rays
 from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, standing
-from clacad.stacking import StackRequest, stack
+from clacad.stacking import stack
 from clacad.stacking.chief_matrices import meridian
 from clacad.stacking.stack_image import measure_image, nearest_point
 from clacad.stacking.stack_light import measure_light
@@ -229,7 +229,7 @@ def exactly(made, found, row):
 
 @pytest.mark.parametrize("gap", [0.0, 100.0, 2500.0], ids=["touching", "100 mm", "5000 pitches"])
 def test_exact_rays_through_two_sheets_keep_to_fifty_digits(gap):
-    """Handed on with coordinates of the size of the gap's sideways step: so many ulp of them, over a radius."""
+    """However far the sheets are apart: 8.3e-16 rad at most were seen over 200 rays of each gap."""
     made = stacked([WINDOW, WINDOW], [gap])
     rays = launched(made, 4096, 0.004)
     found = trace_stack(made, rays)
@@ -242,7 +242,7 @@ def test_exact_rays_through_two_sheets_keep_to_fifty_digits(gap):
             away = max(
                 abs(mpf(float(a)) - b) for a, b in zip(found.direction[row], path.directions[-1], strict=True)
             )
-            assert away < 1e-15 * (8.0 + gap)
+            assert away < 4e-15
 
 
 def test_a_ray_is_what_the_worst_of_its_sheets_made_of_it():
@@ -384,8 +384,7 @@ def test_the_nearest_point_of_lines_is_theirs_and_parallel_ones_have_none():
 
 
 def test_equal_designs_are_one_window_and_numbers_are_the_same_every_time():
-    request = StackRequest(gaps=(100.0,), rays=512, cells=(20, 20))
-    one, again = stack([DESIGN, DESIGN], request=request), stack([DESIGN, DESIGN], request=request)
+    one, again = (stack([DESIGN, DESIGN], 100, rays=512, cells=(20, 20)) for _ in range(2))
     assert one.stack.sheets[0].window is one.stack.sheets[1].window
     assert json.dumps(one.to_dict(), sort_keys=True, default=str) == json.dumps(
         again.to_dict(), sort_keys=True, default=str

@@ -56,6 +56,7 @@ def test_a_call_that_cannot_be_understood_is_2(
     "export DESIGN -o OUT", "export DESIGN -o OUT --dry-run", "export DESIGN -o OUT --format baffle,table,mask", "check DESIGN",
     "check DESIGN --json", "verify DESIGN", "verify DESIGN -o OUT", "accuracy DESIGN", "effects DESIGN", "explore DESIGN -o OUT/p.html",
     "wave DESIGN", "wave DESIGN -o OUT/w.png --dry-run",
+    "stack DESIGN DESIGN --gap 1 -o OUT",
     "tolerance DESIGN", "sweep DESIGN --vary law.eta.0=-0.25:-4:3",
     "trace DESIGN RAYS -o OUT/o.npz", "trace DESIGN RAYS -o OUT/o.npz --rung mesh",
 ])  # fmt: skip

@@ -51,6 +51,8 @@ LINES = {
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml", "--compare", "out/page.html"),
                      ("better.toml", "page.html"), (), ("better.toml",)),
+    "stack": Line(("stack", "{}/t.toml", "{}/t.toml", "--gap", "3", "--rays", "256", "--quads", "2", "-o", "out"),
+                  ("stack.step", "stack.glb", "stack.json", "manifest.json")),
     "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
     "wave": Line(("wave", "{}/t.toml", "-o", "out/wave.png"), ("wave.png",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.exporting.roles import NOT_OPTICAL, WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
+from clacad.storage.errors import BadRequest
 from clacad.verification.checks import Check
 from clacad.verification.files.stranger_words import believable, is_there, shown_name
 
@@ -134,10 +135,17 @@ def list_files(place: Path, roles: Roles | None = None) -> Delivery:
     ------
     FileNotFoundError
         Nothing is there, or a folder holds no manifest and no file of a known format.
+    BadRequest
+        The folder holds a stack of sheets, which no design tells alone.
     UnknownRole
         A role is declared for a file that is not among them.
     """
     delivery = _found(place)
+    if delivery.manifest is not None and "stack" in delivery.manifest:
+        raise BadRequest(
+            f"{place}: what was written there is a stack of several sheets; `clacad stack A.toml B.toml --gap L --files {place}` "
+            "judges it"
+        )
     if not roles:
         return delivery
     subjects = tuple(_with_role(subject, roles) for subject in delivery.subjects)
