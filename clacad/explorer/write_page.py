@@ -86,7 +86,7 @@ def explore(
     from clacad.explorer.sliders import places
     from clacad.exporting.limits import refuse_uncountable
     from clacad.prescription.prescribe import prescribe
-        from clacad.storage.atomic import write_content
+    from clacad.storage.atomic import write_content
 
     file = Path(out)
     if file.suffix.lower() not in (".html", ".htm"):
@@ -118,7 +118,7 @@ def page(design: Design) -> str:
     from clacad.explorer.sliders import LAW, SHEET, VIEW, sliders
     from clacad.prescription.prescribe import prescribe
     from clacad.report.self_contained import environment, one_script
-    
+
     window = prescribe(design)
     moved = sliders(design, window)
     script, digest = one_script(HERE / "closed_forms.js", HERE / "explorer.js")
