@@ -72,7 +72,7 @@ def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
                 ("" if row["exact"] else "about ") + size(row["bytes"]),
                 span_text(low, high),
                 f"up to {size(row['memory'][1])}",
-                grid,
+                grid or row.get("note", ""),
             ]
         )
         if "role" in row:
@@ -110,6 +110,8 @@ def holds_text(entry: Mapping[str, Any]) -> str:
         words = f"{solids:,} solid{'s' * (solids != 1)} with {faces:,} faces"
         if instanced:
             return f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells (--fused: one a connected piece)"
+        if entry.get("own_cells"):
+            return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
         return f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells (--step instanced repeats one cell)"
     if "objects" not in entry:
         return ""

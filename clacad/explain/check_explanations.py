@@ -56,6 +56,11 @@ CHECKS: dict[str, Text] = {
         "Whether the sheet's normal, with the cone of test rays, lies in the field of view.", "Outside it no light keeps to the law.",
         "|t − a| < (p/s)(1 + |η|)/2", "Set lattice.aperture so that the field is where the viewer is.",
     ),
+    "table": (
+        "Whether the table of cells that lies beside the files is the one whose SHA-256 the design states.",
+        "The lenses stand where the table says: another table is another part.", "",
+        "Export again, or take the design and the table that belong together.",
+    ),
     "image_point": (
         "Distance from where light of the point that the sheet is made to image meets (the point nearest to all its rays, traced over "
         "all cells) to where the chief rays of the law have it.",

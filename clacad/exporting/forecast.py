@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from clacad.base.machine_rates import Rates
 from clacad.base.units import millimetres
 from clacad.exporting import costs
-from clacad.exporting.format_names import MARKED_MESHES, PRESCRIPTIONS, SOLIDS, WELDED_FORMATS
+from clacad.exporting.format_names import (
+    MARKED_MESHES,
+    PRESCRIPTIONS,
+    SOLIDS,
+    WELDED_FORMATS,
+    refuse_other_cells,
+)
 from clacad.exporting.limits import (
     MOST_BYTES,
     MOST_FACETS,
@@ -24,6 +30,7 @@ from clacad.exporting.limits import (
 from clacad.exporting.request import DEFAULTS, Request
 from clacad.exporting.rough_sizes import RoughSheet
 from clacad.formats.step.step_mode import chosen_mode
+from clacad.sheet.need_window import CellsDiffer
 from clacad.storage.errors import LimitRefused
 
 if TYPE_CHECKING:
@@ -65,6 +72,8 @@ class Forecast:
         Bytes of where the repeated cells stand.
     prospect : Prospect or None
         The file's role and the light through it.
+    note : str
+        What makes this file dearer than one of equal cells; "" where nothing does.
     """
 
     format: str
@@ -78,6 +87,7 @@ class Forecast:
     stored: int | None = None
     places: int = 0
     prospect: Prospect | None = None
+    note: str = ""
 
     @property
     def task(self) -> str:
@@ -95,7 +105,7 @@ class Forecast:
         if self.prospect is not None:
             plain |= self.prospect.entry()
             plain |= {"law_rms_limit": self.prospect.limit} if self.quads is not None else {}
-        return plain
+        return plain | ({"note": self.note} if self.note else {})
 
 
 def forecast(
@@ -232,13 +242,21 @@ def _forecast_step(window: Window, step: Mode, pcurves: bool = True) -> Forecast
     return _step_row(window, mode, step_bytes(window, mode, pcurves))
 
 
+def own_cells_note(window: Window) -> str:
+    """What it costs a file that the cells of a sheet differ; "" where they are alike."""
+    if window.uniform:
+        return ""
+    return f"every cell differs: {window.lattice.cell_count:,} are written out, none can be repeated"
+
+
 def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         memory = (400_000_000, 900_000_000 + 250_000 * columns)
     else:
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
-    return Forecast("step", size, False, None, None, costs.step_seconds(size, mode), memory)
+    seconds = costs.step_seconds(size, mode) + (0.0 if window.uniform else costs.OWN_CELL * columns)
+    return Forecast("step", size, False, None, None, seconds, memory, note=own_cells_note(window))
 
 
 def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
@@ -314,7 +332,8 @@ def about(number: int) -> int:
 
 def _refusal(window: Window, row: Forecast) -> str | None:
     try:
+        refuse_other_cells(window, row.format)
         refuse_over_limits(window, [row], Path())
-    except LimitRefused as refusal:
+    except (LimitRefused, CellsDiffer) as refusal:
         return str(refusal)
     return None

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from clacad.base.text import did_you_mean, near
 from clacad.storage.errors import UnknownFormat
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
 
 FORMATS = (
     "step", "stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "brep",
@@ -34,6 +38,23 @@ PRESCRIPTIONS = ("zmx", "optiland")
 
 SOLIDS = ("baffle", "frame", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""
+
+
+OF_ANY_CELLS = ("step",)
+"""Formats that hold sheets whose cells differ; the others repeat, merge or sample one cell."""
+
+
+def refuse_other_cells(window: Window, format: str) -> None:
+    """Refuse a format that holds equal cells only, for a window whose cells differ.
+
+    Raises
+    ------
+    CellsDiffer
+    """
+    from clacad.sheet.need_window import need_equal_cells
+
+    if format not in OF_ANY_CELLS:
+        need_equal_cells(window, f"format {format}", f"such sheets are held by: {', '.join(OF_ANY_CELLS)}")
 
 
 def known_formats(asked: Sequence[str]) -> tuple[str, ...]:

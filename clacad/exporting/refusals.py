@@ -12,18 +12,14 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
+from clacad.exporting.format_names import refuse_other_cells
 from clacad.sheet.gap import NoFixture
-from clacad.sheet.need_window import need_equal_cells
 from clacad.storage.errors import ExportError, NotPossible
 
 if TYPE_CHECKING:
     from clacad.exporting.request import Request
     from clacad.sheet.window import Window
     from clacad.storage.worker import Worker
-
-
-OF_ANY_CELLS = ("step",)
-"""Formats that hold sheets whose cells differ."""
 
 
 class Refusals:
@@ -87,8 +83,7 @@ def require_possible(window: Window, format: str, asked: Request, worker: Worker
     WorkerDied
         The letters could not be drawn.
     """
-    if format not in OF_ANY_CELLS:
-        need_equal_cells(window, f"format {format}", f"formats {', '.join(OF_ANY_CELLS)} hold such sheets")
+    refuse_other_cells(window, format)
     if format in _NEEDS:
         _NEEDS[format](window, asked, worker)
 

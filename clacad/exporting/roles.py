@@ -29,7 +29,19 @@ WORDS: Mapping[str, Role] = {
 """Words by which a role is declared; nobody declares "other"."""
 
 NOT_OPTICAL = frozenset(
-    {"baffle", "frame", "coupon", "pov", "scene", "zmx", "optiland", "drawing", "drawing-dxf", "drawing-pdf"}
+    {
+        "baffle",
+        "frame",
+        "coupon",
+        "pov",
+        "scene",
+        "zmx",
+        "optiland",
+        "drawing",
+        "drawing-dxf",
+        "drawing-pdf",
+        "cell-table",
+    }
 )
 """Formats and bodies that carry no light of the law, by the words of manifests."""
 

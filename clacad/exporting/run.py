@@ -12,6 +12,7 @@ from clacad.base import log
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
 from clacad.base.types import Progress, silent
 from clacad.exporting import costs, limits
+from clacad.exporting.copied_table import copied_table
 from clacad.exporting.forecast import Forecast, forecast
 from clacad.exporting.format_names import MESHES, known_formats
 from clacad.exporting.format_table import WRITERS, Job
@@ -64,7 +65,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             records, failures, seconds = _produced(job, meshes, rows)
             if not records:
                 raise next(iter(failures.values()))
-            content = _content(design, window, records, request)
+            content = _content(design, window, [*records, *copied_table(made, stage)], request)
             content["files"] += carried_over(stage.folder, content)
             content["files"].sort(key=lambda entry: str(entry["name"]))
             facts = {

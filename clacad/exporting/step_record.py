@@ -67,6 +67,7 @@ def step_record(job: Job) -> FileRecord:
         "volume": found.get("volume"), "volume_exact": None if exact is None else exact.value * cube, "float": "f64",
         "saddle_policy": "exact" if written["saddles"] else None,
         "fit_error": _stated(written["fit_error"]), "rim_error": _stated(written["rim_error"]),
+        **({} if job.window.uniform else {"own_cells": True}),
     }  # fmt: skip
     return job.record(path, "step", facts=facts, checks=checks)
 

@@ -243,7 +243,8 @@ def _solved(intent: Intent) -> Pair2:
     guess = (intent.neck + 0.5 * reach**2 * curvature[0], intent.neck + 0.5 * reach**2 * curvature[1])
     converging = [abs(f) for fs in focal for f in fs if f > 0.0 and not isinf(f)]
     limit = min([intent.index * f for f in converging] + [2.0 * separation])
-    return auto_thickness(lambda t: _biconvex_given(intent, t), guess, intent.neck, limit)
+    trial = _untraced(intent)
+    return auto_thickness(lambda t: _biconvex_given(trial, t), guess, intent.neck, limit)
 
 
 def _biconvex_given(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Window:
@@ -448,11 +449,17 @@ def _plano_scaled(intent: Intent, scale: float) -> Window:
     return _plano_placed(intent, lenses, lens_2, intent.turn, offset)
 
 
+def _untraced(intent: Intent) -> Intent:
+    """The same with lenses where paraxial rays have them: no light is traced through trials of a thickness."""
+    design = intent.design
+    return replace(intent, design=replace(design, pair=replace(design.pair, offset="paraxial")))
+
+
 def _plano_auto(intent: Intent, separation: float) -> Pair2:
     """Smallest vertex-to-plane thickness that leaves the neck under the whole lens, and the land when there is one."""
     trial = single_surface(intent.eta, separation, (0.0, 0.0), intent.index)
     window = _plano_placed(
-        intent, trial, np.array([0.0, 0.0, separation]),
+        _untraced(intent), trial, np.array([0.0, 0.0, separation]),
         intent.turn if intent.design.pair.curved == "outside" else poses.shallower(intent.law, intent.index),
         np.zeros(2),
     )  # fmt: skip

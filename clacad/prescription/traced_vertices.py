@@ -29,6 +29,9 @@ RAYS = 64
 BRACKET = 0.3
 """Part of the pitch within which a vertex is looked for."""
 
+SHARE = 0.25
+"""Part more of the way that a varying law has moved it already."""
+
 STEPS = 24
 """Most steps of the secant; 5 to 8 do."""
 
@@ -153,9 +156,10 @@ def _solved(window: Window, light: CellLight) -> Floats:
     turned = window.thin.rotation[:2, :2]
     inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
     move = np.zeros((len(slopes), 2))
+    allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
     error = _bias(seq, second, points, slopes, light.first + move, asked)
     for _ in range(STEPS):
-        if not np.isfinite(error).all() or np.abs(move).max() > BRACKET * min(window.lattice.pitch):
+        if not np.isfinite(error).all() or (np.abs(move).max(axis=1) > allowed).any():
             break
         if np.abs(error).max() <= CLOSE:
             return move

@@ -314,7 +314,7 @@ class Window:
     def uniform(self) -> bool:
         """Whether all cells of each array are the same piece, partners displaced alike: one cell tells of all."""
         own = any(place.pitch is not None for place in self.placements)
-        return not own and all(face.change is None for face in self.faces)
+        return not own and self.cell_laws is None and all(face.change is None for face in self.faces)
 
     def lattice_of(self, array: int) -> Lattice:
         """Pattern of the cells of an array about its own middle; which cells exist is asked of `lattice`."""

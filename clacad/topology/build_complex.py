@@ -70,7 +70,7 @@ def one_tiling(window: Window, body: Body) -> tuple[int, ...]:
     arrays = [face.array for face in (body.front, body.back) if face.array is not None]
     if not arrays:
         raise ValueError(f"body {body.name!r} has no lenslet face")
-    alike = window.uniform and len(arrays) == 2 and window.shifts[arrays[0]] == window.shifts[arrays[1]]
+    alike = len(arrays) == 2 and window.placements[arrays[0]] == window.placements[arrays[1]]
     if len(set(arrays)) == 1 or alike:
         return (arrays[0],)
     return (arrays[0], arrays[1])

@@ -14,6 +14,7 @@ CODES: dict[str, str] = {
     "CL136": "a cell beyond the outline",
     "CL137": "a body thinner than float32 heights can tell",
     "CL138": "a lenslet that no point of the facets' grid meets",
+    "CL139": "something made for equal cells, asked of a sheet whose cells differ",
 }
 """Meaning of each stable code of a body that cannot be made."""
 

@@ -36,7 +36,7 @@ CODES: Mapping[str, str] = {
     "pose": "CL351", "handedness": "CL352", "convergence": "CL353", "solids": "CL354", "file_target": "CL355",
     "file_law_bias": "CL356", "file_law_eta": "CL357", "file_law_delta": "CL358", "file_confocality": "CL359",
     "file_throughput": "CL366", "file_normals": "CL367", "bodies": "CL368", "placement": "CL369", "delivery": "CL370",
-    "design": "CL340", "readable": "CL339", "stack_light": "CL380",
+    "table": "CL371", "design": "CL340", "readable": "CL339", "stack_light": "CL380",
 }  # fmt: skip
 """Stable code of each check; a design may accept a warning by its code."""
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress
+from clacad.exporting.copied_table import FORMAT as TABLE
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 from clacad.verification.checks import Check, not_run, unreadable
+from clacad.verification.files.copied_table import table_check
 from clacad.verification.files.delivery import judge_other, no_optics, whole_delivery
 from clacad.verification.files.find_files import Delivery, Subject, integrity, same_design
 from clacad.verification.files.inspection import Inspection
@@ -70,6 +72,10 @@ def _judge_one(asked: Inspection, subject: Subject, window: Window | None) -> Ju
     window : with the cells that somebody says it holds; None where nobody does
     """
     whole = prescribe(asked.design) if window is None else window
+    if subject.format == TABLE:
+        return [table_check(asked.design, subject)], FileReport(
+            subject, "the table of cells", role=Role.OTHER
+        )
     if subject.entry and (reason := no_optics(whole, subject)) is not None:
         asked.progress(f"reading {subject.name}", 0.0)
         return judge_other(subject, reason), FileReport(subject, reason.note, role=Role.OTHER)

@@ -15,6 +15,7 @@ from clacad.sheet.window import Window
 from clacad.verification import checks as judging
 from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
+from clacad.verification.files.copied_table import with_copied_table
 from clacad.verification.files.find_files import Delivery, declared_roles, list_files, written_meanwhile
 from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
@@ -82,6 +83,7 @@ def verified(
     ------
     DesignError, CannotRegister
     """
+    design = with_copied_table(design, delivery)
     found = _judge_design(design, rays, progress)
     yield replace(found, checks=judging.accepted(found.checks, design))
     if delivery is not None:

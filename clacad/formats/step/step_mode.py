@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from clacad.sheet.need_window import need_equal_cells
-
 if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
@@ -27,6 +25,8 @@ def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
         raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
     if not window.uniform:
         if mode == "instanced":
+            from clacad.sheet.need_window import need_equal_cells
+
             need_equal_cells(
                 window, "a STEP assembly of one cell and where it stands", "fused is one solid of all of them"
             )

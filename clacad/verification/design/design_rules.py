@@ -63,7 +63,27 @@ def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
             if found is None or _worse(check, found):
                 named = f"in cell ({cell[0]}, {cell[1]}): {check.sentence}"
                 worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": cell.tolist()})
-    return tuple(check for check in worst.values() if check.id not in ("field", "allowance"))
+    found = [_priced(check) for check in worst.values() if check.id not in ("field", "allowance")]
+    reach, half = tan(design.check.field), min(feasibility(window).half_field)
+    sentence = "each cell is for the light of its own place; the cone of test rays about it"
+    inside = reach <= half
+    found.append(
+        Check(
+            "field", "pass" if inside else "warn", f"{sentence} lies {'in' if inside else 'out'}side its field of view", reach,
+            half, "slope", where="thin", required=False, limit_source=other("derived from pitch, separation and law"),
+        )
+    )  # fmt: skip
+    return accepted(found, design)
+
+
+def _priced(check: Check) -> Check:
+    """Steps between neighbours are the price of cells that differ: beyond what the process can make they fail."""
+    if check.id != "wall" or check.state != "warn":
+        return check
+    sentence, _, _ = check.sentence.rpartition("; ")
+    return replace(
+        check, state="fail", sentence=f"{sentence}: the price of aimed cells; a viewer farther away, a smaller p/s or another process",
+    )  # fmt: skip
 
 
 def _worse(one: Check, other: Check) -> bool:

@@ -1,0 +1,41 @@
+"""The table of cells that a design names, copied beside the files that were made from it."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+from clacad.base.reading_budgets import BUDGETS
+from clacad.base.regular_file import read_regular
+from clacad.design.cell_table import digest, table_path
+from clacad.exporting.manifest import FileRecord
+from clacad.exporting.roles import Role
+from clacad.storage.errors import FileDisagrees
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.storage.atomic import Stage
+
+FORMAT = "cell-table"
+
+
+def copied_table(design: Design, stage: Stage) -> list[FileRecord]:
+    """Copy the table into the stage; its entry for the manifest, none of a design without a table.
+
+    Raises
+    ------
+    FileDisagrees
+        It has changed since the design was read.
+    """
+    spec = design.law_spec.varying
+    if spec is None or spec.table is None:
+        return []
+    source = table_path(design.path, spec.table.file)
+    name = PurePosixPath(spec.table.file.replace("\\", "/")).name
+    copy = stage.path(name)
+    copy.write_bytes(read_regular(source, BUDGETS["cell-table"].bytes))
+    found = digest(str(copy))
+    if found != spec.table.sha256:
+        raise FileDisagrees(f"{name}: the table has changed since the design was read")
+    role = {"role": str(Role.OTHER)}
+    return [FileRecord(name, found, copy.stat().st_size, FORMAT, "slopes", (), checks=("sha256",), role=role)]

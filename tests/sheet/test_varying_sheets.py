@@ -1,0 +1,260 @@
+"""Sheets whose law varies, as built and traced: the law of each cell, images, tables, what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpmath import mp
+from oracle import varying as oracle
+
+import clacad
+from clacad.design.combinations import BUILT, FEATURES, REASONS, SHEETS, matrix
+from clacad.imaging.best_point import best_point
+from clacad.optics.law.focusing import Glens
+from clacad.optics.rays import Fate
+from clacad.sheet.cell_laws import CellLaws
+from clacad.sheet.like_cell import like_cell
+
+DATA = Path(__file__).parents[1] / "data"
+BASE = {
+    "format": 1, "name": "glens", "unit": "mm",
+    "law": {"eta": [-1.0, -1.0], "varying": {"f_image": 200}},
+    "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "surface": "biconic"},
+    "lattice": {"pitch": 0.5, "count": [12, 9]},
+}  # fmt: skip
+
+
+def design(**changes):
+    made = json.loads(json.dumps(BASE))
+    for key, value in changes.items():
+        place = made
+        *path, last = key.split("__")
+        for step in path:
+            place = place.setdefault(step, {})
+        if value is None:
+            place.pop(last, None)
+        else:
+            place[last] = value
+    return clacad.Design.from_dict(made)
+
+
+def built(**changes):
+    return clacad.prescribe(design(**changes))
+
+
+CASES = json.loads((DATA / "varying_law.json").read_text())["cases"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_rung_law_turns_light_by_the_law_of_the_cell_hit_and_by_the_smooth_one_where_asked(case):
+    gradient = tuple(tuple(float(v) for v in row) for row in case["gradient"])
+    eta, delta, pitch, place, d = (
+        [float(v) for v in case[k]] for k in ("eta", "delta0", "pitch", "position", "direction")
+    )
+    window = built(law__eta=eta, law__delta=delta, law__varying=None, law__euler=case["euler_deg"], lattice__pitch=pitch,
+                   lattice__kind="rectangular", lattice__count=case["count"])  # fmt: skip
+    window = replace(
+        window, cell_laws=CellLaws(window.law, gradient)
+    )  # no lenses can be as steep as some of these laws ask
+    start = [place[0] - d[0] / d[2], place[1] - d[1] / d[2], -1.0]
+    for continuous, exact in ((False, case["out_cell"]), (True, case["out_continuous"])):
+        result = clacad.trace(window, (start, d), rung="law", continuous=continuous)
+        assert result.cell[0].tolist() == case["cell"]
+        assert np.abs(result.direction[0] - [float(v) for v in exact]).max() <= 1e-13
+    law = window.law_at(case["cell"])
+    assert [law.delta_x, law.delta_y] == pytest.approx([float(v) for v in case["delta_cell"]], rel=1e-15)
+
+
+@pytest.mark.parametrize("changes", [{}, {"law__eta": [-0.25, -0.5]}, {"law__varying": {"f_image": [150, -300]}}, {"law__varying": {"gradient": [[0.0, 0.004], [-0.004, 0.0]]}}, {"lattice__kind": "hexagonal"}, {"law__euler": [30, 0, 0]}])  # fmt: skip
+def test_ideal_lenses_of_every_cell_obey_the_law_of_that_cell(changes):
+    window = built(**changes)
+    lattice = window.lattice
+    cells = lattice.cells()
+    rng = np.random.default_rng(1)
+    which = rng.integers(0, len(cells), 400)
+    at = lattice.centres(cells[which]) + 0.2 * rng.uniform(-0.25, 0.25, (400, 2))
+    d = np.column_stack([rng.uniform(-0.002, 0.002, (400, 2)), np.ones(400)])
+    result = clacad.trace(window, clacad.Rays(np.column_stack([at, np.zeros(400)]) - 5 * d, d), rung="thin")
+    alive = result.fate == Fate.ALIVE
+    assert alive.mean() > 0.9
+    for k in np.flatnonzero(alive):
+        exact = window.law_at(result.cell[k]).refract(d[k])
+        assert np.abs(result.direction[k] - exact).max() <= 1e-13
+
+
+def test_thin_images_are_those_of_rays_lens_by_lens():
+    window, source = built(lattice__count=[21, 21]), (1.0, 0.5, -4000.0)
+    found = clacad.image(window, source, ("thin",), 4096).rungs[0]
+    exact = [oracle.image((-1.0, -0.005, 10.0, 0.0), (x, source[2])) for x in source[:2]]
+    assert found.predicted.point[2] - 10.0 == pytest.approx(float(exact[0][0]), rel=1e-12)
+    assert found.predicted.point[:2] == pytest.approx([float(x) for _, x in exact], rel=1e-10)
+    glens = Glens(-1.0, -0.005, 10.0)
+    width = glens.width(source[2], 0.5)
+    assert found.off <= 0.1 * width * glens.image_distance(source[2]) / 10.5
+    assert found.found.spot == pytest.approx((width / np.sqrt(12), width / np.sqrt(12)), rel=0.05)
+
+
+def test_the_mean_light_of_every_cell_of_the_exact_lenses_leaves_as_its_law_asks():
+    window = built(lattice__count=[40, 3], law__varying={"f_image": 80})
+    lattice, rng = window.lattice, np.random.default_rng(2)
+    for cell in ([0, 0], [39, 1], [20, 2], [5, 1]):
+        local = rng.uniform(-0.25, 0.25, (20_000, 2))
+        local = np.concatenate([local, -local])
+        at = np.column_stack([lattice.centres(np.array(cell)) + local, np.full(len(local), -1.0)])
+        result = clacad.trace(window, clacad.Rays(at, (0.0, 0.0, 1.0)))
+        mean = result.direction[result.fate == Fate.ALIVE].mean(axis=0)
+        exact = window.law_at(cell).refract([0.0, 0.0, 1.0])
+        assert np.abs(mean / np.linalg.norm(mean) - exact).max() < 1e-4
+        assert (
+            np.abs(
+                window.vertices(window.faces[1], np.array(cell))[:2]
+                - 5.0 * np.array([-0.0125, -0.0125]) * lattice.centres(np.array(cell))
+            ).max()
+            < 0.15
+        )
+
+
+def test_a_glens_focuses_where_it_shall_and_paraxial_vertices_do_not():
+    small = {"lattice__count": [100, 1], "law__varying": {"f_image": 200}}
+    for offset, low, high, spot in (("traced", 199.6, 200.2, 0.13), ("paraxial", 193.0, 196.0, 0.6)):
+        window = built(**small, pair__offset=offset)
+        seen = clacad.image(window, (0, 0, -inf), ("surfaces",), 20_000).rungs[0]
+        x = seen.direction[:, 0] / seen.direction[:, 2]
+        place = seen.position
+        heights = np.linspace(190, 205, 1501) + window.faces[1].vertex[2]
+        wide = [np.std(place[:, 0] + (z - place[:, 2]) * x) for z in heights]
+        focus = heights[int(np.argmin(wide))] - window.faces[1].vertex[2]
+        assert low < focus < high
+        assert min(wide) < spot
+
+
+def test_the_best_point_is_that_of_a_plain_least_squares_in_fifty_digits():
+    rng = np.random.default_rng(5)
+    for spread in (0.3, 1e-3, 1e-6):
+        d = np.column_stack([spread * rng.normal(size=(40, 2)), np.ones(40)])
+        d /= np.linalg.norm(d, axis=1)[:, None]
+        p = rng.normal(size=(40, 3)) + [1e3, -2e3, 5e3]
+        got = best_point(p, d).point
+        with mp.workdps(50):
+            matrix_, right = mp.zeros(3, 3), mp.zeros(3, 1)
+            for place, way in zip(p, d):
+                w = mp.matrix([mp.mpf(float(v)) for v in way])
+                w /= mp.norm(w)
+                across = mp.eye(3) - w * w.T
+                matrix_ += across
+                right += across * mp.matrix([mp.mpf(float(v)) for v in place])
+            exact = np.array([float(v) for v in mp.lu_solve(matrix_, right)])
+        assert np.abs(got - exact).max() <= 1e-12 * 6e3 / spread**1.0 + 1e-16 / spread**2
+    assert np.isnan(best_point(p, np.tile(d[0], (40, 1))).point).all()
+
+
+def test_cells_like_one_of_a_sheet_are_that_cell():
+    window = built(lattice__count=[12, 12])
+    for cell in ([0, 0], [11, 3]):
+        like = like_cell(window, np.array(cell))
+        assert like.uniform
+        assert like.law == window.law_at(cell)
+        assert like.faces[1].vertex == tuple(window.vertices(window.faces[1], np.array(cell)))
+        at = np.array([[0.01, -0.02, -1.0]])
+        here = window.lattice.centres(np.array(cell))
+        centre = like.lattice.centres(np.array([6, 6]))
+        one = clacad.trace(window, clacad.Rays(at + [*here, 0], (0.001, 0.002, 1.0)), rung="thin")
+        other = clacad.trace(
+            like, clacad.Rays(at + [*centre, 0], (0.001, 0.002, 1.0)), rung="thin", path="numpy"
+        )
+        assert np.abs(one.direction - other.direction).max() < 1e-14
+
+
+def test_fewer_cells_of_a_varying_sheet_are_the_middle_ones():
+    window = built(lattice__count=[12, 10])
+    small = window.with_cells((4, 2))
+    face = window.faces[1]
+    assert np.array_equal(
+        small.vertices(small.faces[1], small.lattice.cells()),
+        window.vertices(face, small.lattice.cells() + [4, 4]),
+    )
+    with pytest.raises(ValueError, match="has no 40 x 1"):
+        window.with_cells((40, 1))
+
+
+def test_a_table_gives_each_cell_its_own_law_and_the_design_its_hash(tmp_path):
+    rows = "i,j,delta_x,delta_y\n" + "".join(
+        f"{i},{j},{0.001 * i - 0.002 * j},{0.003 * j}\n" for i in range(12) for j in range(9)
+    )
+    (tmp_path / "cells.csv").write_text(rows)
+    text = clacad.Design.from_dict({**BASE, "law": {"eta": [-1.0, -1.0]}}).canonical_toml()
+    (tmp_path / "d.toml").write_text(text.replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n'))
+    made = clacad.load(tmp_path / "d.toml")
+    window = clacad.prescribe(made)
+    assert window.law_at((3, 2)).delta_x == made.law_at((3, 2)).delta_x == 0.001 * 3 - 0.002 * 2
+    again = clacad.Design.from_dict(made.to_dict())
+    assert again == made
+    assert again.sha256 == made.sha256
+    (tmp_path / "cells.csv").write_text(rows.replace("0,0,0.0,0.0", "0,0,0.0,1e-9"))
+    assert clacad.load(tmp_path / "d.toml").sha256 != made.sha256
+    with pytest.raises(clacad.DesignError, match="is not the table whose sha256"):
+        clacad.prescribe(made)
+    with pytest.raises(ValueError, match="no values between its cells"):
+        clacad.trace(window, ((0, 0, -1), (0, 0, 1)), rung="law", continuous=True)
+
+
+PRESENT = {
+    "hexagonal cells": {"lattice__kind": "hexagonal"}, "seam": {"lattice__seam": 0.05}, "outline": {"lattice__outline": {"circle": 4}},
+    "tilt": {"law__euler": [0, 3, 0]}, "offset": {"law__delta": [0.01, 0.0]},
+    "biconvex": {"pair__form": "biconvex", "pair__surface": None}, "plano": {"pair__form": "plano"}, "slab": {},
+    "given faces": {"pair__prescription": "given", "pair__face": [{"radius": 2.468}, {"radius": 2.468}], "pair__surface": None},
+    "tolerances": {"tolerances__index": 0.001}, "aimed at a point": {"lattice__aperture": {"point": [0, 0, -400]}},
+    "confocal best": {"pair__confocal": "best"}, "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("feature", [f.name for f in FEATURES])
+def test_each_combination_works_or_is_refused_by_one_code_as_the_matrix_says(feature):
+    reason = REASONS.get(("law.varying", feature))
+    if reason is None:
+        window = built(**PRESENT[feature])
+        at = np.column_stack(
+            [window.lattice.centres(window.lattice.cells()), np.full(len(window.lattice.cells()), -1.0)]
+        )
+        seen = clacad.trace(window, clacad.Rays(at + [0.01, 0.01, 0.0], (0.0, 0.0, 1.0)))
+        for k in np.flatnonzero(seen.fate == Fate.ALIVE):
+            exact = window.law_at(seen.cell[k]).refract([0.0, 0.0, 1.0])
+            assert np.abs(seen.direction[k] - exact).max() < 5e-3
+        assert (seen.fate == Fate.ALIVE).mean() > 0.9
+        return
+    with pytest.raises(clacad.DesignError) as caught:
+        design(**PRESENT[feature])
+    (mistake,) = caught.value.mistakes
+    assert mistake.code == "CL125"
+    assert reason in mistake.message
+
+
+def test_the_matrix_is_what_refuses():
+    head, *rows = matrix()
+    assert head[1:] == list(SHEETS)
+    for name, *cells in rows:
+        for sheet, cell in zip(head[1:], cells):
+            assert cell == REASONS.get((sheet, name), BUILT)
+    assert {f.name for f in FEATURES} == set(PRESENT)
+
+
+def test_a_lens_too_far_from_its_cell_is_refused_with_the_planes_that_work():
+    with pytest.raises(clacad.DesignError) as caught:
+        built(lattice__count=[100, 3], law__varying={"f_image": 60})
+    (mistake,) = caught.value.mistakes
+    assert mistake.code == "CL123"
+    assert "cell (0, " in mistake.message
+    farther = float(mistake.hint.split("farther off by ")[1].split(",")[0])
+    built(lattice__count=[100, 3], law__varying={"f_image": 60 * farther * 1.01})
+
+
+def test_sheets_of_one_law_have_the_text_and_hash_they_had():
+    made = design(law__varying=None)
+    assert "varying" not in made.canonical_toml()
+    assert clacad.prescribe(made).cell_laws is None
+    assert made.law_at((0, 0)) == made.law
