@@ -11,7 +11,14 @@ from clacad.optimising.search import RAYS, Optimised
 PLACES = {
     2: ("lens 1, front of the slab", "lens 2, back of the slab"),
     4: ("lens 1, front", "lens 1, back", "lens 2, front", "lens 2, back"),
-    6: ("lens 1, front", "lens 1, back", "field lens, front", "field lens, back", "lens 2, front", "lens 2, back"),
+    6: (
+        "lens 1, front",
+        "lens 1, back",
+        "field lens, front",
+        "field lens, back",
+        "lens 2, front",
+        "lens 2, back",
+    ),
 }
 PLATES = ("lens 1", "field lens, back of plate 1", "field lens, front of plate 2", "lens 2")
 

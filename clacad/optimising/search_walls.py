@@ -75,7 +75,15 @@ class Walls:
         needs = tuple(
             max(asked, min(neck, (1.0 - 2.0 * MARGIN) * _thinnest(body, x, y))) for body in window.bodies
         )
-        return Walls(x, y, max(design.check.graph, cos(limit["slope"])), limit["radius"], limit["sag"], needs, LightInCells.of(window))
+        return Walls(
+            x,
+            y,
+            max(design.check.graph, cos(limit["slope"])),
+            limit["radius"],
+            limit["sag"],
+            needs,
+            LightInCells.of(window),
+        )
 
     def slack(self, window: Window) -> dict[str, float]:
         """How far every wall is from being passed, in parts of its limit; below 0: passed. One fixed order."""

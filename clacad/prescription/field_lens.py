@@ -350,7 +350,9 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
     rotation = IDENTITY if np.array_equal(rotation, IDENTITY) else rotation
     if not plate.crossed:
         assert isinstance(power_of, float)
-        lens = Face(_face(intent, _sphere(power_of, +1, conic), 0), (0.0, 0.0, float(front[2])), rotation, ARRAY)
+        lens = Face(
+            _face(intent, _sphere(power_of, +1, conic), 0), (0.0, 0.0, float(front[2])), rotation, ARRAY
+        )
         if not tilted:
             plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
         else:
@@ -365,7 +367,12 @@ def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> t
     for axis, point in zip(axes, points, strict=True):
         middle[axis] = point[axis]
     faces = [
-        Face(_face(intent, _cylinder(power_of[axis], axis, side, conic), after), (0.0, 0.0, float(at[2])), rotation, ARRAY)
+        Face(
+            _face(intent, _cylinder(power_of[axis], axis, side, conic), after),
+            (0.0, 0.0, float(at[2])),
+            rotation,
+            ARRAY,
+        )
         for after, (axis, side, at) in enumerate(zip(axes, (+1, -1), (front, back), strict=True))
     ]
     return Body(faces[0], faces[1], intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)

@@ -31,7 +31,9 @@ FIELD = {"pair.field_lens": True}
 
 def sheet(name="window-100mm", **keys):
     """A shipped design with a field lens and keys changed, a.b written a__b."""
-    return load(DESIGNS / f"{name}.toml").replace(FIELD | {key.replace("__", "."): v for key, v in keys.items()})
+    return load(DESIGNS / f"{name}.toml").replace(
+        FIELD | {key.replace("__", "."): v for key, v in keys.items()}
+    )
 
 
 FORMS = {
@@ -42,7 +44,9 @@ FORMS = {
     "biconvex, offset": sheet("paper-a-covered", law__delta=[0.03, 0.05]),
     "biconvex, tilted": sheet("paper-a-covered", law__eta=[-1.0, -1.0], law__euler=[20.0, 6.0, 0.0]),
     "plano": sheet("plano", law__euler=[0.0, 0.0, 0.0]),
-    "plano, inside": sheet("plano", law__euler=[0.0, 0.0, 0.0], pair__curved="inside", law__delta=[0.02, 0.0]),
+    "plano, inside": sheet(
+        "plano", law__euler=[0.0, 0.0, 0.0], pair__curved="inside", law__delta=[0.02, 0.0]
+    ),
     "hexagonal": sheet("hexagonal"),
 }
 
@@ -57,7 +61,11 @@ def lit(window, slope, count=4000):
 def test_shares_by_order_are_the_golden_ones(case):
     eta, s, p, slope = (float(case[key]) for key in ("eta", "separation", "pitch", "slope"))
     design = sheet(
-        law__eta=[eta, eta], pair__separation=s, lattice__pitch=p, lattice__count=[5, 5], check__process="none"
+        law__eta=[eta, eta],
+        pair__separation=s,
+        lattice__pitch=p,
+        lattice__count=[5, 5],
+        check__process="none",
     )
     window = prescribe(design)
     cells, own = thin_cells(window), min(1.0, 1.0 / abs(eta))  # the other axis
@@ -80,10 +88,14 @@ def test_the_crossed_plate_is_the_golden_one():
     case = next(case for case in GOLDEN if case.get("plate"))
     eta, s, n = [float(v) for v in case["eta"]], float(case["separation"]), float(case["index"])
     design = sheet("paper-a-covered", law__eta=eta, pair__separation=s, pair__index=n, pair__form="plano")
-    design = Design.from_dict({**design.given, "pair": {k: v for k, v in design.given["pair"].items() if k != "web"}})
+    design = Design.from_dict(
+        {**design.given, "pair": {k: v for k, v in design.given["pair"].items() if k != "web"}}
+    )
     array1, plate, array2 = prescribe(design).bodies
     assert [b.name for b in (array1, plate, array2)] == ["array1", "field", "array2"]
-    assert plate.back.vertex[2] - plate.front.vertex[2] == pytest.approx(float(case["plate_thickness"]), rel=1e-12)
+    assert plate.back.vertex[2] - plate.front.vertex[2] == pytest.approx(
+        float(case["plate_thickness"]), rel=1e-12
+    )
     radii = 1.0 / plate.back.surface.curvature_x, 1.0 / plate.front.surface.curvature_y
     assert radii == pytest.approx([float(r) for r in case["cylinder_radius"]], rel=1e-12)
     air = plate.front.vertex[2] - array1.back.vertex[2] + (array1.back.vertex[2] - array1.front.vertex[2]) / n
@@ -120,11 +132,17 @@ def test_light_is_alive_where_every_face_is_met_in_the_telescopelet(name):
         if face.array is None:
             continue
         local = hits[:, :2] - np.asarray(window.shifts[face.array])
-        flat = [k for k in (0, 1) if face.array == 2 and (face.surface.curvature_x, face.surface.curvature_y)[k] == 0.0]
+        flat = [
+            k
+            for k in (0, 1)
+            if face.array == 2 and (face.surface.curvature_x, face.surface.curvature_y)[k] == 0.0
+        ]
         if len(flat) == 2:
             continue  # the flat side of a tilted field lens
         if flat:
-            local = local * np.abs(np.array([0.0, 1.0] if flat[0] == 0 else [1.0, 0.0]) @ face.rotation[:2, :2].T)
+            local = local * np.abs(
+                np.array([0.0, 1.0] if flat[0] == 0 else [1.0, 0.0]) @ face.rotation[:2, :2].T
+            )
         for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
             past = local @ np.asarray(window.lattice.offset(*step)) / (2.0 * half) - half
             inside &= past <= 0.0
@@ -203,7 +221,9 @@ def test_the_window_keeps_its_light_over_all_of_its_field():
     assert ghosts <= 0.002
     assert rms_1 == pytest.approx(0.0169, rel=0.02)
     assert rms_28 == pytest.approx(0.130, rel=0.02)
-    assert measured(design.replace("pair.field_lens", False), 2.8, 32768)[0] == pytest.approx(0.322, abs=0.004)
+    assert measured(design.replace("pair.field_lens", False), 2.8, 32768)[0] == pytest.approx(
+        0.322, abs=0.004
+    )
 
 
 def test_the_papers_sheet_keeps_its_light_at_the_rim_of_its_field():
@@ -219,7 +239,11 @@ def test_the_papers_sheet_keeps_its_light_at_the_rim_of_its_field():
 
 def test_check_judges_the_field_lens_and_passes():
     judged = judge(sheet())
-    found = {check.id: check for check in judged.checks if check.id in ("field_focus", "pupil", "field_throughput", "field_law")}
+    found = {
+        check.id: check
+        for check in judged.checks
+        if check.id in ("field_focus", "pupil", "field_throughput", "field_law")
+    }
     assert len(found) == 4
     assert {check.state for check in found.values()} == {"pass"}
     assert judged.passes
