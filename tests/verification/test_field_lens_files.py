@@ -30,7 +30,9 @@ def test_two_plates_are_written_and_judged_as_masters(tmp_path):
     report = clacad.verify(design, files=tmp_path)
     assert failing(report) == set()
     assert {verdict.word for verdict in report.verdicts} == {"passed as optical master"}
-    solids = next(check for check in report.checks if check.id == "readable" and check.subject.endswith(".step"))
+    solids = next(
+        check for check in report.checks if check.id == "readable" and check.subject.endswith(".step")
+    )
     assert "2 solids" in solids.sentence
 
 
@@ -39,20 +41,16 @@ def test_two_plates_are_written_and_judged_as_masters(tmp_path):
     "design",
     [
         sheet("paper-a-covered"),
-        sheet("window-100mm", law__eta=[-0.5, -1.0]),
         sheet("window-100mm", law__eta=[-0.5, -0.5], law__delta=[0.01, 0.03], check__process="none"),
-        sheet("plano", law__euler=[0.0, 0.0, 0.0], law__delta=[0.02, 0.01]),
         sheet("paper-a-covered", law__eta=[-1.0, -1.0], law__euler=[0.0, 3.0, 0.0]),
     ],
-    ids=["biconvex", "slab in three", "offset", "plano", "tilted"],
+    ids=["biconvex", "offset", "tilted"],
 )
 def test_three_bodies_are_written_and_judged_as_masters(tmp_path, design):
-    clacad.export(design, tmp_path, formats=["step", "3mf"], quads=32, role={"3mf": "preview"})
+    clacad.export(design, tmp_path, formats=["step"])
     report = clacad.verify(design, files=tmp_path, rays=4096)
-    words = {verdict.file: verdict.word for verdict in report.verdicts}
-    assert [word for file, word in words.items() if file.endswith(".step")] == ["passed as optical master"]
-    of_files = [check for check in report.checks if check.state == "fail" and check.subject.endswith((".step", ".3mf"))]
-    assert not of_files
+    assert [verdict.word for verdict in report.verdicts] == ["passed as optical master"]
+    assert not [check for check in report.checks if check.state == "fail" and check.subject.endswith(".step")]
 
 
 @pytest.mark.slow
@@ -61,10 +59,9 @@ def test_three_bodies_are_written_and_judged_as_masters(tmp_path, design):
     [
         {"pair.field_lens": False},
         {"pair.field": {"gap": 0.5}},
-        {"pair.field": {"conic": -8.0}},
         {"law.eta": [-1.05, -1.05]},
     ],
-    ids=["no field lens", "a wide gap", "other conics", "another law"],
+    ids=["no field lens", "a wide gap", "another law"],
 )
 def test_light_tells_the_file_of_another_sheet(tmp_path, other):
     design = sheet("window-100mm")
