@@ -23,7 +23,7 @@ RAYS = 512
 PART = 0.9
 """Of the full field, the cone of the rays."""
 
-ROOM = 5e-5
+ROOM = 1e-5
 """Mean way out of the cell, in parts of half its width, by which a trial may be worse than the start."""
 
 LOST = 1.0
