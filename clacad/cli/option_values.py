@@ -89,3 +89,21 @@ def parse_length(text: str | None, design: Design) -> float:
     if not (value > 0.0 and isfinite(value)):
         raise BadOption(f"--saddle-bevel {text}: it is a length above 0, such as '5 um'")
     return value
+
+
+def parse_distance(option: str, text: str, unit: str) -> float:
+    """Read a length above 0, bare or with a unit, in the unit of a design that has been read."""
+    from clacad.base.units import design_unit
+    from clacad.config.quantities import Quantity
+    from clacad.config.value_kinds import Refusal
+
+    own = design_unit(unit)
+    assert own is not None  # the design was read with it
+    try:
+        value: object = float(text)
+    except ValueError:
+        value = text
+    try:
+        return Quantity("length", "a length > 0", above=0.0).read(value, own)
+    except Refusal as refusal:
+        raise BadOption(f"{option} {text}: {refusal.complaint}; {refusal.allowed}") from None
