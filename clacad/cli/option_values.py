@@ -130,20 +130,24 @@ def parse_length(text: str | None, design: Design) -> float:
     return value
 
 
-def parse_design_length(option: str, text: str, design: Design) -> float:
-    """Read a length from 0 on such as "5 um" in the design's unit; a bare number is in that unit."""
+def parse_distance(option: str, text: str, unit: str, *, zero: bool = False) -> float:
+    """Read a length above 0, or from 0 on, bare or with a unit, in the unit of a design that has been read."""
     from clacad.base.units import design_unit
     from clacad.config.quantities import Quantity
     from clacad.config.value_kinds import Refusal
 
-    unit = design_unit(design.unit)
-    assert unit is not None  # the design was read
-    kind = Quantity("length", "a length >= 0", least=0.0)
+    own = design_unit(unit)
+    assert own is not None  # the design was read with it
+    kind = (
+        Quantity("length", "a length >= 0", least=0.0)
+        if zero
+        else Quantity("length", "a length > 0", above=0.0)
+    )
     try:
         value: object = float(text)
     except ValueError:
         value = text.strip()
     try:
-        return kind.read(value, unit)
+        return kind.read(value, own)
     except Refusal as refusal:
         raise BadOption(f"{option} {text.strip()}: {refusal.complaint}; {refusal.allowed}") from None

@@ -214,18 +214,7 @@ def _length(design: Path, overrides: list[str], option: str, text: str | None) -
     """A length of the command line in design units: bare, or with a unit."""
     if text is None:
         return None
-    from clacad.base import units
-    from clacad.config.quantities import Quantity
-    from clacad.config.value_kinds import Refusal
+    from clacad.cli.option_values import parse_distance
     from clacad.design import load
 
-    unit = units.design_unit(load(design, tuple(overrides)).unit)
-    assert unit is not None  # the design was read
-    try:
-        value: object = float(text)
-    except ValueError:
-        value = text
-    try:
-        return Quantity("length", "a length > 0", above=0.0).read(value, unit)
-    except Refusal as refusal:
-        raise BadRequest(f"{option} {text}: {refusal.complaint}; {refusal.allowed}") from None
+    return parse_distance(option, text, load(design, tuple(overrides)).unit)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import say, show_json, show_text
-from clacad.cli.option_values import BadOption
+from clacad.cli.option_values import BadOption, parse_angle, parse_cells, parse_distance
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -38,8 +38,8 @@ class ShapeRequest:
 def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quiet: bool) -> int:
     """Write the design, its table and the picture of what it does; print the forecast and what rays found."""
     design = _base(request, overrides)
-    distance = _length("--distance", request.distance, design)
-    source = 0.0 if request.source is None else _angle(request.source)
+    distance = parse_distance("--distance", request.distance, design.unit)
+    source = 0.0 if request.source is None else parse_angle("--source", request.source)
     from clacad.design.asked_cells import lattice_of
     from clacad.imaging.shape import shaped
     from clacad.imaging.target import NoTarget
@@ -47,7 +47,7 @@ def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quie
     lattice = lattice_of(design)
     _refuse_many(design)
     x0, x1, _, _ = lattice.extent()
-    width = x1 - x0 if request.width is None else _length("--width", request.width, design)
+    width = x1 - x0 if request.width is None else parse_distance("--width", request.width, design.unit)
     target = _target(request.target, width)
     seconds = 2.0 + 2e-5 * request.rays + 1e-3 * lattice.cell_count
     if request.dry_run:
@@ -77,7 +77,6 @@ def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quie
 
 def _base(request: ShapeRequest, overrides: list[str]) -> Design:
     """The design that is shaped: as given, or the slab of the templates, its law and cells as --set has them."""
-    from clacad.cli.option_values import parse_cells
     from clacad.design import Design, load, template
 
     cells = parse_cells(request.cells)
@@ -108,30 +107,6 @@ def _refuse_many(design: Design) -> None:
     from clacad.exporting.limits import refuse_uncountable
 
     refuse_uncountable(design)
-
-
-def _length(option: str, text: str, design: Design) -> float:
-    """Read a length > 0, bare in the design's unit."""
-    from clacad.base.units import design_unit
-    from clacad.config.quantities import Quantity
-    from clacad.config.value_kinds import Refusal
-
-    unit = design_unit(design.unit)
-    assert unit is not None  # the design was read with it
-    try:
-        value: object = float(text)
-    except ValueError:
-        value = text
-    try:
-        return Quantity("length", "a length > 0", above=0.0).read(value, unit)
-    except Refusal as refusal:
-        raise BadOption(f"{option} {text} {refusal.complaint}; {refusal.allowed}") from None
-
-
-def _angle(text: str) -> float:
-    from clacad.cli.option_values import parse_angle
-
-    return parse_angle("--source", text)
 
 
 def _target(path: Path, width: float) -> Target:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import WORTH_SAYING, forecast
 from clacad.cli.console import Progress, say, show_json, show_text, size, table
-from clacad.cli.option_values import BadOption, one_of, parse_angle, parse_cells, parse_design_length
+from clacad.cli.option_values import BadOption, one_of, parse_angle, parse_cells, parse_distance
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -66,7 +66,11 @@ def _sheets_and_places(
     if not any(is_scene(path) for path in paths):
         designs = load_sheets(paths, overrides)
         texts = [text for text in gap.split(",") if text.strip()]
-        return designs, tuple(parse_design_length("--gap", text, designs[0]) for text in texts), None
+        return (
+            designs,
+            tuple(parse_distance("--gap", text, designs[0].unit, zero=True) for text in texts),
+            None,
+        )
     if len(paths) > 1 or gap:
         raise BadOption(
             "a scene file says which sheets there are and where they stand: give it alone, without --gap"
@@ -131,7 +135,7 @@ def _asked(
 
     distance = None
     if words.object_distance is not None:
-        distance = parse_design_length("--object", words.object_distance, first)
+        distance = parse_distance("--object", words.object_distance, first.unit, zero=True)
     step: Any = one_of("step", words.step)
     return StackRequest(
         gaps=gaps, ids=ids, formats=tuple(dict.fromkeys(f.strip() for f in words.formats.split(",") if f.strip())),

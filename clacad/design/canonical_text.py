@@ -48,7 +48,7 @@ def to_dict(design: Design) -> dict[str, Any]:
             if value is not None and value != ():
                 values[name] = _written(value, key, design)
         if section == "lattice" and design.lattice.kind != "rectangular":
-            values["pitch"] = values["pitch"][0]
+            values |= {name: values[name][0] for name in ("pitch", "pitch_2") if name in values}
         made[section] = values
     return made
 

@@ -43,6 +43,12 @@ def has_plate(a: Ask) -> bool:
     return polygon or any(bool(a(f"body.{key}")) for key in ("holes", "corners", "pins"))
 
 
+def _is_slope(a: Ask) -> bool:
+    """Whether the aperture is a slope, not a word and no point."""
+    aperture = a("lattice.aperture")
+    return aperture not in (None, "centred", "aligned") and not _has_point(aperture)
+
+
 def _tolerated(a: Ask) -> bool:
     """Whether any tolerance is stated."""
     return any(a(f"tolerances.{key}") not in (None, 0.0, (0.0, 0.0)) for key in _TOLERATED)
@@ -71,6 +77,10 @@ FEATURES: Final = (
     Feature("given faces", "pair.prescription", lambda a: a("pair.prescription") == "given", 'prescription = "derived"'),
     Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
     Feature("aimed at a point", "lattice.aperture", lambda a: _has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
+    Feature("steered", "lattice.aperture", _is_slope, 'aperture = "centred"'),
+    Feature("traced vertices", "pair.offset", lambda a: a("pair.offset") == "traced", 'offset = "paraxial"'),
+    Feature("law that varies", "law.varying", lambda a: a("law.varying") is not None, "leave one of the two out"),
+    Feature("other pitch", "lattice.pitch_2", lambda a: a("lattice.pitch_2") is not None, "leave one of the two out"),
     Feature("confocal best", "pair.confocal", lambda a: a("pair.confocal") == "best", 'confocal = "exact"'),
     Feature("plate with holes, corners or pins", "body.holes", has_plate, "plain edges"),
     Feature("field lens", "pair.field_lens", lambda a: bool(a("pair.field_lens")), "field_lens = false"),
@@ -79,7 +89,11 @@ FEATURES: Final = (
 
 
 VARYING: Final = "law.varying"
-SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {VARYING: lambda a: a(VARYING) is not None}
+PITCH_2: Final = "lattice.pitch_2"
+SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
+    VARYING: lambda a: a(VARYING) is not None,
+    PITCH_2: lambda a: a(PITCH_2) is not None,
+}
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
 REASONS: Final[Mapping[tuple[str, str], str]] = {
@@ -95,6 +109,23 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
     ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
     (VARYING, "field lens"): "field lenses would stand in every cell at a place of their own",
     (VARYING, "confocal best"): "its radii are for light along the axis alone",
+    (VARYING, "other pitch"): "its cells stand over their partners",
+    (PITCH_2, "law that varies"): "where its lenses stand is its law",
+    (
+        PITCH_2,
+        "tilt",
+    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
+    (
+        PITCH_2,
+        "plate with holes, corners or pins",
+    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
+    (PITCH_2, "field lens"): "field lenses would stand in every cell at a place of their own",
+    (PITCH_2, "steered"): "its cells look at the nodal point",
+    (PITCH_2, "aimed at a point"): "its cells look at the nodal point",
+    (PITCH_2, "traced vertices"): "its lenses stand in the middle of their own cells",
+    (PITCH_2, "confocal best"): "its radii are for light along the axis alone",
+    (PITCH_2, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
+    (PITCH_2, "tolerances"): "a study of tolerances samples sheets of equal cells",
     (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
 }
 """Sheet and feature → why they are not built together; what is not here is built."""
@@ -102,6 +133,7 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
 
 BUILT: Final = "built"
 """What the matrix says of what is not refused."""
+ITSELF: Final = "itself"
 
 
 def built_sheets(a: Ask) -> list[str]:
@@ -117,4 +149,7 @@ def why_not(sheet: str, feature: str) -> str:
 def matrix() -> list[list[str]]:
     """Rows of the table of what is built with what: a head, then one row for each feature."""
     head = ["", *SHEETS]
-    return [head, *([f.name, *(why_not(sheet, f.name) or BUILT for sheet in SHEETS)] for f in FEATURES)]
+    rows = (
+        [f.name, *(ITSELF if f.key == s else why_not(s, f.name) or BUILT for s in SHEETS)] for f in FEATURES
+    )
+    return [head, *rows]

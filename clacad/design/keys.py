@@ -212,6 +212,9 @@ LATTICE: Final[dict[str, Key]] = {
         "centred",
     ),
     "land": Key(Word(("clear", "opaque")), "whether land lets light through", "clear"),
+    "pitch_2": Key(
+        Several(_ABOVE_0, _XY, single=True), "size of a cell of array 2, where it is another: a superlens"
+    ),
 }
 BODY: Final[dict[str, Key]] = {
     "border": Key(_FROM_0, "width of the land round the sheet", 0.0),

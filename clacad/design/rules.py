@@ -278,6 +278,15 @@ def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:
     if kind != "rectangular" and pitch[0] != pitch[1]:
         yield Mistake("CL116", f"a {kind} lattice has one pitch", "lattice.pitch", found=a.says("lattice.pitch"),
                       allowed="one length", hint='kind = "rectangular" takes two')  # fmt: skip
+    second = a("lattice.pitch_2")
+    if second is not None and kind != "rectangular" and second[0] != second[1]:
+        yield Mistake("CL116", f"a {kind} lattice has one pitch", "lattice.pitch_2", found=a.says("lattice.pitch_2"),
+                      allowed="one length", hint='kind = "rectangular" takes two')  # fmt: skip
+    if second is not None and any(
+        not 0.5 <= one / other <= 2.0 for one, other in zip(second, pitch, strict=True)
+    ):
+        yield Mistake("CL106", f"{a.says('lattice.pitch_2')} is out of range", "lattice.pitch_2",
+                      allowed="half to twice lattice.pitch")  # fmt: skip
     if a.unit is not None and min(pitch) * float(a.unit.metres) < SMALLEST_PITCH_M:
         metres = min(pitch) * float(a.unit.metres)
         yield Mistake("CL115", f"{a.says('lattice.pitch')} is {metres * 1e6:.3g} um: below the wavelength of light",

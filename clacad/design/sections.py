@@ -188,6 +188,8 @@ class LatticeSpec:
         Plano, slab: land below the deepest optical point; None: pitch/50.
     outline : Outline or None
         Cells wholly inside are kept; None: the lattice's own outline.
+    pitch_2 : (2,) tuple of float or None, length
+        Of array 2, whose lenses stand in the middle of their own cells; None: as of array 1.
     aperture : "centred", "aligned", (2,) tuple of float or AimedAt
         Cell 2 is cell 1 moved by the height of centre 2 over centre 1 times this slope, or by that of the light of a viewer.
     land : {"clear", "opaque"}
@@ -202,6 +204,7 @@ class LatticeSpec:
     outline: Outline | None
     aperture: Literal["centred", "aligned"] | Pair2 | AimedAt
     land: Literal["clear", "opaque"]
+    pitch_2: Pair2 | None = None
 
 
 @dataclass(frozen=True, slots=True)

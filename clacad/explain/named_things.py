@@ -9,7 +9,7 @@ from math import inf, pi
 from pathlib import Path
 
 import clacad.effects
-from clacad.design.combinations import BUILT, matrix
+from clacad.design.combinations import BUILT, ITSELF, matrix
 from clacad.design.process_profiles import ProcessProfile, profiles
 from clacad.effects.engine.passes import NAMES
 from clacad.explain.entry import Entry
@@ -35,7 +35,11 @@ def _combinations() -> Entry:
     for column, sheet in enumerate(head[1:], 1):
         built = [row[0] for row in rows if row[column] == BUILT]
         told.append(f"{sheet} is built with: {', '.join(built)}.")
-        told += [f"{sheet} with {row[0]}: refused, {row[column]}." for row in rows if row[column] != BUILT]
+        told += [
+            f"{sheet} with {row[0]}: refused, {row[column]}."
+            for row in rows
+            if row[column] not in (BUILT, ITSELF)
+        ]
     return Entry(
         "",
         "combinations",

@@ -583,6 +583,10 @@ def _own_places(window: Window, design: Design) -> Window:
         from clacad.prescription.varying_cells import with_varying_law
 
         return with_varying_law(window, design)
+    if design.lattice.pitch_2 is not None:
+        from clacad.prescription.superlens import with_pitch_2
+
+        return with_pitch_2(window, design)
     if isinstance(aperture, AimedAt):
         from clacad.prescription.aimed_cells import aimed
 

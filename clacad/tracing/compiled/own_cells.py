@@ -72,7 +72,8 @@ def pack_own(layout: Layout) -> OwnCells:
 
 def _pack_own(layout: Layout) -> OwnCells:
     base = slot.lattice_row(layout)
-    rows, tables = [], []
+    rows: list[Floats] = []
+    tables: list[Floats] = []
     for array, lattice in enumerate(layout.lattices):
         row = base.copy()
         row[slot.PITCH], row[slot.ROW] = lattice.pitch[0], lattice.a2[1]

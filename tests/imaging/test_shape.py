@@ -1,0 +1,219 @@
+"""Targets, the assignment of cells to them, and the commands `image` and `shape`."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.optimize import linear_sum_assignment
+
+import clacad
+from clacad.cli.entry_point import main
+from clacad.design.asked_cells import lattice_of
+from clacad.imaging.shape import rendered, shaped, table_text
+from clacad.imaging.target import NoTarget, _along_hilbert, of_picture, of_points
+from clacad.imaging.transport import assigned
+
+
+def square_ways(cells, places, order):
+    return float(np.sum((cells - places[order]) ** 2))
+
+
+def test_few_cells_go_the_shortest_ways_of_all():
+    rng = np.random.default_rng(0)
+    cells, places = rng.uniform(size=(60, 2)), rng.uniform(size=(60, 2))
+    rows, best = linear_sum_assignment(((cells[:, None] - places[None]) ** 2).sum(axis=2))
+    assert square_ways(cells, places, assigned(cells, places)) == pytest.approx(
+        square_ways(cells[rows], places, best)
+    )
+
+
+def test_many_cells_go_ways_hardly_longer_each_to_a_place_of_its_own_and_the_same_every_time():
+    rng = np.random.default_rng(1)
+    cells, places = rng.uniform(size=(1200, 2)), rng.uniform(size=(1200, 2)) ** 2
+    found = assigned(cells, places)
+    assert np.array_equal(np.sort(found), np.arange(1200))
+    assert np.array_equal(found, assigned(cells, places))
+    _, best = linear_sum_assignment(((cells[:, None] - places[None]) ** 2).sum(axis=2))
+    assert square_ways(cells, places, found) <= 1.15 * square_ways(cells, places, best)
+
+
+@pytest.mark.parametrize("size", [(8, 8), (5, 7), (1, 6)])
+def test_the_order_of_pixels_passes_each_once(size):
+    order = _along_hilbert(*size)
+    assert len(np.unique(order, axis=0)) == len(order) == size[0] * size[1]
+    if size == (8, 8):
+        assert np.abs(np.diff(order, axis=0)).sum(axis=1).max() == 1
+
+
+def test_each_pixel_gets_cells_by_its_light_to_less_than_one():
+    light = np.array([[0.0, 1.0, 2.0], [3.0, 0.0, 4.0]])
+    target = of_picture(light, 3.0)
+    places = target.places(1000)
+    column, row = np.floor(places[:, 0] + 1.5).astype(int), np.floor(1.0 - places[:, 1]).astype(int)
+    counts = np.zeros((2, 3))
+    np.add.at(counts, (row, column), 1)
+    assert np.abs(counts - 1000 * light / light.sum()).max() < 1.0
+
+
+def test_colour_counts_by_what_is_seen_of_it_and_black_is_refused():
+    light = np.zeros((1, 3, 3))
+    light[0, 0, 0] = light[0, 1, 1] = light[0, 2, 2] = 1.0
+    by_place = of_picture(light, 3.0)
+    assert dict(zip(by_place.points[:, 0].tolist(), by_place.weights.tolist())) == pytest.approx(
+        {-1.0: 0.2126, 0.0: 0.7152, 1.0: 0.0722}
+    )
+    for dark in (np.zeros((4, 4)), np.zeros((1, 1, 3))):
+        with pytest.raises(NoTarget, match="black"):
+            of_picture(dark, 1.0)
+
+
+def test_points_are_read_with_or_without_weights_and_refused_at_their_place(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("x,y,weight\r\n1,2,3\r\n-1,0,1\r\n5,5,0\r\n")
+    assert of_points(path).weights.tolist() == [0.75, 0.25]
+    path.write_text("x,y\n1,2\n3,4\n")
+    assert np.array_equal(of_points(path).places(4), [[1, 2], [1, 2], [3, 4], [3, 4]])
+    with pytest.raises(NoTarget, match="need as many cells"):
+        of_points(path).places(1)
+    path.write_text("x,y\n1,nan\n")
+    with pytest.raises(clacad.DesignError, match="p.csv:2:3"):
+        of_points(path)
+    path.write_text("x,y,weight\n1,2,0\n")
+    with pytest.raises(NoTarget, match="no point has a weight"):
+        of_points(path)
+
+
+def test_light_of_each_cell_of_the_written_table_arrives_where_it_was_sent(tmp_path):
+    design = clacad.Design.from_dict({
+        "format": 1, "name": "s", "unit": "mm", "law": {"eta": [-1.0, -0.5]},
+        "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "surface": "biconic"},
+        "lattice": {"pitch": 0.5, "count": [20, 20]},
+    })  # fmt: skip
+    picture = np.zeros((20, 20))
+    picture[2:6, 3:9], picture[12:18, 10:16] = 1.0, 0.4
+    found = shaped(design, lattice_of(design), of_picture(picture, 9.0), 150.0)
+    (tmp_path / "t.csv").write_text(table_text(found))
+    text = design.canonical_toml().replace("[law]\n", '[law]\nvarying = {table = "t.csv"}\n')
+    (tmp_path / "d.toml").write_text(text)
+    window = clacad.prescribe(clacad.load(tmp_path / "d.toml"))
+    seen = rendered(window, found, 150.0, 20_000)
+    assert seen.within > 0.8
+    assert seen.difference < 0.25
+    # one cell by hand: the thin pair of the cell sends its chief ray to its place
+    i, j = found.cells[37]
+    t = window.law_at((int(i), int(j))).refract([0.0, 0.0, 1.0])
+    at = window.lattice.centres(found.cells[37]) + 150.0 * t[:2] / t[2]
+    assert np.abs(at - found.places[37]).max() < 1e-12
+
+
+TINY = 'format = 1\nname = "t"\nunit = "mm"\n[law]\neta = [-1.0, -1.0]\n[law.varying]\nf_image = 100\n[pair]\nform = "slab"\nseparation = 10\nmaterial = "PMMA"\n[lattice]\npitch = 0.5\ncount = [8, 8]\n'
+
+
+def test_the_command_image_tells_and_draws_what_its_twin_finds(tmp_path, capsys):
+    (tmp_path / "t.toml").write_text(TINY)
+    words = ["image", str(tmp_path / "t.toml"), "--object", "0,0,-inf", "--rays", "512"]
+    assert main([*words, "--json", "-o", str(tmp_path / "f.svg")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    twin = clacad.image(clacad.prescribe(clacad.load(tmp_path / "t.toml")), (0, 0, -np.inf), rays=512)
+    assert [one["found"] for one in told["rungs"]] == [one.found.point.tolist() for one in twin.rungs]
+    drawn = (tmp_path / "f.svg").read_bytes()
+    assert main([*words, "-q", "--overwrite", "-o", str(tmp_path / "f.svg")]) == 0
+    assert (tmp_path / "f.svg").read_bytes() == drawn
+    assert main([*words, "-o", str(tmp_path / "f.svg")]) == 4
+    assert main([*words, "--dry-run", "-o", str(tmp_path / "g.png")]) == 0
+    assert not (tmp_path / "g.png").exists()
+    for wrong in ("0,0,300", "0,0", "0,x,-3", "0,0,nan", "0,0,inf"):
+        assert main(["image", str(tmp_path / "t.toml"), "--object", wrong]) == 2
+    assert main([*words, "--rung", "mesh"]) == 2
+
+
+def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_where_it_cannot(
+    tmp_path, capsys
+):
+    picture = np.zeros((6, 6, 3), np.uint8)
+    picture[1:4, 2:5] = 200
+    Image.fromarray(picture).save(tmp_path / "p.png")
+    Image.fromarray(picture * 0).save(tmp_path / "black.png")
+    Image.fromarray(picture[2:3, 3:4]).save(tmp_path / "one.png")
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    out = tmp_path / "d.toml"
+    words = [
+        "shape",
+        str(tmp_path / "p.png"),
+        "--distance",
+        "20 cm",
+        "-o",
+        str(out),
+        "--cells",
+        "8x8",
+        "--rays",
+        "512",
+    ]
+    assert main([*words, "--dry-run"]) == 0
+    assert not out.exists()
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.split("\n", 1)[1])
+    assert told["within_one_blur"] > 0.8
+    names = {"d.toml", "d.cells.csv", "d.png"}
+    first = {name: (tmp_path / name).read_bytes() for name in names}
+    assert main([*words, "-q", "--overwrite"]) == 0
+    assert {name: (tmp_path / name).read_bytes() for name in names} == first
+    assert main([*words, "-q"]) == 4
+    assert clacad.load(out).law_spec.varying.table.file == "d.cells.csv"
+    for name in ("black.png", "bad.png", "none.png"):
+        assert main(["shape", str(tmp_path / name), "--distance", "200", "-o", str(tmp_path / "x.toml")]) == 2
+    assert (
+        main(
+            [
+                "shape",
+                str(tmp_path / "one.png"),
+                "--distance",
+                "200",
+                "-o",
+                str(tmp_path / "y.toml"),
+                "--cells",
+                "4",
+                "--rays",
+                "64",
+            ]
+        )
+        == 0
+    )
+    (tmp_path / "many.csv").write_text("x,y\n" + "".join(f"{k},0\n" for k in range(17)))
+    assert (
+        main(
+            [
+                "shape",
+                str(tmp_path / "many.csv"),
+                "--distance",
+                "200",
+                "-o",
+                str(tmp_path / "x.toml"),
+                "--cells",
+                "4",
+            ]
+        )
+        == 2
+    )
+    assert (
+        main(
+            [
+                "shape",
+                str(tmp_path / "p.png"),
+                "--distance",
+                "1",
+                "--width",
+                "50",
+                "-o",
+                str(tmp_path / "x.toml"),
+                "--cells",
+                "8",
+            ]
+        )
+        == 2
+    )
+    assert not (tmp_path / "x.toml").exists()
+    assert not (tmp_path / "x.cells.csv").exists()
