@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
+from clacad import Design, DesignError, Fate, Rays, load, plan_effects, prescribe, trace
 from clacad.base.sobol import sobol
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric
 
@@ -68,6 +68,16 @@ def test_the_faces_a_recipe_found_give_the_same_sheet_when_they_are_given(name):
         x, y = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 40)) * min(window.lattice.pitch)
         np.testing.assert_allclose(one.surface.sag(x, y), two.surface.sag(x, y), rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(built.recipe["f"], window.recipe["f"], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", [pytest.param("paper-a-covered", marks=pytest.mark.slow), "slab"])
+def test_effects_are_planned_for_given_faces_as_for_those_a_recipe_found(name):
+    """Reflections by the number of faces there are, ghosts by the field: nothing asks how a face was found."""
+    design = load(DESIGNS / f"{name}.toml")
+    one, two = (plan_effects(which).rows for which in (design, as_given(design)[0]))
+    assert [(row.effect, row.state) for row in one] == [(row.effect, row.state) for row in two]
+    for a, b in zip(one, two, strict=True):
+        assert (a.angle, a.radiance) == pytest.approx((b.angle, b.radiance), rel=1e-6, abs=1e-15)
 
 
 def golden_design(case):
