@@ -246,3 +246,25 @@ def test_a_loose_pin_shifts_array_2_as_a_decentre_does_and_turns_it_about_the_mi
         place, moved = (complex(*(np.array(one.vertex[:2]) + at)) for one in (before, after))
         wanted = middle + (place - middle) * np.exp(1j * turn) if number >= 2 else place
         assert moved == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.slow
+def test_the_sheet_of_a_hole_pattern_verifies_as_master(tmp_path):
+    from clacad.exporting.export_design import export
+    from clacad.verification import verify
+
+    design = Design.from_dict(BASE | {
+        "law": {"eta": [-0.25, -1.0]}, "pair": {"form": "slab", "separation": 20, "material": "PMMA"},
+        "lattice": {"pitch": 1.0, "outline": {"rectangle": [12, 9]}},
+        "body": {"corners": {"round": 2}, "holes": [{"diameter": 1.2, "corners": 1.8}, {"diameter": 0.8, "at": [[1.2, 0.3]]}]},
+    })  # fmt: skip
+    export(design, tmp_path / "out", formats=("step", "stl"), quads={"stl": 64})
+    report = verify(design, files=tmp_path / "out")
+    words = {one.name: one.word for one in report.verdicts if one.name.endswith((".step", ".stl"))}
+    assert words == {"plate.step": "passed as optical master", "plate.stl": "passed as optical master"}
+    judged = {check.subject: check.state for check in report.checks if check.id == "volume"}
+    assert judged == {"plate.step": "pass", "plate.stl": "pass"}
+    holes = next(
+        check.sentence for check in report.checks if (check.id, check.subject) == ("pieces", "plate.stl")
+    )
+    assert "1 connected pieces with 5 holes" in holes
