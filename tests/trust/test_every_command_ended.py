@@ -50,6 +50,9 @@ LINES = {
     "new for": Line(("new", "out/wished", "--for", "eta=-1, width=5, process=moulding"), ("wished.toml", "clacad.schema.json")),
     "effects": Line(("effects", "{}/t.toml", "--exact-bounds")),
     "optimise": Line(("optimise", "{}/t.toml", "--free", "radii,conic", "-o", "out/better.toml"), ("better.toml",), (), ("better.toml",)),
+    "image": Line(("image", "{}/t.toml", "--rays", "4096", "-o", "out/focus.png"), ("focus.png",)),
+    "shape": Line(("shape", "{}/photo.png", "--distance", "300", "--cells", "20x20", "--rays", "4096", "-o", "out/shaped.toml"),
+                  ("shaped.toml", "shaped.cells.csv", "shaped.png")),
     "explore": Line(("explore", "{}/t.toml", "-o", "out/page.html"), ("page.html",)),
     "export": Line(("export", "{}/t.toml", "--format", "stl,table", "--quads", "4", "-o", "out"), ("tiny.stl",)),
 }  # fmt: skip
