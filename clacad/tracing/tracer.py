@@ -76,8 +76,8 @@ class Tracer:
             need_equal_cells(self.window, 'rung "mesh"', 'rungs "law", "thin" and "surfaces" trace it')
         if self.effects:
             need_equal_cells(self.window, "a trace with effects", "without them it is traced")
-        if self.precision == "float32" or self.path == "numba":
-            need_equal_cells(self.window, "the compiled tracer", 'path "numpy" or "size" traces it')
+        if self.precision == "float32" or (self.path == "numba" and self.rung != "surfaces"):
+            need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
             mesh = OWN_QUADS if self.mesh is None else self.mesh
             object.__setattr__(self, "facets", facets_of(self.window, mesh, self.normals))
@@ -109,6 +109,8 @@ class Tracer:
             return _through_facets(self.facets, rays, recorded, self.threads)
         layout, single = lay_out(self.window), self.precision == "float32"
         if single or compiled_suits(self.rung, self.path, len(rays), faces, layout):
+            if not self.window.uniform:
+                return _own_cells(layout, rays, recorded, self.threads)
             if self.rung == "surfaces":
                 return _compiled(layout, rays, recorded, self.threads, single=single)
             if not record:
@@ -150,6 +152,8 @@ class Tracer:
         """The path of so many rays, whatever pieces they are traced in."""
         if self.facets is not None or self.precision == "float32":
             return "numba"
+        if not self.window.uniform:
+            return "numpy"
         faces = 2 * len(self.window.bodies) if self.rung == "surfaces" else IDEAL_FACES
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"
 
@@ -192,6 +196,21 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
     else:
         for same, indices in colours(layout, rays, rows):
             trace_surfaces(layout, ledger, same, indices)
+    return ledger.closed()
+
+
+def _own_cells(layout: Layout, rays: Rays, recorded: int, threads: int | None) -> TraceResult:
+    """Exact surfaces of a sheet whose cells differ: straight through compiled, the rest, and what is recorded, in numpy."""
+    if recorded:
+        return _by_numpy(layout, rays, "surfaces", recorded)
+    from clacad.tracing.compiled.own_cells import trace_own
+    from clacad.tracing.compiled.threads import thread_count
+
+    ledger = Ledger.opened(rays, 0)
+    for same, indices in colours(layout, rays, ledger.launchable()):
+        rest = trace_own(layout, rays, ledger, same, indices, thread_count(threads)) if len(same) else same
+        if len(rest):
+            trace_surfaces(layout, ledger, rest, indices)
     return ledger.closed()
 
 

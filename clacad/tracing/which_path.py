@@ -42,8 +42,8 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
 
     Without a path the rays are counted among those that waited.
     """
-    if not layout.window.uniform:
-        return False
+    if not layout.window.uniform:  # one kernel, of the exact surfaces; too seldom to count what waits for it
+        return rung == "surfaces" and (path == "numba" or (path != "numpy" and worth_compiled(rays, faces)))
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))
     if rung in LOADED:

@@ -1,6 +1,8 @@
 """Sheets whose cells differ: where the cells of an array stand, and where in them the lenses are."""
 
 import hashlib
+import subprocess
+import sys
 from dataclasses import replace
 from fractions import Fraction
 
@@ -153,7 +155,7 @@ def test_a_window_of_equal_cells_is_uniform_and_the_other_says_what_it_cannot():
     assert not window.uniform
     rays = clacad.Rays([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
     with pytest.raises(CellsDiffer, match="CL139"):
-        clacad.trace(window, rays, path="numba")
+        clacad.trace(window, rays, rung="thin", path="numba")
     with pytest.raises(CellsDiffer, match="mesh"):
         clacad.trace(window, rays, rung="mesh", mesh=4)
     with pytest.raises(CellsDiffer, match="effects"):
@@ -179,3 +181,35 @@ def test_sheets_of_equal_cells_trace_bit_for_bit_as_before(name, rung):
     r = clacad.trace(window, rays, rung=rung, path="numpy")
     bits = b"".join(part.tobytes() for part in (r.position, r.direction, r.fate, r.cell, r.order))
     assert hashlib.sha256(bits).hexdigest()[:16] == GOLDEN[name, rung]
+
+
+@pytest.mark.parametrize("name", ["window-100mm", "plano", "hexagonal", "paper-a-covered", "slab"])
+def test_the_compiled_twin_finds_what_numpy_finds(name):
+    scale = 1.0005 if name == "paper-a-covered" else SCALE
+    window = stretched(name, scale, (0.0, 0.0))
+    rng = np.random.default_rng(3)
+    x0, x1, y0, y1 = window.lattice.extent()
+    n = 4000
+    at = np.column_stack([rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), np.full(n, window.z_range[0])])
+    slope = at[:, :2] * (scale - 1.0) / window.thin.separation
+    rays = clacad.Rays(at, np.column_stack([slope + rng.normal(0.0, 0.02, (n, 2)), np.ones(n)]))
+    one, two = (clacad.trace(window, rays, path=path, threads=1) for path in ("numpy", "numba"))
+    assert (one.fate == two.fate).all()
+    assert (one.cell == two.cell).all()
+    assert (one.order == two.order).all()
+    assert (one.fate == Fate.ALIVE).sum() > 100
+    assert np.abs(one.direction - two.direction).max() < 1e-14
+    size = max(x1, y1)
+    assert np.abs(one.position - two.position).max() < 1e-14 * size
+    assert np.abs(one.optical_path - two.optical_path).max() < 1e-13 * size
+
+
+def test_sheets_of_equal_cells_load_nothing_of_those_that_differ():
+    script = (
+        "import sys, clacad, numpy as np\n"
+        "w = clacad.prescribe(clacad.load('designs/window-100mm.toml'))\n"
+        "clacad.trace(w, clacad.Rays([0, 0, -1.0], [0, 0, 1.0]), path='numba')\n"
+        "bad = [m for m in sys.modules if m.endswith(('own_cells', 'aimed_cells', 'traced_vertices'))]\n"
+        "assert not bad, bad\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=300)

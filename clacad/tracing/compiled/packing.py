@@ -69,16 +69,26 @@ class Packed(NamedTuple):
 
 
 def pack(layout: Layout) -> Packed:
-    """Pack a layout, with the indices of the design's wavelength; kept with the layout."""
+    """Pack a layout of equal cells, with the indices of the design's wavelength; kept with the layout.
+
+    Raises
+    ------
+    CellsDiffer
+    """
+    need_equal_cells(layout.window, "the compiled kernel")
+    return pack_array_1(layout)
+
+
+def pack_array_1(layout: Layout) -> Packed:
+    """Pack a layout as `pack` does; where cells differ the lattice is that of array 1, and lenses stand as in its middle."""
     kept: Packed | None = layout.kept.get("packed")
     if kept is not None:
         return kept
-    need_equal_cells(layout.window, "the compiled kernel")
     faces = [_face(face) for body in layout.bodies for face in (body.front, body.back)]
     layout.kept["packed"] = made = Packed(
         faces=np.array(faces),
         bodies=np.array([_body(body, layout.margin) for body in layout.bodies]),
-        lattice=_lattice(layout),
+        lattice=lattice_row(layout),
         rows=_rows(layout),
         indices=np.array([body.index for body in layout.window.bodies]),
     )
@@ -132,7 +142,8 @@ def _body(body: BodyPlan, margin: float) -> list[float]:
     return row
 
 
-def _lattice(layout: Layout) -> Floats:
+def lattice_row(layout: Layout) -> Floats:
+    """Give the lattice's numbers, columns as named in this module."""
     lattice, row = layout.lattice, np.zeros(LATTICE_NUMBERS)
     borders = len(layout.halves)
     row[HEXAGONAL], row[PITCH] = float(lattice.hexagonal), lattice.pitch[0]
