@@ -98,7 +98,7 @@ def sharpest_blur(eta: float, distance: float, viewer: float, wavelength: float)
 def diffraction_loss(fresnel: Sequence[float]) -> Pair2:
     """Share of the light that diffraction may take to the partner's neighbours along two axes: .164/√N, at most 1.
 
-    So much where the beam fills its cell (|η| ≥ 1), within 12 % from Fresnel number 1 on; less where it has room.
+    So much where the beam fills its cell (|η| ≥ 1), within 12 % from Fresnel number 1.5 on; less where it has room.
     """
     x, y = (min(1.0, LOST / sqrt(n)) for n in fresnel)
     return x, y

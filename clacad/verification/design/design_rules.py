@@ -59,8 +59,8 @@ def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
     for cell in outer_cells(window):
         like = like_cell(window, cell)
         for check in design_checks(design, like, feasibility(like, *design.viewing_places), solved=False):
-            key, before = (check.id, check.subject), worst.get((check.id, check.subject))
-            if before is None or _worse(check, before):
+            key, known = (check.id, check.subject), worst.get((check.id, check.subject))
+            if known is None or _worse(check, known):
                 named = f"in cell ({cell[0]}, {cell[1]}): {check.sentence}"
                 worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": cell.tolist()})
     found = [_priced(check) for check in worst.values() if check.id not in ("field", "allowance")]
