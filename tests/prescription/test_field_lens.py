@@ -13,6 +13,7 @@ from oracle import trace as oracle
 import clacad
 from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
 from clacad.advice import judge
+from clacad.design.rules import Asked, field_lens_is_made
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
@@ -310,6 +311,26 @@ def test_a_field_lens_that_cannot_be_is_refused_by_one_code(name, changes, code,
         prescribe(load(DESIGNS / f"{name}.toml").replace(FIELD | changes))
     assert says in str(caught.value)
     assert {mistake.code for mistake in caught.value.mistakes} == {code}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("lattice.pitch_2", (0.49, 0.49)),
+        ("law.varying", object()),
+        ("lattice.aperture", (("point", (0.0, 0.0, -400.0)),)),
+    ],
+)
+def test_cells_that_differ_are_refused_beside_a_field_lens(key, value):
+    asked = {
+        "pair.field_lens": True,
+        "pair.form": "slab",
+        "law.eta": (-1.0, -1.0),
+        "law.euler": (0.0, 0.0, 0.0),
+    }
+    assert [m.code for m in field_lens_is_made(Asked(asked | {key: value}, {}, None))] == ["CL127"]
+    assert not list(field_lens_is_made(Asked(asked | {"lattice.aperture": (0.1, 0.0)}, {}, None)))
+    assert not list(field_lens_is_made(Asked(asked | {"lattice.aperture": "aligned"}, {}, None)))
 
 
 def test_the_text_of_a_design_without_a_field_lens_is_as_it_was():
