@@ -13,6 +13,7 @@ from oracle import trace as oracle
 import clacad
 from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
 from clacad.advice import judge
+from clacad.design.rules import Asked, field_lens_is_made
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
@@ -49,6 +50,15 @@ FORMS = {
     ),
     "hexagonal": sheet("hexagonal"),
 }
+
+
+HARD = {
+    "both faces at the focus to 1e-9": sheet(pair__field={"gap": 1e-9}, pair__surface="biconic"),
+    "foci nearly in one": sheet(law__eta=[-0.97, -1.0]),
+    "radius at its limit": sheet("paper-a-covered", lattice__pitch=0.0075),
+    "cell 1e6": sheet(lattice__count=[2_000_001, 2_000_001]),
+}
+"""Light that meets at a vertex, a plate as thin as its lenses, faces that all but end in the cell, and far cells."""
 
 
 def lit(window, slope, count=4000):
@@ -183,23 +193,32 @@ def test_the_pair_stays_confocal_and_light_of_any_slope_finds_its_partner(name):
     assert np.abs(met).max() < 0.02 * s * np.abs(slope).max() + 0.02 * window.lattice.pitch[0]
 
 
-@pytest.mark.parametrize("name", ["two plates, offset", "biconvex"])
-def test_the_law_holds_to_sixty_digits_through_every_face(name):
-    window = prescribe(FORMS[name])
-    rays = bundle(window, 64, 0.01).rays
-    found = trace(window, rays, path="numba")
-    local = _from_cell(window, rays)
-    faces = [
-        oracle.quadric(
-            i.surface.curvature_x, i.surface.curvature_y, i.surface.kappa, i.surface.side, vertex=tuple(i.vertex),
-            before=i.index_before, after=i.index_after, rotation=i.rotation,
-        )
-        for i in interfaces(window)
-    ]  # fmt: skip
-    for k in np.flatnonzero(found.fate == Fate.ALIVE)[:12]:
-        path = oracle.trace(faces, local.position[k].tolist(), local.direction[k].tolist())
+@pytest.mark.parametrize("name", ["two plates, offset", "biconvex", *HARD])
+def test_directions_hold_against_sixty_digits_through_every_face(name):
+    window = prescribe((FORMS | HARD)[name])
+    cell = np.array([1_999_990, 10]) if name == "cell 1e6" else _central(window)
+    rays = bundle(window, 64, 0.01, cell=tuple(cell)).rays
+    found, same = (trace(window, rays, path=path) for path in ("numba", "numpy"))
+    np.testing.assert_array_equal(found.fate, same.fate)
+    local = rays.position - np.array([*window.lattice.centres(cell[None])[0], 0.0])
+    faces = [_in_words(interface) for interface in interfaces(window)]
+    alive = np.flatnonzero(found.fate == Fate.ALIVE)
+    assert len(alive) > 30
+    for k in alive[:8]:
+        path = oracle.trace(faces, local[k].tolist(), rays.direction[k].tolist())
         want = np.array([float(v) for v in path.directions[-1]])
         np.testing.assert_allclose(found.direction[k], want, atol=4e-15)
+
+
+def _in_words(interface):
+    """An interface as the oracle has it."""
+    s = interface.surface
+    place = {"vertex": tuple(interface.vertex), "before": interface.index_before, "after": interface.index_after,
+             "rotation": interface.rotation}  # fmt: skip
+    if isinstance(s, clacad.Quadric):
+        return oracle.quadric(s.curvature_x, s.curvature_y, s.kappa, s.side, **place)
+    assert (s.curvature_x, s.conic_x) == (s.curvature_y, s.conic_y)  # a conic of revolution
+    return oracle.quadric(s.curvature_x, s.curvature_y, (1.0 + s.conic_x) * s.curvature_x, s.side, **place)
 
 
 def measured(design, degrees, count=8192):
@@ -292,6 +311,26 @@ def test_a_field_lens_that_cannot_be_is_refused_by_one_code(name, changes, code,
         prescribe(load(DESIGNS / f"{name}.toml").replace(FIELD | changes))
     assert says in str(caught.value)
     assert {mistake.code for mistake in caught.value.mistakes} == {code}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("lattice.pitch_2", (0.49, 0.49)),
+        ("law.varying", object()),
+        ("lattice.aperture", (("point", (0.0, 0.0, -400.0)),)),
+    ],
+)
+def test_cells_that_differ_are_refused_beside_a_field_lens(key, value):
+    asked = {
+        "pair.field_lens": True,
+        "pair.form": "slab",
+        "law.eta": (-1.0, -1.0),
+        "law.euler": (0.0, 0.0, 0.0),
+    }
+    assert [m.code for m in field_lens_is_made(Asked(asked | {key: value}, {}, None))] == ["CL127"]
+    assert not list(field_lens_is_made(Asked(asked | {"lattice.aperture": (0.1, 0.0)}, {}, None)))
+    assert not list(field_lens_is_made(Asked(asked | {"lattice.aperture": "aligned"}, {}, None)))
 
 
 def test_the_text_of_a_design_without_a_field_lens_is_as_it_was():
