@@ -43,6 +43,12 @@ class LightRows:
         return next(check.sentence for check in self.report.checks if check.id == "viewed")
 
     @property
+    def image(self) -> str:
+        """Where the asked point is imaged and how wide, in a sentence; "" of a sheet that is made to image none."""
+        found = [check.sentence for check in self.report.checks if check.id in ("image_point", "spot")]
+        return "; ".join(found)
+
+    @property
     def budget(self) -> list[tuple[str, str, str]]:
         """Contributions to the direction error, mrad."""
         from clacad.report.figures import budget_rows

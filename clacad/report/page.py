@@ -10,6 +10,7 @@ from clacad.report import drawing, figures, plots
 from clacad.report.content import Content, data_uri
 from clacad.report.light_rows import number
 from clacad.report.self_contained import HERE, environment, one_script
+from clacad.report.varying_plot import varying
 
 if TYPE_CHECKING:
     from clacad.base.types import Progress
@@ -69,7 +70,7 @@ def _light(content: Content) -> dict[str, str]:
         "transfer": figures.transfer(report), "transmission": figures.transmission(report),
         "ghosts": plots.ghosts(content.evidence), "residual": figures.residual_map(report),
         "spots": figures.spots(report), "foci": plots.foci(report, content.evidence),
-        "viewed": plots.viewed(report),
+        "viewed": plots.viewed(report), "varying": varying(report),
     }  # fmt: skip
 
 

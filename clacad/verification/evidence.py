@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
@@ -16,6 +16,7 @@ from clacad.verification.light.error_attribution import (
     attribute,
 )
 from clacad.verification.light.ghost_map import GhostMap, ghost_map
+from clacad.verification.light.through_window import worst_cell
 
 if TYPE_CHECKING:
     from clacad.effects import Plan
@@ -67,6 +68,7 @@ def gather_evidence(report: Report, progress: Progress) -> Evidence:
     """Measure what the page of a report shows beside its checks."""
     from clacad.effects import plan_effects
 
+    report = _of_worst_cell(report)
     window = report.window
     progress("telling the errors apart", 0.0)
     attributions = _attributions(report)
@@ -96,6 +98,16 @@ def _waves(report: Report, progress: Progress) -> WaveReport | None:
         return wave(report.design)
     except (BadRequest, LimitRefused):
         return None
+
+
+def _of_worst_cell(report: Report) -> Report:
+    """The report of a sheet whose cells differ as of a sheet of cells like the worst; else the report."""
+    window = report.window
+    return (
+        report
+        if window.uniform
+        else replace(report, window=worst_cell(window, report.design.check.field).like)
+    )
 
 
 def _attributions(report: Report) -> tuple[Attribution, ...]:
