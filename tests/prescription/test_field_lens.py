@@ -20,6 +20,7 @@ from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import bundle
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, half_field, share, thin_cells
+from clacad.verification.light.caustic import foci
 from clacad.verification.light.confocality import confocality
 from clacad.verification.tolerance.misaligned import telescopelet
 from clacad.verification.tolerance.perturbations import parameters
@@ -180,6 +181,9 @@ def test_the_pair_stays_confocal_and_light_of_any_slope_finds_its_partner(name):
     """Parabasal light along the axis leaves parallel; light of the middle of cell 1 meets lens 2 in the middle of cell 2."""
     window = prescribe(FORMS[name])
     assert confocality(window).defect < 1e-3
+    decentred = any(v for shift in window.shifts for v in shift) and window.thin.rotation[2, 2] == 1.0
+    for focus in foci(window):  # of light from either side, each through what stands before it
+        assert abs(focus.gap) < (2e-3 if decentred else 1e-6) * focus.distance
     law_limit = 1e-12 if window.shifts[1] == (0.0, 0.0) else 0.02
     assert window.residual["law"] < law_limit
     cells, s = thin_cells(window), window.thin.separation
