@@ -14,6 +14,8 @@ import clacad
 from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
 from clacad.advice import judge
 from clacad.design.rules import Asked, field_lens_is_made
+from clacad.effects.diffraction import lit_widths
+from clacad.effects.engine.homogeneous_light import orders, shares
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
@@ -258,6 +260,19 @@ def test_the_papers_sheet_keeps_its_light_at_the_rim_of_its_field():
     without = trace(plain, lit(plain, (0.045, 0.045), 8192).rays, path="numba")
     assert (without.fate == Fate.ALIVE).mean() == pytest.approx(0.385, abs=0.01)
     assert measured(sheet("paper-a-covered"), 2.0)[2] == pytest.approx(3.16, rel=0.02)
+
+
+def test_light_of_the_law_is_weighed_with_the_field_lens():
+    """Effects share light out between the orders in closed form: with a field lens all of the field goes to the partner."""
+    cells = thin_cells(prescribe(sheet()))
+    slopes = np.array([[0.0, 0.0], [0.03, -0.02], [0.049, 0.049], [0.06, 0.0]])
+    np.testing.assert_allclose(shares(cells, slopes, (0, 0)), [1.0, 1.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(shares(cells, slopes, (2, 0)), [0.0, 0.0, 0.0, 1.0], atol=1e-12)
+    assert (2, 0) in orders(cells, slopes)
+    directions = np.column_stack([slopes[:3], np.ones(3)])
+    np.testing.assert_allclose(
+        lit_widths(cells, directions, np.zeros((3, 2), dtype=np.int32)), 0.5, rtol=1e-12
+    )
 
 
 def test_check_judges_the_field_lens_and_passes():
