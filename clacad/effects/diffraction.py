@@ -25,7 +25,7 @@ from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import uniform
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate
-from clacad.sheet.vignetting import ThinCells, lit_zone, thin_cells
+from clacad.sheet.vignetting import ThinCells, arrivals, lit_zone, thin_cells
 from clacad.sheet.window import Window
 
 NAME = "diffraction"
@@ -70,7 +70,7 @@ def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) ->
     known = (order != NO_CELL).all(axis=1)
     steps = np.array([cells.neighbour((1, 0)), cells.neighbour((0, 1))]) - cells.centre
     middle = cells.centre + np.where(known[:, None], order, 0).astype(np.float64) @ steps
-    shift = cells.separation * cells.slopes(direction) - middle
+    shift = arrivals(cells, cells.slopes(direction)) - middle
     near = np.maximum(zone.min(axis=0), image.min(axis=0) + shift)
     far = np.minimum(zone.max(axis=0), image.max(axis=0) + shift)
     whole = np.minimum(np.ptp(zone, axis=0), np.ptp(image, axis=0))

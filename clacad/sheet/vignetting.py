@@ -117,7 +117,7 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     """
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
-    arrival = _arrivals(cells, directions)
+    arrival = arrivals(cells, cells.slopes(directions))
     target = cells.zone + cells.neighbour(order)
     whole = polygon_area(cells.image)
     return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
@@ -150,9 +150,11 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
     return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
 
 
-def _arrivals(cells: ThinCells, directions: ArrayLike) -> Floats:
-    """Where (n, 2) the middle of the copy of lens 1's zone lies in the plane of lens 2, lens frame, lengths."""
-    slopes, pair = cells.slopes(directions), cells.pair
+def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
+    """Where (n, 2) the middle of the copy of lens 1's zone lies in the plane of lens 2, for light of lens-frame slopes (n, 2);
+    lengths.
+    """
+    pair = cells.pair
     if not pair.field:
         return np.asarray(cells.separation * slopes)
     ratio = np.array(focal_ratio(pair))

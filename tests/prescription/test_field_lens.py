@@ -14,12 +14,15 @@ import clacad
 from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
 from clacad.advice import judge
 from clacad.design.rules import Asked, field_lens_is_made
+from clacad.effects.diffraction import lit_widths
+from clacad.effects.engine.homogeneous_light import orders, shares
 from clacad.formats.drawing.orientation_notes import orientation
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import bundle
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, half_field, share, thin_cells
+from clacad.verification.light.caustic import foci
 from clacad.verification.light.confocality import confocality
 from clacad.verification.tolerance.misaligned import telescopelet
 from clacad.verification.tolerance.perturbations import parameters
@@ -180,6 +183,9 @@ def test_the_pair_stays_confocal_and_light_of_any_slope_finds_its_partner(name):
     """Parabasal light along the axis leaves parallel; light of the middle of cell 1 meets lens 2 in the middle of cell 2."""
     window = prescribe(FORMS[name])
     assert confocality(window).defect < 1e-3
+    decentred = any(v for shift in window.shifts for v in shift) and window.thin.rotation[2, 2] == 1.0
+    for focus in foci(window):  # of light from either side, each through what stands before it
+        assert abs(focus.gap) < (2e-3 if decentred else 1e-6) * focus.distance
     law_limit = 1e-12 if window.shifts[1] == (0.0, 0.0) else 0.02
     assert window.residual["law"] < law_limit
     cells, s = thin_cells(window), window.thin.separation
@@ -254,6 +260,19 @@ def test_the_papers_sheet_keeps_its_light_at_the_rim_of_its_field():
     without = trace(plain, lit(plain, (0.045, 0.045), 8192).rays, path="numba")
     assert (without.fate == Fate.ALIVE).mean() == pytest.approx(0.385, abs=0.01)
     assert measured(sheet("paper-a-covered"), 2.0)[2] == pytest.approx(3.16, rel=0.02)
+
+
+def test_light_of_the_law_is_weighed_with_the_field_lens():
+    """Effects share light out between the orders in closed form: with a field lens all of the field goes to the partner."""
+    cells = thin_cells(prescribe(sheet()))
+    slopes = np.array([[0.0, 0.0], [0.03, -0.02], [0.049, 0.049], [0.06, 0.0]])
+    np.testing.assert_allclose(shares(cells, slopes, (0, 0)), [1.0, 1.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(shares(cells, slopes, (2, 0)), [0.0, 0.0, 0.0, 1.0], atol=1e-12)
+    assert (2, 0) in orders(cells, slopes)
+    directions = np.column_stack([slopes[:3], np.ones(3)])
+    np.testing.assert_allclose(
+        lit_widths(cells, directions, np.zeros((3, 2), dtype=np.int32)), 0.5, rtol=1e-12
+    )
 
 
 def test_check_judges_the_field_lens_and_passes():

@@ -16,7 +16,7 @@ from clacad.base.types import Floats
 from clacad.effects.engine.light_rays import LightRays, join_light
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.lattice import polygon_area
-from clacad.sheet.vignetting import ThinCells, ghost_step, thin_cells
+from clacad.sheet.vignetting import ThinCells, arrivals, ghost_step, thin_cells
 from clacad.sheet.window import Window
 
 FAINT = 1e-6
@@ -60,7 +60,7 @@ def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
     """Ghost orders that light of these lens-frame slopes (m, 2) can reach."""
     if not len(slopes):
         return []
-    reach = cells.separation * slopes
+    reach = arrivals(cells, slopes)
     low = reach.min(axis=0) + cells.image.min(axis=0) + cells.zone.min(axis=0) - cells.centre
     high = reach.max(axis=0) + cells.image.max(axis=0) + cells.zone.max(axis=0) - cells.centre
     steps = np.array([cells.neighbour((1, 0)), cells.neighbour((0, 1))]) - cells.centre
@@ -75,7 +75,7 @@ def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
 
 def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int]) -> Floats:
     """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order."""
-    shift = cells.separation * slopes - cells.neighbour(order)
+    shift = arrivals(cells, slopes) - cells.neighbour(order)
     return np.asarray(cells.part / polygon_area(cells.image) * overlap(cells.image, cells.zone, shift))
 
 

@@ -85,11 +85,15 @@ def foci(window: Window) -> tuple[MeridianFocus, MeridianFocus]:
     # the offset in air stands for a longer one where glass lies between the vertices
     if window.form != "biconvex":
         middle[1] = _apex(window, 1)
+    elif window.thin.field:  # lens 2 stands farther away for the plate between
+        ends = [np.asarray(f.vertex) + [*window.shifts[1], 0.0] for f in window.faces if f.array == 1]
+        middle[1] = 0.5 * (ends[0] + ends[1])
     distance = float((middle[1] - middle[0]) @ turn[:, 2])
     found = []
     for axis in (0, 1):
-        forth = _fan(window, _of_lens(window, 0), middle[0], axis, +1.0)
-        back = _fan(window, _of_lens(window, 1)[::-1], middle[1], axis, -1.0)
+        first, second = _either_side(window, axis)
+        forth = _fan(window, first, middle[0], axis, +1.0)
+        back = _fan(window, second[::-1], middle[1], axis, -1.0)
         found.append(MeridianFocus(forth, back, distance))
     return found[0], found[1]
 
@@ -97,6 +101,22 @@ def foci(window: Window) -> tuple[MeridianFocus, MeridianFocus]:
 def _apex(window: Window, array: int) -> Floats:
     face = next(f for f in window.faces if f.array == array)
     return np.asarray(face.vertex) + [*window.shifts[array], 0.0]
+
+
+def _either_side(window: Window, axis: int) -> tuple[list[Interface], list[Interface]]:
+    """What light of a meridian passes from either side until it comes to the common focus: the lenses, and where there is
+    a field lens what stands between them and its face.
+    """
+    if not window.thin.field:
+        return _of_lens(window, 0), _of_lens(window, 1)
+    every = interfaces(window)
+    powered = [
+        k for k, face in enumerate(window.faces)
+        if face.array == 2 and (face.surface.curvature_x, face.surface.curvature_y)[axis] != 0.0
+    ]  # fmt: skip
+    if len(powered) == 2:  # half of the power before the focus, half behind it
+        return every[: powered[1]], every[powered[1] :]
+    return every[: powered[0]], every[powered[0] + 1 :]
 
 
 def _of_lens(window: Window, number: int) -> list[Interface]:
