@@ -34,10 +34,13 @@ def forecast(
     clock : callable
         Processor seconds so far.
     measured : bool
-        `modelled` was measured here on a part of the work, and is what all of it takes within MEASURED.
+        `modelled` was measured here on a part of the work, and is what all of it takes within MEASURED; where such
+        work was done before, what it took then corrects that.
     """
     rates = Rates.here()
-    span = Span(modelled / MEASURED, modelled * MEASURED) if measured else rates.span(task, modelled)
+    span = rates.span(task, modelled)
+    if measured and span.seen == 0:
+        span = Span(modelled / MEASURED, modelled * MEASURED)
     if span.high >= WORTH_SAYING:
         say(f"this takes {span} of processor time", quiet=quiet)
     kept, began = _kernels(), clock()

@@ -249,3 +249,16 @@ def test_the_seconds_of_another_process_are_read_or_replaced():
     assert rates_module.seconds_of(None, 5.0) == 5.0
     # children are not counted: each worker is asked by its own number
     assert rates_module.seconds_of(os.getpid(), -1.0) == pytest.approx(time.process_time(), abs=1.0)
+
+
+def test_a_forecast_measured_on_a_part_is_corrected_by_what_such_work_took_before(cache, monkeypatch):
+    """A picture that takes twice what its first pixels say is forecast so the next time."""
+    monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: 5)
+    clock = Clock()
+    with forecast("render", 4.0, quiet=True, clock=clock, measured=True) as first:
+        clock.now += 8.0
+    assert (first.low, first.high) == pytest.approx((4.0 / 1.3, 4.0 * 1.3))
+    with forecast("render", 6.0, quiet=True, clock=clock, measured=True) as second:
+        clock.now += 12.0
+    assert second.low < 12.0 < second.high
+    assert second.middle == pytest.approx(12.0)

@@ -7,7 +7,7 @@ from math import exp, isfinite, nan
 import numpy as np
 
 from clacad.base.compiled import exact, making, owning
-from clacad.base.types import Floats, Rows, Singles
+from clacad.base.types import Cells, Floats, Rows, Singles
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.launch import launch_block, launch_ray
@@ -88,13 +88,12 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
     face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     centres(sheet.lattice, s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
-        held = (good[k] > 0.0) & (dz[k] > 0.0)
-        good[k] = 1.0 if held else 0.0
+        good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
         z[k] += top
-        ci[k] = ci[k] - ci0[k] if held else 0.0
-        cj[k] = cj[k] - cj0[k] if held else 0.0
-        ci0[k] = ci0[k] if held else 0.0
-        cj0[k] = cj0[k] if held else 0.0
+    for k in range(m):
+        i0, j0 = ci0[k], cj0[k]
+        ci[k], cj[k] = (ci[k] - i0, cj[k] - j0) if good[k] > 0.0 else (0.0, 0.0)
+        ci0[k], cj0[k] = (i0, j0) if good[k] > 0.0 else (0.0, 0.0)
     if _together(chosen):
         _store_together(s, chosen[0], m, last, out)
         return
@@ -111,29 +110,38 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
 @exact
 def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> None:
     """Write the m rows that follow one another from the first."""
-    position, direction = out.position[first : first + m], out.direction[first : first + m]
     fate, path, surface = (
         out.fate[first : first + m],
         out.path[first : first + m],
         out.surface[first : first + m],
     )
-    cell, order = out.cell[first : first + m], out.order[first : first + m]
-    px, py, z, dx, dy, dz, length = s[GX], s[GY], s[Z], s[DX], s[DY], s[DZ], s[PATH]
-    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
-    for k in range(m):
-        position[k, 0], position[k, 1], position[k, 2] = px[k], py[k], z[k]
-    for k in range(m):
-        direction[k, 0], direction[k, 1], direction[k, 2] = dx[k], dy[k], dz[k]
+    ci, cj, length = s[CI], s[CJ], s[PATH]
+    _store_vectors(s[GX], s[GY], s[Z], out.position, first, m)
+    _store_vectors(s[DX], s[DY], s[DZ], out.direction, first, m)
     for k in range(m):
         path[k] = length[k]
-    for k in range(m):
-        cell[k, 0], cell[k, 1] = np.int32(ci0[k]), np.int32(cj0[k])
-    for k in range(m):
-        order[k, 0], order[k, 1] = np.int32(ci[k]), np.int32(cj[k])
+    _store_cells(s[CI0], s[CJ0], out.cell, first, m)
+    _store_cells(ci, cj, out.order, first, m)
     for k in range(m):
         surface[k] = last
     for k in range(m):
         fate[k] = ALIVE if (ci[k] == 0.0) & (cj[k] == 0.0) else GHOST
+
+
+@exact
+def _store_vectors(x: Floats, y: Floats, z: Floats, column: Floats, first: int, m: int) -> None:
+    """Write m vectors of a column (n, 3) from a row on; counted in numbers, three apart is plain to the compiler."""
+    flat = column.reshape(column.size)[3 * first : 3 * (first + m)]
+    for k in range(m):
+        flat[3 * k], flat[3 * k + 1], flat[3 * k + 2] = x[k], y[k], z[k]
+
+
+@exact
+def _store_cells(i: Floats, j: Floats, column: Cells, first: int, m: int) -> None:
+    """Write m cells of a column (n, 2) from a row on; see `_store_vectors`."""
+    flat = column.reshape(column.size)[2 * first : 2 * (first + m)]
+    for k in range(m):
+        flat[2 * k], flat[2 * k + 1] = np.int32(i[k]), np.int32(j[k])
 
 
 @exact
