@@ -19,6 +19,7 @@ from typing import Any, Final
 from clacad.base import units
 from clacad.config.design_error import DesignTooLarge
 from clacad.config.mistakes import Mistake
+from clacad.config.quantities import SMALLEST_M
 from clacad.config.value_kinds import shown
 from clacad.design.dxf_entities import (
     Entity,
@@ -97,10 +98,16 @@ def read_outline(folder: str, name: str, unit: Fraction) -> tuple[Vertex, ...]:
     factor = unit_factor(header, unit, name)
     chosen = [one for one in entities if one.layer.upper() == LAYER] or entities
     loop = _one_loop(chosen, name)
-    points = tuple((float(Fraction(x) * factor), float(Fraction(y) * factor), bulge) for x, y, bulge in loop)
+    points = tuple((_length(x, factor, unit), _length(y, factor, unit), bulge) for x, y, bulge in loop)
     if len(points) > MOST_VERTICES:
         raise Unfit("CL108", f"{name}: its outline has {len(points)} corners", f"at most {MOST_VERTICES}")
     return points
+
+
+def _length(drawn: float, factor: Fraction, unit: Fraction) -> float:
+    """A length of the drawing in design units; what rounding left of 0 in the program that drew it is 0."""
+    value = Fraction(drawn) * factor
+    return 0.0 if abs(value) * unit < SMALLEST_M else float(value)
 
 
 # -- from entities to one loop -----------------------------------------------------------------------

@@ -182,6 +182,15 @@ def test_a_closed_polyline_of_either_kind_is_read_with_its_bulges(tmp_path, kind
     assert design.sha256 == same.sha256
 
 
+def test_what_rounding_left_of_nothing_is_nothing(tmp_path):
+    """A corner at cos 90° of a program that turns: 3e-16, which no design takes for a length."""
+
+    def draw(space):
+        space.add_lwpolyline([(5, 3e-16), (-2e-15, 5), (-5, 6e-16), (-9e-16, -5)], close=True)
+
+    assert [p[:2] for p in drawn(tmp_path, draw).lattice.outline.points] == [(5, 0), (0, 5), (-5, 0), (0, -5)]
+
+
 @pytest.mark.parametrize(("unit", "millimetres"), [(1, 25.4), (4, 1.0), (5, 10.0), (6, 1000.0), (13, 1e-3)])
 def test_the_drawings_unit_is_read(tmp_path, unit, millimetres):
     size = 10.0 / millimetres
