@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from clacad.rendering.picture import Picture
     from clacad.rendering.sheet_passage import Passage
     from clacad.scene import Scene
+    from clacad.sheet.window import Window
 
 MOVIE_ENDINGS = (".webp", ".apng", ".gif", ".mp4")
 
@@ -61,12 +62,11 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
 @contextmanager
 def _announced(scene: Scene, progress: Progress, frames: int = 1, *, quiet: bool) -> Iterator[Passage]:
     """Plan a still, try some of its pixels, and say before the block what all of them will take; gives the plan."""
-    from clacad.prescription.prescribe import prescribe
     from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.sheet_passage import plan_passage
 
     progress("planning the effects")
-    passage = plan_passage(scene, prescribe(scene.design()))
+    passage = plan_passage(scene, _of_equal_cells(scene))
     progress("trying some pixels")
     modelled = picture_seconds(scene, passage, frames)
     with forecast(task(scene), modelled, quiet=quiet, measured=True) as span:
@@ -183,12 +183,11 @@ def render_eye(
 
 def _seen_coarsely(scene: Scene, progress: Progress) -> CoarseView:
     """Plan what an eye sees, and draw it small."""
-    from clacad.prescription.prescribe import prescribe
     from clacad.rendering.coarse_first import view_coarsely
     from clacad.rendering.sheet_passage import plan_passage
 
     progress("planning the effects")
-    passage = plan_passage(scene, prescribe(scene.design()))
+    passage = plan_passage(scene, _of_equal_cells(scene))
     return view_coarsely(scene, passage, progress=lambda _, share: progress("drawing it coarsely", share))
 
 
@@ -222,3 +221,13 @@ def _length(design: Path, overrides: list[str], option: str, text: str | None) -
         return Quantity("length", "a length > 0", above=0.0).read(value, unit)
     except Refusal as refusal:
         raise BadRequest(f"{option} {text}: {refusal.complaint}; {refusal.allowed}") from None
+
+
+def _of_equal_cells(scene: Scene) -> Window:
+    """The window of a scene; refused where its cells differ."""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.need_window import need_equal_cells
+
+    window = prescribe(scene.design())
+    need_equal_cells(window, "a picture through the sheet")
+    return window

@@ -23,6 +23,7 @@ from clacad.optimising.unknowns import Unknowns, chosen
 from clacad.prescription.given import given_surface
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import bundle, central_cell, cone, launched, middle_direction
+from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 
@@ -112,6 +113,9 @@ def optimise(
         A word that cannot be free; or no faces were found that keep within the walls.
     """
     window = prescribe(design)
+    need_equal_cells(
+        window, "the search for better faces", "a slope as lattice.aperture stands all cells alike"
+    )
     unknowns = chosen(window, tuple(free))
     half_angle = design.check.field if field is None else field
     search = _FaceSearch(design, window, unknowns, half_angle, progress)
@@ -148,7 +152,11 @@ def outlook(design: Design, free: tuple[str, ...]) -> dict[str, float]:
     DesignError
         As `optimise` of the same words.
     """
-    unknowns = chosen(prescribe(design), tuple(free))
+    window = prescribe(design)
+    need_equal_cells(
+        window, "the search for better faces", "a slope as lattice.aperture stands all cells alike"
+    )
+    unknowns = chosen(window, tuple(free))
     k = len(unknowns.free)
     evaluations = 10.0 + 0.8 * k * k  # measured: 16, 37, 34 and 379 of 4, 8, 10 and 20 unknowns
     each = 0.005 if unknowns.still else 0.02

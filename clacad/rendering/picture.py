@@ -22,6 +22,7 @@ from clacad.rendering.pixel_input import SampleRange, Sums, sample
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import Viewing, radiance, set_up
 from clacad.scene import Scene, SceneError, load_scene
+from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.window import Window
 
 Progress = Callable[[str, float | None], None]
@@ -156,6 +157,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
 
     still = scene.at(0) if scene.animation is not None else scene
     window = prescribe(still.design())
+    need_equal_cells(window, "a picture through the sheet")
     view = aim(still.camera)
     fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)

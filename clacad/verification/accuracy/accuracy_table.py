@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
+from clacad.sheet.need_window import need_equal_cells
 from clacad.verification.accuracy.error_and_seconds import AccuracyRow, AccuracyTable, TargetOutOfReach
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def accuracy(
     report = progress or silent
     refuse_early(design, (), {})
     window = prescribe(design)
+    need_equal_cells(window, "the table of accuracy against time")
     report("tracing the truth", 0.0)
 
     def traced(count: int) -> TracedRays:

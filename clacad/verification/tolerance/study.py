@@ -18,6 +18,7 @@ from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.need_window import need_equal_cells
 from clacad.verification.tolerance.checkpoint import Checkpoint
 from clacad.verification.tolerance.farm import Farm, WorkersLost
 from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
@@ -191,6 +192,7 @@ def _set_up(study: str) -> tuple[Bench, tuple[Parameter, ...], int, str]:
     asked = json.loads(study)
     design = Design.from_dict(asked["design"])
     window = prescribe(design)
+    need_equal_cells(window, "a study of tolerances")
     return (
         bench(design, window, asked["rays"]),
         parameters(design, window),
@@ -248,7 +250,9 @@ def tolerance(
     progress : callable or None
         (stage, part done).
     """
-    chosen = parameters(design, prescribe(design))
+    window = prescribe(design)
+    need_equal_cells(window, "a study of tolerances")
+    chosen = parameters(design, window)
     if not chosen:
         raise NoTolerances(NO_TOLERANCES)
     seed = design.tolerances.seed if seed is None else seed
