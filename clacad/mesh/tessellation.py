@@ -11,7 +11,7 @@ from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
 from clacad.mesh.prototile import Prototile, make_prototile
-from clacad.sheet.need_window import need_window
+from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Body, Window
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.cannot_build import CannotBuild, refuse_buried_land
@@ -55,6 +55,7 @@ def tessellate(
         inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     need_window(window, "tessellate", ", quads=16")
+    need_equal_cells(window, "a mesh", "STEP holds it")
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
     if quads is None:

@@ -17,6 +17,10 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 
 
+ALIKE = "a slope as lattice.aperture stands all cells alike"
+"""What to search where the cells of a sheet differ."""
+
+
 @dataclass(frozen=True, eq=False)
 class Optimised:
     """What a search found.
@@ -118,7 +122,7 @@ def optimise(
     NoTolerances
         `tolerances`, and the design states none.
     """
-    window = equal_cells(prescribe(design), "a search for better faces")
+    window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
     unknowns = chosen(window, tuple(free))
     aim = Aim(design.check.field if field is None else field, tuple(weights), tolerances)
     search = FaceSearch(
@@ -149,7 +153,7 @@ def outlook(
         As `optimise` of the same words.
     """
     window, aim = (
-        equal_cells(prescribe(design), "a search for better faces"),
+        equal_cells(prescribe(design), "a search for better faces", ALIKE),
         Aim(design.check.field, tuple(weights), tolerances),
     )
     unknowns = chosen(window, tuple(free))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from clacad.base.types import Progress
     from clacad.report.parts_in_3d import Parts
     from clacad.report.view_through_sheet import Look
+    from clacad.sheet.window import Window
     from clacad.verification import Check, Report
     from clacad.verification.evidence import Evidence
 
@@ -55,12 +56,18 @@ class Content:
     parts : Parts
     timings : bool
         Whether seconds of this run may be shown; without them the same input gives the same bytes.
+    whole : Window or None
+        The sheet, where `report.window` is one of equal cells that stands for it; None: `report.window`.
+    of_one_cell : str
+        Says so; "" where all cells are alike.
     """
 
     report: Report
     look: Look
     parts: Parts
     timings: bool = False
+    whole: Window | None = None
+    of_one_cell: str = ""
 
     @property
     def evidence(self) -> Evidence:
@@ -208,10 +215,30 @@ def content(report: Report, progress: Progress, timings: bool = False) -> Conten
     from clacad.report.parts_in_3d import parts
     from clacad.report.view_through_sheet import look
 
-    full = report.with_evidence(progress)
-    seen = look(report.design, report.window, progress)
+    shown, words = _of_one_cell(report)
+    full = replace(report, window=shown.window, evidence=shown.with_evidence(progress).evidence)
+    seen = look(shown.design, shown.window, progress)
     progress("meshing the parts to look at", 0.0)
-    return Content(full, seen, parts(report.window), timings)
+    return Content(full, seen, parts(shown.window), timings, report.window, words)
+
+
+def _of_one_cell(report: Report) -> tuple[Report, str]:
+    """The report to draw pictures of: where cells differ of the sheet of equal cells like the one judged; and a sentence of that."""
+    if report.window.uniform:
+        return report, ""
+    from clacad.prescription.prescribe import prescribe
+    from clacad.sheet.vignetting import aperture_slope
+    from clacad.verification.light.through_window import worst_cell
+
+    seen = worst_cell(report.window, report.design.check.field)
+    slope = [float(f"{v:.12g}") for v in aperture_slope(seen.like)]
+    design = report.design.replace("lattice.aperture", slope)
+    i, j = seen.cell.tolist()
+    words = (
+        f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), by which the "
+        f"sheet is judged: lattice.aperture = [{slope[0]:.6g}, {slope[1]:.6g}]; but for what one eye gets of the whole sheet"
+    )
+    return replace(report, design=design, window=prescribe(design)), words
 
 
 def data_uri(png: bytes) -> str:

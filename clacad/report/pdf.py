@@ -224,7 +224,12 @@ def _light(content: Content, shelf: _Shelf) -> list[Block]:
             "Share of light through corresponding lenslets.",
         ),
         _figure(shelf, "ghosts", plots.ghosts(evidence), "The same over both slopes, and the ghosts."),
-        _figure(shelf, "viewed", plots.viewed(report), f"Of the whole sheet: {content.light.viewed}."),
+        _figure(
+            shelf,
+            "viewed",
+            plots.viewed(report, content.whole or report.window),
+            f"Of the whole sheet: {content.light.viewed}.",
+        ),
         _figure(shelf, "residual", figures.residual_map(report), "Angle to the law over aperture and field."),
         _figure(shelf, "spots", figures.spots(report), "Spots about the law's direction over the field.", 66),
     ]

@@ -16,6 +16,7 @@ from clacad.verification.light.viewed import viewed as seen_from
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from clacad.sheet.window import Window
     from clacad.verification import Report
     from clacad.verification.evidence import Evidence
     from clacad.verification.light.caustic import Fan, MeridianFocus
@@ -152,12 +153,12 @@ def ghosts(evidence: Evidence) -> str:
     return svg(7.6, 2.9, "share of the light over two incident slopes, partner, closed form and ghosts", draw)
 
 
-def viewed(report: Report) -> str:
+def viewed(report: Report, window: Window) -> str:
     """The share of one eye's light that obeys the law, over the sheet: ideal lenses, and the rays that were traced."""
     viewer = viewer_of(report.design)
-    values, (x0, x1, y0, y1) = share_map(report.window, viewer)
-    rays = seen_from(report.window, viewer, VIEWED_RAYS)
-    mm = report.window.unit * 1e3
+    values, (x0, x1, y0, y1) = share_map(window, viewer)
+    rays = seen_from(window, viewer, VIEWED_RAYS)
+    mm = window.unit * 1e3
 
     def draw(figure: Figure) -> None:
         left, right = panels(figure, 1, 2, Margins(top=0.3, across=0.36, right=0.66), sharey=True)
