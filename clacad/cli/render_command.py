@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from clacad.rendering.picture import Picture
     from clacad.rendering.sheet_passage import Passage
     from clacad.scene import Scene
-    from clacad.sheet.window import Window
 
 MOVIE_ENDINGS = (".webp", ".apng", ".gif", ".mp4")
 
@@ -62,6 +61,7 @@ def render_scene(path: Path, overrides: list[str], request: RenderRequest, *, js
 @contextmanager
 def _announced(scene: Scene, progress: Progress, frames: int = 1, *, quiet: bool) -> Iterator[Passage]:
     """Plan a still, try some of its pixels, and say before the block what all of them will take; gives the plan."""
+    from clacad.prescription.prescribe import prescribe
     from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.sheet_passage import plan_passage
     from clacad.sheet.need_window import equal_cells
@@ -189,6 +189,7 @@ def render_eye(
 
 def _seen_coarsely(scene: Scene, progress: Progress) -> CoarseView:
     """Plan what an eye sees, and draw it small."""
+    from clacad.prescription.prescribe import prescribe
     from clacad.rendering.coarse_first import view_coarsely
     from clacad.rendering.sheet_passage import plan_passage
     from clacad.sheet.need_window import equal_cells

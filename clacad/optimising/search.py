@@ -16,7 +16,6 @@ from clacad.optimising.unknowns import chosen
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 
-
 ALIKE = "a slope as lattice.aperture stands all cells alike"
 """What to search where the cells of a sheet differ."""
 
