@@ -31,7 +31,7 @@ class Feature:
     instead: str = ""
 
 
-def _has_point(aperture: Any) -> bool:
+def has_point(aperture: Any) -> bool:
     """Whether an aperture as read is a table with a point."""
     return not isinstance(aperture, str) and aperture is not None and isinstance(aperture[0], tuple)
 
@@ -46,7 +46,7 @@ def has_plate(a: Ask) -> bool:
 def _is_slope(a: Ask) -> bool:
     """Whether the aperture is a slope, not a word and no point."""
     aperture = a("lattice.aperture")
-    return aperture not in (None, "centred", "aligned") and not _has_point(aperture)
+    return aperture not in (None, "centred", "aligned") and not has_point(aperture)
 
 
 def _tolerated(a: Ask) -> bool:
@@ -76,7 +76,7 @@ FEATURES: Final = (
     Feature("slab", "pair.form", lambda a: a("pair.form") == "slab"),
     Feature("given faces", "pair.prescription", lambda a: a("pair.prescription") == "given", 'prescription = "derived"'),
     Feature("tolerances", "tolerances", _tolerated, "leave [tolerances] out"),
-    Feature("aimed at a point", "lattice.aperture", lambda a: _has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
+    Feature("aimed at a point", "lattice.aperture", lambda a: has_point(a("lattice.aperture")), 'aperture = "centred", or a slope'),
     Feature("steered", "lattice.aperture", _is_slope, 'aperture = "centred"'),
     Feature("traced vertices", "pair.offset", lambda a: a("pair.offset") == "traced", 'offset = "paraxial"'),
     Feature("law that varies", "law.varying", lambda a: a("law.varying") is not None, "leave one of the two out"),

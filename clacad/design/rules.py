@@ -10,7 +10,7 @@ from clacad.base.digits import rounded_up
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
-from clacad.design.combinations import FEATURES, built_sheets, has_plate, why_not
+from clacad.design.combinations import FEATURES, built_sheets, has_plate, has_point, why_not
 from clacad.design.given_faces import faces_read
 from clacad.design.plate_keys import box_about_origin
 from clacad.design.varying import MAGNIFIED, gradient_of, needed_eta, varying_read
@@ -260,14 +260,9 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
                       allowed="false, or plain edges", hint="a circle or a rectangle is made")  # fmt: skip
     if a("body.baffle"):
         yield Mistake("CL127", "a baffle beside a field lens is not made", "body.baffle", allowed="false")
-    for key in ("lattice.pitch_2", "law.varying", "lattice.aperture"):
-        value = a(key)
-        words = isinstance(value, str) or (
-            key == "lattice.aperture" and value and isinstance(value[0], float)
-        )
-        if value is not None and not words:
-            yield Mistake("CL127", f"{key} beside a field lens is not made: its cells are all alike", key,
-                          allowed="leave it out, or pair.field_lens = false")  # fmt: skip
+    if has_point(a("lattice.aperture")):
+        yield Mistake("CL127", "cells aimed at a point beside a field lens are not made: its cells are all alike",
+                      "lattice.aperture", allowed="a slope, or pair.field_lens = false")  # fmt: skip
     for key, of in (("pair.field.gap", form == "slab"),):
         if "gap" in dict(a("pair.field") or ()) and not of:
             yield Mistake("CL114", f"{key} does not belong to a {form} pair", "pair.field",

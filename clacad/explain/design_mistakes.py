@@ -1,4 +1,4 @@
-"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL139."""
+"""Explanations of what a design file, or a body made from it, can have wrong: CL100 … CL149."""
 
 from __future__ import annotations
 

@@ -149,15 +149,19 @@ def checked_frames(scene: Scene) -> list[Scene]:
 
 
 def view_through(scene: Scene, *, threads: int | None = None, progress: Progress | None = None,
-                 compiled: bool | None = None, passage: Passage | None = None, sheet: bool = True) -> Picture:  # fmt: skip
+                 compiled: bool | None = None, passage: Passage | None = None, sheet: bool = True,
+                 window: Window | None = None) -> Picture:  # fmt: skip
     """Render a still and tell how; parameters as in `render`.
 
-    With `passage` the plan is the caller's; with ``sheet=False`` the view is that without the sheet.
+    With `passage` the plan is the caller's; with ``sheet=False`` the view is that without the sheet; with `window` the
+    sheet is that, not what the scene's design makes.
     """
     from clacad.tracing.compiled.threads import thread_count
 
     still = scene.at(0) if scene.animation is not None else scene
-    window = equal_cells(prescribe(still.design()), "a picture through the sheet")
+    window = equal_cells(
+        prescribe(still.design()) if window is None else window, "a picture through the sheet"
+    )
     view = aim(still.camera)
     fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)

@@ -214,31 +214,13 @@ def content(report: Report, progress: Progress, timings: bool = False) -> Conten
     """Gather what the page of a report shows: evidence, a picture, the parts."""
     from clacad.report.parts_in_3d import parts
     from clacad.report.view_through_sheet import look
+    from clacad.verification.evidence import of_worst_cell
 
-    shown, words = _of_one_cell(report)
+    shown, words = of_worst_cell(report)
     full = replace(report, window=shown.window, evidence=shown.with_evidence(progress).evidence)
     seen = look(shown.design, shown.window, progress)
     progress("meshing the parts to look at", 0.0)
     return Content(full, seen, parts(shown.window), timings, report.window, words)
-
-
-def _of_one_cell(report: Report) -> tuple[Report, str]:
-    """The report to draw pictures of: where cells differ of the sheet of equal cells like the one judged; and a sentence of that."""
-    if report.window.uniform:
-        return report, ""
-    from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.vignetting import aperture_slope
-    from clacad.verification.light.through_window import worst_cell
-
-    seen = worst_cell(report.window, report.design.check.field)
-    slope = [float(f"{v:.12g}") for v in aperture_slope(seen.like)]
-    design = report.design.replace("lattice.aperture", slope)
-    i, j = seen.cell.tolist()
-    words = (
-        f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), by which the "
-        f"sheet is judged: lattice.aperture = [{slope[0]:.6g}, {slope[1]:.6g}]; but for what one eye gets of the whole sheet"
-    )
-    return replace(report, design=design, window=prescribe(design)), words
 
 
 def data_uri(png: bytes) -> str:

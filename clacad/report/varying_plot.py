@@ -16,15 +16,15 @@ from clacad.verification.light.image_checks import RAYS, asked_image
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from clacad.verification import Report
+    from clacad.design import Design
+    from clacad.sheet.window import Window
 
 MOST_CELLS = 40_000
 """Cells that the map shows; of more, some spread over the sheet."""
 
 
-def varying(report: Report) -> str:
+def varying(design: Design, window: Window) -> str:
     """Map of δ, and the width of the image through focus where the design is made to image; "" where all cells are alike."""
-    window = report.window
     laws = window.cell_laws
     if laws is None:
         return ""
@@ -32,7 +32,7 @@ def varying(report: Report) -> str:
     cells = cells[np.linspace(0, len(cells), min(len(cells), MOST_CELLS), endpoint=False).astype(np.int64)]
     deltas, mm = laws.deltas(window.lattice, cells), window.unit * 1e3
     x, y = window.lattice.centres(cells).T * mm
-    asked = asked_image(report.design)
+    asked = asked_image(design)
     seen = None if asked is None else image(window, asked[0], ("surfaces",), RAYS).rungs[0]
     focused = seen is not None and np.isfinite(seen.found.point).all()
 

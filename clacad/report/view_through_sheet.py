@@ -55,9 +55,9 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
         (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
         scene = _scene(design, window, folder)
         progress("looking through the sheet", 0.0)
-        without = view_through(scene, sheet=False)
+        without = view_through(scene, sheet=False, window=window)
         through = view_through(
-            scene, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
+            scene, window=window, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
         )
     eye, behind, high = _distances(window)
     mm = millimetres(window.unit)

@@ -252,7 +252,7 @@ def _common_areas(polygon: Floats, places: Floats, window: Floats) -> Floats:
         crossed = real & ((a < 0.0) != (b < 0.0))
         part = np.divide(a, a - b, out=np.zeros_like(a), where=crossed)
         made = np.stack([corners, corners + (there - corners) * part[..., None]], axis=2)
-        kept = np.stack([real & (a >= 0.0), crossed], axis=2).reshape(len(places), -1)
+        kept = np.stack([real & (a >= 0.0), crossed], axis=2).reshape(len(places), 2 * len(slots))
         count = kept.sum(axis=1)
         order = np.argsort(~kept, axis=1, kind="stable")[:, : count.max(initial=0)]
         corners = np.take_along_axis(made.reshape(len(places), -1, 2), order[..., None], axis=1)

@@ -68,7 +68,7 @@ def gather_evidence(report: Report, progress: Progress) -> Evidence:
     """Measure what the page of a report shows beside its checks."""
     from clacad.effects import plan_effects
 
-    report = _of_worst_cell(report)
+    report, _ = of_worst_cell(report)
     window = report.window
     progress("telling the errors apart", 0.0)
     attributions = _attributions(report)
@@ -100,14 +100,17 @@ def _waves(report: Report, progress: Progress) -> WaveReport | None:
         return None
 
 
-def _of_worst_cell(report: Report) -> Report:
-    """The report of a sheet whose cells differ as of a sheet of cells like the worst; else the report."""
-    window = report.window
-    return (
-        report
-        if window.uniform
-        else replace(report, window=worst_cell(window, report.design.check.field).like)
+def of_worst_cell(report: Report) -> tuple[Report, str]:
+    """The report, of a sheet whose cells differ as of a sheet of cells like the worst; and a sentence that says so, else ""."""
+    if report.window.uniform:
+        return report, ""
+    seen = worst_cell(report.window, report.design.check.field)
+    i, j = seen.cell.tolist()
+    words = (
+        f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), "
+        "by which the sheet is judged, but for what one eye gets of the whole sheet"
     )
+    return replace(report, window=seen.like), words
 
 
 def _attributions(report: Report) -> tuple[Attribution, ...]:

@@ -50,7 +50,7 @@ SHAPE, QUADRIC, MEETING, BICONIC = (
     f"clacad/optics/surface/{n}.py" for n in ("sag_and_normal", "quadric", "intersection", "biconic")
 )
 MODEL, IMAGING, EXACT, TURN = (
-    f"clacad/optics/law/{n}.py" for n in ("law", "imaging", "angle", "orientation")
+    f"clacad/optics/law/{n}.py" for n in ("refraction", "imaging", "angle", "orientation")
 )
 POLYNOMIAL, TERMS = (f"clacad/optics/surface/{n}.py" for n in ("even_polynomial", "even_terms"))
 TWIN, PATCHES = "clacad/tracing/compiled/even_polynomial.py", "clacad/solid/lens_faces.py"

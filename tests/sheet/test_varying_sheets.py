@@ -211,7 +211,8 @@ PRESENT = {
     "tolerances": {"tolerances__index": 0.001}, "aimed at a point": {"lattice__aperture": {"point": [0, 0, -400]}},
     "steered": {"lattice__aperture": [0.01, 0.0]}, "traced vertices": {"pair__offset": "traced"},
     "other pitch": {"lattice__pitch_2": 0.499}, "law that varies": {"law__varying": {"f_image": 200}},
-    "confocal best": {"pair__confocal": "best"}, "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
+    "confocal best": {"pair__confocal": "best"}, "field lens": {"pair__field_lens": True, "pair__surface": None},
+    "plate with holes, corners or pins": {"body__border": 1, "body__corners": {"round": 0.5}}, "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
 }  # fmt: skip
 
 

@@ -70,7 +70,7 @@ def test_what_is_kept_is_known_before_it_is_loaded(
 
 
 def test_the_number_of_rays_alone_decides_where_it_is_said_to() -> None:
-    layout: Any = None
+    layout = clacad.tracing.layout.lay_out(slab(count=(4, 4)))
     for _ in range(2):
         assert which_path.compiled_suits("surfaces", "size", 750_001, 4, layout)
         assert not which_path.compiled_suits("surfaces", "size", 750_000, 4, layout)

@@ -75,12 +75,11 @@ def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS)
     viewer : (x, y, z), lengths
         Sheet frame; before the sheet (z < 0) light starts there, behind it light goes towards it.
     rays : int
-        Sobol points over all cells; fewer where an outline leaves some out.
+        Sobol points over all cells; fewer where an outline leaves some out, but at least a quarter.
     """
     points = sobol(rays, 4)
-    cells = _cells(window, points[:, :2])
-    kept = window.lattice.contains(cells)
-    cells, inside = cells[kept], window.lattice.over_cell(points[kept, 2:])
+    cells, kept = _kept_cells(window, points[:, :2])
+    inside = window.lattice.over_cell(points[kept, 2:])
     place = window.centres(0, cells) + inside
     slope = _slopes(place, viewer)
     ray = np.column_stack([slope, np.ones(len(slope))])
@@ -139,8 +138,14 @@ def _slopes(place: Floats, viewer: tuple[float, float, float]) -> Floats:
     return np.asarray((place - (x, y)) / -z)
 
 
-def _cells(window: Window, unit_square: Floats) -> Ints:
-    """Cells (n, 2), kept or not, spread evenly over the lattice's whole count by points (n, 2)."""
-    n1, n2 = window.lattice.count
+def _kept_cells(window: Window, unit_square: Floats) -> tuple[Ints, Ints]:
+    """Kept cells (k, 2), spread evenly over the sheet by points (n, 2), and the numbers (k,) of the points that found them."""
+    lattice = window.lattice
+    n1, n2 = lattice.count
     i, j = (np.floor(unit_square * (n1, n2)).astype(np.int64)).T
-    return np.stack([i - j // 2 if window.lattice.hexagonal else i, j], axis=-1)
+    drawn = np.stack([i - j // 2 if lattice.hexagonal else i, j], axis=-1)
+    found = np.flatnonzero(lattice.contains(drawn))
+    if 4 * len(found) >= len(drawn):
+        return drawn[found], found
+    cells = lattice.cells()  # an outline that keeps few of the count
+    return cells[np.floor(unit_square[:, 0] * len(cells)).astype(np.int64)], np.arange(len(drawn))
