@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import isfinite, sqrt
+from math import degrees, isfinite, sqrt
 
 import numpy as np
 
@@ -35,6 +35,12 @@ RAYS = 1024
 
 FEW = 256
 """Of them those that slopes of tolerances are taken with: a slope changes slowly over the cell."""
+
+FEWEST = 4
+"""Rays that must be left for every unknown: with fewer the faces are bent to the rays and not to the field."""
+
+SMALLEST = 1e-3
+"""Part of a field of too little light down to which one with enough is looked for."""
 
 LARGEST_PART = 4.0
 """Largest part of the field that may have a weight."""
@@ -85,19 +91,19 @@ class Target:
     few: AskedLight
 
     @staticmethod
-    def of(aim: Aim, design: Design, window: Window) -> Target:
-        """The target of an aim at a design whose window, to start from, is built.
+    def of(aim: Aim, design: Design, window: Window, unknowns: int = 1) -> Target:
+        """The target of an aim at a design whose window, to start from, is built, for a search of so many unknowns.
 
         Raises
         ------
         DesignError
-            No light of a field reaches its partner cell.
+            Of a field too little light reaches its partner cell to fix the unknowns.
         NoTolerances
             The design states none, and made parts are asked for.
         """
         total = sum(weight for _, weight in aim.weights)
         lights = tuple(
-            (kept_light(window, part * aim.field, design), sqrt(weight / total))
+            (kept_light(window, part * aim.field, design, FEWEST * unknowns), sqrt(weight / total))
             for part, weight in aim.weights
         )
         most = max(lights, key=lambda pair: pair[1])[0]
@@ -144,18 +150,37 @@ def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, 
         yield error, error.half / of_sigma, far if error.key in ("rotation", "tilt") else cells[0]
 
 
-def kept_light(window: Window, field: float, design: Design) -> AskedLight:
-    """The rays of a search: those of a cell and a cone that reach the partner cell through ideal lenses."""
+def kept_light(window: Window, field: float, design: Design, fewest: int = 1) -> AskedLight:
+    """The rays of a search: those of a cell and a cone that reach the partner cell through ideal lenses.
+
+    Raises
+    ------
+    DesignError
+        They are fewer than `fewest`.
+    """
+    one = window.with_cells((1, 1))
+    rays = _partners(one, field, design)
+    if len(rays) < max(fewest, 1):
+        smaller = field
+        while smaller > SMALLEST * field and len(_partners(one, smaller, design)) < fewest:
+            smaller *= 0.8
+        way = (
+            f"a field of {float(f'{degrees(smaller):.2g}'):g} deg"
+            if smaller > SMALLEST * field
+            else "lattice.aperture aims it"
+        )
+        raise DesignError([
+            Mistake("CL120", f"{len(rays)} of {RAYS:,} rays of the field reach their partner cell through ideal lenses, too few to search with",
+                    "check.field", allowed=f"a cone inside the field of view: {fewest} rays at least", hint=way)
+        ])  # fmt: skip
+    return AskedLight.of(rays, window.law.refract(rays.direction))
+
+
+def _partners(one: Window, field: float, design: Design) -> Rays:
+    """Rays of a cone over one cell that reach the partner cell through ideal lenses."""
     from clacad.tracing.trace import trace
 
-    one = window.with_cells((1, 1))
     rays = bundle(one, RAYS, field, design.check.field_centre).rays
     ideal = trace(one, rays, rung="thin", path="numpy")
     kept = (ideal.fate == Fate.ALIVE) & (ideal.order == 0).all(axis=1)
-    if not kept.any():
-        raise DesignError([
-            Mistake("CL120", "no light of the field reaches its partner cell through ideal lenses", "check.field",
-                    allowed="a cone inside the field of view", hint="lattice.aperture aims it")
-        ])  # fmt: skip
-    chosen_rays = Rays(rays.position[kept], rays.direction[kept])
-    return AskedLight.of(chosen_rays, window.law.refract(chosen_rays.direction))
+    return Rays(rays.position[kept], rays.direction[kept])

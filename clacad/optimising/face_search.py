@@ -67,7 +67,7 @@ class FaceSearch:
         self.design, self.window, self.unknowns, self.aim = design, window, unknowns, aim
         self.progress, self.until = progress, until
         self.walls = Walls.of(design, window)
-        self.target = Target.of(aim, design, window)
+        self.target = Target.of(aim, design, window, len(unknowns.free))
         self.evaluations = 0
         self.best: Best | None = None
         self.nearest = (-inf, "")
@@ -154,7 +154,7 @@ class FaceSearch:
         if self.best is None:
             slack, name = self.nearest
             raise DesignError([
-                Mistake("CL120", f"no faces were found within the walls: the {name} stays {-100 * slack:.3g} % beyond its limit",
+                Mistake("CL120", f"no faces were found within the walls: the {name} stays {-slack:.3g} times its limit beyond it",
                         "pair.thickness", allowed="walls that leave room: the process, check.edge, check.graph, or more thickness")
             ])  # fmt: skip
         faces, offset = self.unknowns.faces(self.best.vector)

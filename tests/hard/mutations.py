@@ -150,6 +150,7 @@ MUTATIONS = [
     Mutation("search: Newton's step without damping", FIT, "np.sqrt(damping) * units", "0.0 * units", f"{TRAPS} -k least_squares"),
     Mutation("search: weights not of squares", AIM, "sqrt(weight / total))", "weight / total)", f"{ASKED} -k shares_of_the_squares"),
     Mutation("search: a tolerance is taken for a standard deviation", AIM, "error.half / of_sigma", "error.half", f"{ASKED} -k drawn_at_random"),
+    Mutation("search: a handful of rays is enough", AIM, "FEWEST = 4", "FEWEST = 0", f"{ASKED} -k too_few"),
     Mutation("search: slopes of tolerances from one side", AIM, "0.5 * (ends[0] - ends[1])", "ends[0]", f"{ASKED} -k drawn_at_random"),
     Mutation("search: higher orders stay whatever they give", SEARCH, "self.best.rms > WORTH * before.rms", "self.best.rms > 2.0 * before.rms",
              f"{ASKED} -m '' -k less_than_a_tenth"),

@@ -123,6 +123,19 @@ def test_a_micrometre_is_told_from_what_no_face_can_take_away():
 # -- seconds -------------------------------------------------------------------------------------------------------
 
 
+def test_a_field_of_too_few_rays_is_refused_with_one_of_enough():
+    """At 40° a handful of rays get to their partner: faces bent to these alone are worse than the spheres."""
+    design = load(WINDOW)
+    with pytest.raises(
+        DesignError, match="rays of the field reach their partner cell through ideal lenses, too few"
+    ) as told:
+        optimise(design, ("radii", "conic"), radians(40.0))
+    offered = float(str(told.value).split("a field of ")[1].split(" deg")[0])
+    assert 1.0 < offered < 40.0
+    found = optimise(design, ("radii", "conic"), radians(offered))
+    assert found.after[1].law_rms < found.before[1].law_rms
+
+
 def test_seconds_end_a_search_with_the_best_so_far_and_say_so(monkeypatch):
     """A clock that goes on by a second an evaluation."""
     clock = count()
