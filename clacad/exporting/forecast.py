@@ -166,7 +166,7 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
         row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None,
                        costs.stl_seconds(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
         return row
-    size = {"frame": 400_000, "pins": 25_000, "coupon": 2_000_000}.get(
+    size = {"frame": 400_000, "pins": 40_000, "coupon": 2_000_000}.get(
         name, 15_000 + 8_000 * cells * len(window.bodies)
     )
     return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))

@@ -126,6 +126,7 @@ PINNED = {"border": 4.0, "baffle": None, "baffle_wall": None,
           "pins": {"diameter": 1.2, "at": [[-4.3, 1.0], [4.3, -1.0]], "play": "20 um"}}  # fmt: skip
 
 
+@pytest.mark.slow
 def test_shoulder_pins_hold_the_plates_at_the_separation_and_enter_neither():
     from build123d import Cylinder, Plane, Polyline, Pos, extrude, make_face
 
@@ -189,6 +190,8 @@ def test_shoulder_pins_are_written_read_back_and_no_master(tmp_path):
     assert (
         holds_text(entry) == "2 solids with 18 faces, one a connected piece"
     )  # there is no other way to write them
+    again = export(Design.from_dict(data), tmp_path / "again", formats=("pins",))
+    assert [file["sha256"] for file in again.files] == [entry["sha256"]]
     found = import_step(str(tmp_path / "out" / "fixture.pins.step"))
     assert len(found.solids()) == 2
     box, window = found.bounding_box(), prescribe(Design.from_dict(data))
