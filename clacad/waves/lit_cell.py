@@ -36,7 +36,7 @@ ALONG = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class LitSheet:
     """A window lit from one direction, before anything is computed.
 
     direction : (3,) unit, sheet frame
@@ -151,7 +151,7 @@ def _ends(points: Floats) -> Floats:
 
 def situation(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
-) -> Situation:
+) -> LitSheet:
     """A design's window lit from one direction; what cannot be is refused.
 
     Parameters
@@ -179,7 +179,7 @@ def situation(
     wave = wavelength or window.wavelength or DEFAULT_WAVELENGTH
     slope = [middle + tan(angle) for middle, angle in zip(aperture_slope(window), field, strict=True)]
     direction = np.array([*slope, 1.0]) / hypot(*slope, 1.0)
-    found = Situation(window, direction, wave, field_lens)
+    found = LitSheet(window, direction, wave, field_lens)
     if found.built:
         found = replace(found, field_lens=True)
     if len(found.lit) == 0:

@@ -46,7 +46,7 @@ SHOWN = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Feature:
+class DamageFeature:
     """Something in a part that the design does not have.
 
     kind : "hole", "blind hole", "opening" or "step"
@@ -115,7 +115,7 @@ def find_features(
     factor: float = 1.0,
     present: Sequence[str] | None = None,
     noise: float = 0.0,
-) -> list[Feature]:
+) -> list[DamageFeature]:
     """Holes and steps of a part that lies in the design's frame.
 
     Parameters
@@ -132,7 +132,7 @@ def find_features(
 
     Returns
     -------
-    list of Feature, the largest first
+    list of DamageFeature, the largest first
     """
     walls = [_made_walls(window, chunk * factor, noise) for chunk in mesh.chunks()]
     corners = np.concatenate([w for w in walls if len(w)] or [np.empty((0, 3, 3))])
@@ -228,7 +228,7 @@ def _connected(corners: Floats, room: float) -> list[Ints]:
     return list(np.split(order, np.flatnonzero(np.diff(mine[order])) + 1))
 
 
-def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Feature | None:
+def _feature(window: Window, body: Body, corners: Floats, noise: float) -> DamageFeature | None:
     """What a connected wall (k, 3, 3) belongs to; None where it is too small to be anything."""
     points = corners.reshape(-1, 3)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -243,10 +243,10 @@ def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Featu
         x, y, radius = circle
         kind = "hole" if through else "blind hole"
         cells = _cells_under(window, body, (x, y), (radius, radius), True)
-        return Feature(kind, body.name, (x, y), (2.0 * radius, 2.0 * radius), depth, cells)
+        return DamageFeature(kind, body.name, (x, y), (2.0 * radius, 2.0 * radius), depth, cells)
     centre = 0.5 * (low[:2] + high[:2])
     cells = _cells_under(window, body, (centre[0], centre[1]), (0.5 * size[0], 0.5 * size[1]), False)
-    return Feature("opening" if through else "step", body.name, (float(centre[0]), float(centre[1])),
+    return DamageFeature("opening" if through else "step", body.name, (float(centre[0]), float(centre[1])),
                    (float(size[0]), float(size[1])), depth, cells)  # fmt: skip
 
 
