@@ -167,7 +167,9 @@ def test_the_field_faces_in_the_file_are_the_closed_form_and_the_bytes_are_the_s
         v = np.linspace(surface.FirstVParameter(), surface.LastVParameter(), 7)[1:-1]
         points = [surface.Value(float(a), float(b)) for a in u for b in v]
         x, y, z = np.array([[p.X(), p.Y(), p.Z()] for p in points]).T
-        front = abs(z.mean() - 1e3 * window.faces[2].vertex[2]) < abs(z.mean() - 1e3 * window.faces[3].vertex[2])
+        front = abs(z.mean() - 1e3 * window.faces[2].vertex[2]) < abs(
+            z.mean() - 1e3 * window.faces[3].vertex[2]
+        )
         across, face, side = (y, window.faces[2], 1) if front else (x, window.faces[3], -1)
         radius = 1e3 / (face.surface.curvature_y if front else face.surface.curvature_x)
         # (n − 1) f_F, thin; lenses as thick as the paper's change it a little
