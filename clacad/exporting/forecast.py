@@ -162,9 +162,10 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
     """Price of baffle, frame, coupon and BREP: the first exactly, the modelled ones by size classes."""
     cells = window.lattice.cell_count
     if name == "baffle":
-        sides = len(window.lattice.steps)
-        row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None,
-                       costs.stl_seconds(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
+        honeycombs = max(1, len(window.bodies) - 1)
+        facets = 6 * len(window.lattice.steps) * cells * honeycombs
+        row = Forecast(name, 84 * honeycombs + 50 * facets, False, facets, None, costs.stl_seconds(facets),
+                       (80_000_000, 400_000_000))  # fmt: skip
         return row
     size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
     return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))

@@ -103,9 +103,9 @@ def _gds(window: Window, asked: Request, _worker: Worker) -> None:
 
 def _baffle(window: Window, _asked: Request, _worker: Worker) -> None:
     """Walls, and a gap for them."""
-    from clacad.exporting.fixtures import baffle_mesh
+    from clacad.exporting.fixtures import baffle_meshes
 
-    baffle_mesh(window)
+    baffle_meshes(window)
 
 
 def _frame(window: Window, _asked: Request, worker: Worker) -> None:
