@@ -144,6 +144,7 @@ class TemplateMaker:
                 owner[local] = (-step[0], -step[1])
                 point[local] = sides[cells[0][1]][0] if self.others is None else _AT_NODE + index
                 self._corner_of[local] = (index, place)
+        self._next = {p: q for side in sides for p, q in zip(side[:-1].tolist(), side[1:].tolist())}
         self._side_of = {
             int(p): (k, i + 1) for k, side in enumerate(sides) for i, p in enumerate(side[1:-1])
         }  # fmt: skip
@@ -165,8 +166,8 @@ class TemplateMaker:
 
     def _column(self, triangle: int, point: int) -> Column:
         """The column of a triangle at one of its corners."""
-        front, back = self._levels[triangle, self._after[triangle, point]]
-        return None if front == NONE or back == -NONE else (int(front), int(back))
+        front, back = self._levels[triangle, self._after[triangle, point]].tolist()
+        return None if front == NONE or back == -NONE else (front, back)
 
     def _fan(self, point: int, first: int) -> list[int]:
         """Triangles about a point, counter-clockwise from the edge point → first."""
@@ -181,12 +182,8 @@ class TemplateMaker:
 
     def _own_fan(self, point: int) -> list[int]:
         """Triangles about a point of the footprint, in canonical order."""
-        if point in self._corner_of or point in self._side_of:
-            sides = self.tile.plan.sides
-            for side in sides:
-                at = np.flatnonzero(side[:-1] == point)
-                if len(at):
-                    return self._fan(point, int(side[at[0] + 1]))
+        if point in self._next:
+            return self._fan(point, self._next[point])
         start = min(q for p, q in self._spokes[point])
         return self._fan(point, start)
 

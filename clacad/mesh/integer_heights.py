@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
+from clacad.optics.surface import Biconic, Quadric, as_quadric, sag
 from clacad.sheet.lattice import Step
-from clacad.sheet.window import Body, Window, lens_height
+from clacad.sheet.window import Body, Surface, Window, lens_height
 from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling
 from clacad.topology.wall_strips import linked
@@ -93,6 +94,8 @@ class CellLevels:
         The cell, where each is a piece of its own.
     others : callable or None
         Index → heights of that cell; None: all cells are the same piece.
+    known, common : dict
+        What was worked out of this cell, and of all cells of the tiling.
     """
 
     window: Window
@@ -105,12 +108,13 @@ class CellLevels:
     index: Step = (0, 0)
     others: Callable[[Step], CellLevels] | None = None
     known: dict[Any, Any] = field(default_factory=dict, repr=False)
-    grids: dict[int, Any] = field(default_factory=dict, repr=False)
+    common: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def of_cell(self, index: Step, others: Callable[[Step], CellLevels]) -> CellLevels:
         """The same of the cell at `index`, with its own lenses; `others` gives its neighbours."""
         at = np.array(index)
-        front, back = self.window.in_cell(self.body.front, at), self.window.in_cell(self.body.back, at)
+        faces = [self.window.in_cell(face, at) for face in (self.body.front, self.body.back)]
+        front, back = (replace(face, surface=_simplest(face.surface)) for face in faces)
         body = replace(self.body, front=front, back=back)
         return replace(self, body=body, index=index, others=others, known={})
 
@@ -147,6 +151,9 @@ class CellLevels:
                 out[:, n] = (-np.inf, np.inf)[n]
             elif face.array is None:
                 out[:, n] = face.vertex[2]
+            elif self.others is not None and face.untilted and not isinstance(face.surface, Quadric):
+                x, y, z = face.vertex  # upright: its sag needs no ray
+                out[:, n] = z + sag(face.surface, xy[:, 0] - x, xy[:, 1] - y)
             else:
                 out[:, n] = lens_height(face, xy[:, 0], xy[:, 1])
         return out
@@ -157,7 +164,7 @@ class CellLevels:
         back = to_levels(heights[..., 1], self.step, -NONE)
         return np.stack([front, back], axis=-1)
 
-    @property
+    @cached_property
     def land(self) -> tuple[int, int]:
         """Levels of the land, ±NONE where there is none."""
         out = []
@@ -173,8 +180,24 @@ class CellLevels:
         return self.body.front.array is None, self.body.back.array is None
 
 
+def _simplest(surface: Surface) -> Surface:
+    """The quadric with the same points, where there is one: its heights need no iteration."""
+    if not isinstance(surface, Biconic):
+        return surface
+    try:
+        return as_quadric(surface)
+    except ValueError:
+        return surface
+
+
 def shortest(make: CellLevels) -> float:
     """Least distance of two points: 8 float32 spacings at the sheet's rim (length)."""
+    if "shortest" not in make.common:
+        make.common["shortest"] = _shortest(make)
+    return float(make.common["shortest"])
+
+
+def _shortest(make: CellLevels) -> float:
     x0, x1, y0, y1 = make.window.lattice.extent()
     scale = max(make.window.placements[make.tiling.array].scale(make.window.lattice))
     reach = max(abs(x0), abs(x1), abs(y0), abs(y1)) * scale + max(abs(s) for s in make.tiling.shift)

@@ -132,11 +132,11 @@ def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ..
 
 def _grid(make: CellLevels, quads: int) -> pl.Planar:
     """The regular grid over a cell, common to all cells of a tiling: that of the first for which it is asked."""
-    if quads not in make.grids:
+    if ("grid", quads) not in make.common:
         zone = optical_tile(make.window, make.tiling.array)
         diagonal = _diagonal(make, zone, quads)
-        make.grids[quads] = pl.grid(make.window.lattice, make.tiling.tile, zone, quads, diagonal)
-    found: pl.Planar = make.grids[quads]
+        make.common["grid", quads] = pl.grid(make.window.lattice, make.tiling.tile, zone, quads, diagonal)
+    found: pl.Planar = make.common["grid", quads]
     return found
 
 
