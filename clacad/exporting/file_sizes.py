@@ -49,7 +49,7 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
         text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
         # one stream for all bodies, as in the file: a second body that is like the first takes little room
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
-        total += size * part.facet_count / len(corners)
+        total += size * part.facets_about / len(corners)
     return int(total)
 
 

@@ -172,18 +172,24 @@ class BodyMesh:
         return self._errors[1]
 
     def blocks(self) -> Iterator[CellBlock]:
-        """Cells grouped by row and template."""
+        """Cells grouped by row and template; where cells differ, what they come to is tallied on the way."""
         lattice = self.window.lattice
+        count, volumes = len(self.plain.triangles), [fsum(flux(self.plain.corners).tolist())]
         for tiled in self.tiled:
             for j in range(lattice.count[1]):
-                yield from self._row_blocks(tiled, j)
+                for block in self._row_blocks(tiled, j):
+                    yield block
+                    if self.own and not self._tallied:
+                        count += len(block.cells) * len(block.template.triangles)
+                        volumes.append(len(block.cells) * fsum(flux(block.corners(0, 1)).tolist()))
+        if self.own and not self._tallied:
+            self._tallied.append(Tally(count, fsum(volumes)))
 
     def _row_blocks(self, tiled: Tiled, j: int) -> Iterator[CellBlock]:
         row = self.window.lattice.row(j)
         if not len(row):
             return
-        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
-        states = row_states(self.window, row, tiled.maker.offsets, self.ringed, tiled.lattice, apart)
+        states = self._states(tiled, row)
         if tiled.own is not None:
             for n, (i, j) in enumerate(row.tolist()):
                 yield CellBlock(tiled.own.at((i, j)).template(states[n]), row[n : n + 1], tiled)
@@ -191,6 +197,11 @@ class BodyMesh:
         kinds, which = np.unique(states, axis=0, return_inverse=True)
         for n, kind in enumerate(kinds):
             yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled)
+
+    def _states(self, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
+        """What stands about each of some kept cells (n, 2) of a row; see `row_states`."""
+        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
+        return row_states(self.window, row, tiled.maker.offsets, self.ringed, tiled.lattice, apart)
 
     @cached_property
     def census(self) -> tuple[tuple[Template, Lattice, int], ...]:
@@ -212,11 +223,24 @@ class BodyMesh:
             return self._tally.facets
         return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.plain.triangles)
 
+    @cached_property
+    def facets_about(self) -> int:
+        """Number of triangles; where cells differ from those of a sample of them."""
+        total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
+        for tiled in (one for one in self.tiled if one.own is not None):
+            cells = sampled_cells(self.window, JUDGED)
+            sampled = 0
+            for i, j in cells.tolist():
+                states = self._states(tiled, np.array([[i, j]]))[0]
+                sampled += len(tiled.maker_at(i, j).template(states).triangles)
+            total += sampled * self.window.lattice.cell_count // len(cells)
+        return total
+
     @property
     def _tally(self) -> Tally:
         """Of all triangles; known after any of the iterators below has come to its end."""
         if not self._tallied:
-            for _ in self._portions():
+            for _ in self.blocks():
                 pass
         return self._tallied[0]
 
@@ -232,16 +256,10 @@ class BodyMesh:
 
     def _portions(self) -> Iterator[tuple[CellBlock, int, int]]:
         """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
-        count, volumes = len(self.plain.triangles), [fsum(flux(self.plain.corners).tolist())]
         for block in self.blocks():
             each = max(1, _CHUNK // len(block.template.triangles))
             for first in range(0, len(block.cells), each):
                 yield block, first, min(first + each, len(block.cells))
-            if self.own and not self._tallied:
-                count += len(block.cells) * len(block.template.triangles)
-                volumes.append(len(block.cells) * fsum(flux(block.corners(0, 1)).tolist()))
-        if self.own and not self._tallied:
-            self._tallied.append(Tally(count, fsum(volumes)))
 
     def parts(self) -> Iterator[tuple[CellBlock, int]]:
         """Yield (block, number of cells) of each block of `rows`, the plain land left out."""
