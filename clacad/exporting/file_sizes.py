@@ -148,7 +148,7 @@ def mask_bytes(window: Window) -> int:
         outline = (aperture(window, body, face) * scale + 0.0).tolist()
         total += sum(len(f"{x!r}{y!r}") for x, y in outline) * 2 + 40 * len(outline) + 1400
         row = window.lattice.row(window.lattice.count[1] // 2)
-        centres = ((window.lattice.centres(row) + np.asarray(window.shifts[face.array])) * scale).tolist()
+        centres = (window.centres(face.array, row) * scale).tolist()
         digits = sum(len(f"{x!r}{y!r}") for x, y in centres) / max(1, len(centres))
         total += window.lattice.cell_count * (2 * digits + 34 + 36)
     return int(total)

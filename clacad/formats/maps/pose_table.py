@@ -60,11 +60,21 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
             for body in window.bodies
         ],
         "faces": [
-            _face(window, body.name, face, label, scale)
+            _face(window, body.name, face, label, scale) | _of_its_own(window, face, scale)
             for body in window.bodies
             for face, label in ((body.front, f"{body.name}-front"), (body.back, f"{body.name}-back"))
         ],
     }  # fmt: skip
+
+
+def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
+    """What a face has besides where cells differ: the pitch of its array, and that the pose table has its apexes."""
+    found: dict[str, Any] = {}
+    if face.array is not None and window.placements[face.array].pitch is not None:
+        found["cells_pitch_mm"] = [p * scale for p in window.lattice_of(face.array).pitch]
+    if face.change is not None:
+        found |= {"apex_in_cell_mm": [None, None, face.vertex[2] * scale], "apex": "cell by cell in the pose table"}
+    return found
 
 
 def _of_polynomials(window: Window) -> dict[str, str]:
