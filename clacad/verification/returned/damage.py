@@ -189,12 +189,13 @@ def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArr
         inside = np.asarray(above.all(axis=1) & below.all(axis=1))
     lattice = window.lattice
     for face in (body.front, body.back):
-        shift = window.shifts[owner(body, face)]
-        cell, x, y = lattice.locate(points[:, 0] - shift[0], points[:, 1] - shift[1])
+        array = owner(body, face)
+        own = window.lattice_of(array)
+        cell, x, y = window.locate(array, points[:, 0], points[:, 1])
         near = np.zeros(len(points), dtype=bool)
         seam = 0.5 * window.land.seam
-        for (di, dj), half in zip(lattice.steps, lattice.half_widths, strict=False):
-            ox, oy = lattice.offset(di, dj)
+        for (di, dj), half in zip(own.steps, own.half_widths, strict=False):
+            ox, oy = own.offset(di, dj)
             from_border = half - np.abs(x * ox + y * oy) / (2.0 * half)
             near |= (from_border < room) | (np.abs(from_border - seam) < room)
         beside = ~lattice.contains(cell)
@@ -297,8 +298,7 @@ def _cells_under(
     x, y = centre[0] + u[keep] * half[0], centre[1] + v[keep] * half[1]
     found: set[tuple[int, int]] = set()
     for face in (body.front, body.back):
-        shift = window.shifts[owner(body, face)]
-        cell, _, _ = lattice.locate(x - shift[0], y - shift[1])
+        cell, _, _ = window.locate(owner(body, face), x, y)
         cell = np.unique(cell[lattice.contains(cell)], axis=0)
         found |= {(int(i), int(j)) for i, j in cell}
     return tuple(sorted(found))
