@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.units import millimetres
+from clacad.design.sections import AimedAt
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
 
@@ -59,7 +60,7 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
         through = view_through(
             scene, window=window, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
         )
-    eye, behind, high = _distances(window)
+    eye, behind, high, _ = _distances(design, window)
     mm = millimetres(window.unit)
     said = (
         f"a chess knight {high * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
@@ -69,13 +70,20 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
     return Look(_png(pixels_of(without)), _png(pixels_of(through)), how, said)
 
 
-def _distances(window: Window) -> tuple[float, float, float]:
-    """Eye before the sheet, figure behind it, height of the figure; lengths."""
-    wide = _width(window)
-    half = min(half_field(thin_cells(window)))
-    eye = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide
+def _distances(design: Design, window: Window) -> tuple[float, float, float, tuple[float, float]]:
+    """Eye before the sheet, figure behind it, height of the figure, lengths; and the slope from the eye to the sheet's middle.
+
+    The eye is where the sheet is aimed at, else in the middle of the field of view, wherever that is.
+    """
+    wide, aperture = _width(window), design.lattice.aperture
+    if isinstance(aperture, AimedAt) and aperture.point[2] < 0.0:
+        x, y, z = aperture.point
+        eye, slope = -z, (x / z, y / z)
+    else:
+        half = min(half_field(thin_cells(window)))
+        eye, slope = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide, aperture_slope(window)
     behind = 0.2 * eye
-    return eye, behind, 0.75 * wide * (eye + behind) / eye
+    return eye, behind, 0.75 * wide * (eye + behind) / eye, slope
 
 
 def _png(pixels: Any) -> bytes:
@@ -97,9 +105,8 @@ def _scene(design: Design, window: Window, folder: str) -> Scene:
     from clacad.scene import Scene
 
     wide = _width(window)
-    eye, behind, high = _distances(window)
+    eye, behind, high, (ax, ay) = _distances(design, window)
     floor = -0.5 * high
-    ax, ay = aperture_slope(window)  # from the middle of the field of view, wherever that is
     data: dict[str, Any] = {
         "format": 1,
         "name": "look",
