@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.reading_budgets import BUDGETS
+from clacad.base.regular_file import read_regular
 from clacad.base.units import millimetres
+from clacad.design.cell_table import table_path
 from clacad.design.sections import AimedAt
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
@@ -54,6 +57,7 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
 
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
+        _copy_table(design, Path(folder))
         scene = _scene(design, window, folder)
         progress("looking through the sheet", 0.0)
         without = view_through(scene, sheet=False, window=window)
@@ -68,6 +72,15 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
     )
     how = f"rung {through.passage.rung}; shown beyond refraction: {', '.join(through.passage.names) or 'nothing'}"
     return Look(_png(pixels_of(without)), _png(pixels_of(through)), how, said)
+
+
+def _copy_table(design: Design, folder: Path) -> None:
+    """Put the table of cells that a design names where the copy of the design names it."""
+    spec = design.law_spec.varying
+    if spec is not None and spec.table is not None:
+        copy = folder / spec.table.file.replace("\\", "/")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(read_regular(table_path(design.path, spec.table.file), BUDGETS["cell-table"].bytes))
 
 
 def _distances(design: Design, window: Window) -> tuple[float, float, float, tuple[float, float]]:
