@@ -11,7 +11,7 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rung
 from clacad.imaging.best_point import BestPoint, best_point
-from clacad.optics.law.focusing import along_axes
+from clacad.optics.law.focusing import along_axes, cell_width
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.need_window import need_window
@@ -196,6 +196,15 @@ def _width(window: Window, source: Floats) -> Pair2:
     laws = CellLaws(window.law) if window.cell_laws is None else window.cell_laws
     if laws.smooth is None:
         return np.nan, np.nan
-    axes = along_axes(laws.smooth, window.thin.separation)
-    x, y = (one.width(float(source[2]), p) for one, p in zip(axes, window.lattice.pitch, strict=True))
+    s, z = window.thin.separation, float(source[2])
+    axes = along_axes(laws.smooth, s)
+    if "focus" in window.recipe:
+        (f1x, f1y), (f2x, f2y) = window.thin.focal_length
+        pairs = ((f1x, f2x), (f1y, f2y))
+        x, y = (
+            cell_width(focal, s, (z, one.image_distance(z)), p)
+            for one, focal, p in zip(axes, pairs, window.lattice.pitch, strict=True)
+        )
+        return x, y
+    x, y = (one.width(z, p) for one, p in zip(axes, window.lattice.pitch, strict=True))
     return x, y

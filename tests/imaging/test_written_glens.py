@@ -118,18 +118,16 @@ def through_cells(found, cells, index):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rows", [2, pytest.param(ACROSS, marks=pytest.mark.long)])
-def test_sixty_four_cells_of_the_written_step_focus_where_the_glens_shall(tmp_path, rows):
-    window = clacad.prescribe(clacad.Design.from_dict(DESIGN).with_cells((ACROSS, rows)))
+def test_sixty_four_cells_of_the_written_step_focus_where_the_glens_shall(tmp_path):
+    window = clacad.prescribe(clacad.Design.from_dict(DESIGN).with_cells((ACROSS, 2)))
     write(window, str(tmp_path / "glens.step"), "fused")
     found = patches(tmp_path / "glens.step")
-    assert len(found) == 2 * ACROSS * rows
+    assert len(found) == 4 * ACROSS
     cells = np.unique(np.linspace(0, ACROSS - 1, 64).round().astype(int))
     assert len(cells) == 64
     place, way, kept = through_cells(found, cells, window.bodies[0].index)
     level = window.faces[1].vertex[2]
     focus, spot = best_focus(place, way, level + 190.0, level + 210.0)
-    print(f"focus {focus - level:.4f} mm, spot {spot:.4f} mm rms, kept {kept:.4f}")
     assert kept > 0.97
     assert focus - level == pytest.approx(199.9, abs=0.3)
     assert spot <= 0.13

@@ -29,13 +29,19 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
 
     A sheet of two focal lengths has no image point, and one whose image is at infinity none at a place.
     """
-    spec = design.law_spec.varying
-    if spec is None:
+    spec, planes = design.law_spec.varying, design.pair.focus
+    if spec is None and planes is None:
         return None
-    if spec.conjugates is not None:
+    if spec is not None and spec.conjugates is not None:
         planes = spec.conjugates
+    if planes is not None:
         return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
-    if spec.f_image is not None and spec.f_image[0] == spec.f_image[1] and isfinite(spec.f_image[0]):
+    if (
+        spec is not None
+        and spec.f_image is not None
+        and spec.f_image[0] == spec.f_image[1]
+        and isfinite(spec.f_image[0])
+    ):
         return (0.0, 0.0, -inf), spec.f_image[0]
     return None
 
@@ -51,7 +57,8 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     if not np.isfinite(one.found.point).all():
         return [not_run(name, "no light of the asked point gets through") for name in ("image_point", "spot")]
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
-    off = hypot(one.off, 0.0)
+    across = one.found.point[:2] - one.predicted.point[:2]
+    off = hypot(*across.tolist(), float(place[2]) - distance)
     text = f"{RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
     unit = design.unit
     limit = max(*found.width, NEAR * abs(distance))
