@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Pair2
-from clacad.imaging.image_by_rays import Image, image, lens_plane
+from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.optics.law.beam_shaping import spot_widths
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run
@@ -61,7 +61,9 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     off = hypot(*across.tolist(), float(place[2]) - distance)
     text = f"{RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
     unit = design.unit
-    limit = max(*found.width, NEAR * abs(distance))
+    width = found.width
+    assert width is not None  # a design that is made to image has no table
+    limit = max(*width, NEAR * abs(distance))
     point = judge(
         "image_point", off, limit,
         f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g}, {place[1]:.3g}), {off:.3g} {unit} from "
@@ -69,24 +71,24 @@ def image_checks(design: Design, window: Window) -> list[Check]:
         unit=unit, where="surfaces", bundle=text, limit_source=other("width of a cell's image, or 1 % of its distance"),
         detail={"found": place.tolist(), "share": one.share},
     )  # fmt: skip
-    narrow = _allowed(design, window, found, distance)
+    narrow = _allowed(design, window, width, distance)
     worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
     spot = judge(
         "spot", one.found.spot[worst], narrow[worst],
         f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells alone leave "
-        f"{found.width[worst] / sqrt(12.0):.4g}",
+        f"{width[worst] / sqrt(12.0):.4g}",
         unit=unit, where="surfaces", bundle=text, limit_source=other("cells, check.law_rms and diffraction together, times 1.5"),
-        detail={"spot": list(one.found.spot), "width": list(found.width)},
+        detail={"spot": list(one.found.spot), "width": list(width)},
     )  # fmt: skip
     return [point, spot]
 
 
-def _allowed(design: Design, window: Window, found: Image, distance: float) -> Pair2:
+def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:
     """Widest rms of the image along x and y (lengths) that what the design allows can leave."""
     waves = design.pair.wavelength / design.unit_m
     _, _, wave = spot_widths(window.law, window.lattice.pitch, abs(distance), 0.0, waves)
     x, y = (
         SPREAD * sqrt(w * w / 12.0 + (design.check.law_rms * distance) ** 2 + d * d)
-        for w, d in zip(found.width, wave, strict=True)
+        for w, d in zip(width, wave, strict=True)
     )
     return x, y
