@@ -109,36 +109,6 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
 REASONS: Final[Mapping[tuple[str, str], str]] = {
     (
         VARYING,
-        "tilt",
-    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
-    (VARYING, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (VARYING, "aimed at a point"): "lenses 2 are traced for light of one direction over the sheet",
-    (
-        VARYING,
-        "plate with holes, corners or pins",
-    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
-    (VARYING, "field lens"): "field lenses would stand in every cell at a place of their own",
-    (VARYING, "confocal best"): "its radii are for light along the axis alone",
-    (VARYING, "other pitch"): "its cells stand over their partners",
-    (PITCH_2, "law that varies"): "where its lenses stand is its law",
-    (
-        PITCH_2,
-        "tilt",
-    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
-    (
-        PITCH_2,
-        "plate with holes, corners or pins",
-    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
-    (PITCH_2, "field lens"): "field lenses would stand in every cell at a place of their own",
-    (PITCH_2, "steered"): "its cells look at the nodal point",
-    (PITCH_2, "aimed at a point"): "its cells look at the nodal point",
-    (PITCH_2, "traced vertices"): "its lenses stand in the middle of their own cells",
-    (PITCH_2, "confocal best"): "its radii are for light along the axis alone",
-    (PITCH_2, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (PITCH_2, "tolerances"): "a study of tolerances samples sheets of equal cells",
-    (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
-    (
-        VARYING,
         "sharp pairs",
     ): "its cells stand over their partners, and images of sharp pairs would not fall on one another",
     (PITCH_2, "sharp pairs"): "the pitch of array 2 follows from the two planes",
@@ -168,7 +138,40 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
     (FOCUS, "traced vertices"): "its lenses stand in the middle of their own cells",
     (FOCUS, "confocal best"): "its radii are for parallel light along the axis",
     (FOCUS, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (FOCUS, "tolerances"): "a study of tolerances samples sheets of equal cells",
+    (
+        FOCUS,
+        "tolerances",
+    ): "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
+    (
+        VARYING,
+        "tilt",
+    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
+    (VARYING, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
+    (VARYING, "aimed at a point"): "lenses 2 are traced for light of one direction over the sheet",
+    (
+        VARYING,
+        "plate with holes, corners or pins",
+    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
+    (VARYING, "field lens"): "field lenses would stand in every cell at a place of their own",
+    (VARYING, "confocal best"): "its radii are for light along the axis alone",
+    (VARYING, "other pitch"): "its cells stand over their partners",
+    (PITCH_2, "law that varies"): "where its lenses stand is its law",
+    (
+        PITCH_2,
+        "tilt",
+    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
+    (
+        PITCH_2,
+        "plate with holes, corners or pins",
+    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
+    (PITCH_2, "field lens"): "field lenses would stand in every cell at a place of their own",
+    (PITCH_2, "steered"): "its cells look at the nodal point",
+    (PITCH_2, "aimed at a point"): "its cells look at the nodal point",
+    (PITCH_2, "traced vertices"): "its lenses stand in the middle of their own cells",
+    (PITCH_2, "confocal best"): "its radii are for light along the axis alone",
+    (PITCH_2, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
+    (PITCH_2, "tolerances"): "a study of tolerances samples sheets of equal cells",
+    (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
 }
 """Sheet and feature → why they are not built together; what is not here is built."""
 
