@@ -144,10 +144,19 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
     arrival = (
         cells.separation * cells.slopes(directions) - cells.centre - _in_lens_plane(pair.rotation, apart)
     )
-    like = replace(window, placements=(CellPlacement(), place))
-    target = _in_lens_plane(pair.rotation, optical_tile(like, 1))
     whole = polygon_area(cells.image)
-    return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
+    return np.asarray(cells.part * _common_areas(cells.image, arrival, partner_zone(window)) / whole)
+
+
+def partner_zone(window: Window) -> Floats:
+    """Optical zone of lens 2 (m, 2) about the middle of its own cell, lens frame, lengths: lens 1's but where array 2 has a
+    pitch of its own.
+    """
+    pair = window.thin
+    if pair.pitch is None:
+        return thin_cells(window).zone
+    like = replace(window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch)))
+    return _in_lens_plane(pair.rotation, optical_tile(like, 1))
 
 
 def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
@@ -181,12 +190,14 @@ def lit_zone(cells: ThinCells) -> Floats:
     return clip(cells.image, cells.zone)
 
 
-def fresnel_numbers(cells: ThinCells, wavelength: float) -> tuple[float, float]:
+def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:
     """(w/2)²/(λ|f2|) along lens x and y, w what is lit of lens 2; infinite across an axis without power, where there is no lens.
 
     wavelength : float, length
+    lit : (m, 2) lengths or None
+        What is lit of lens 2 by light along the middle of the field; None: as for equal cells.
     """
-    widths = equivalent_widths(lit_zone(cells))
+    widths = equivalent_widths(lit_zone(cells) if lit is None else lit)
     x, y = (
         (0.5 * float(w)) ** 2 / (wavelength * abs(f)) if np.isfinite(f) else np.inf
         for w, f in zip(widths, cells.pair.focal_length[1], strict=True)
