@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from everyday import everyday
 
 import clacad
 from clacad.cli import main
@@ -134,6 +135,40 @@ def test_turned_cells_are_done_on_a_square_grid():
         turned.thin.marginals[1].half_energy, rel=1e-3
     )
     assert turned.slit[0] == pytest.approx(upright.slit[0])  # of the width with the same core
+
+
+@pytest.mark.parametrize(
+    ("pitch", "separation", "part"), everyday((1.0, 10, 0.3), others=[(0.5, 10, 0.3), (1.0, 10, 0.15)])
+)
+def test_above_fresnel_number_20_the_exact_surfaces_waves_go_on_the_mean_where_their_rays_go(
+    pitch, separation, part
+):
+    """Ehrenfest: the mean direction of a wave is that of its rays, aberration or none; tails beyond 20 λ/w left out."""
+    slope = part * pitch / separation
+    found = wave(
+        shipped("window-100mm", lattice__pitch=pitch, pair__separation=separation), (np.arctan(slope), 0.0)
+    )
+    assert min(found.fresnel) > 20.0
+    for one, slit, rays in zip(found.exact.marginals, found.slit, found.rays.mean, strict=True):
+        core = np.abs(one.off) < 20.0 * slit
+        mean = (one.off * one.density)[core].sum() / one.density[core].sum()
+        assert mean == pytest.approx(rays, abs=0.02 * slit)
+
+
+def test_with_the_field_lens_that_is_built_the_share_to_the_partner_rises_from_966_to_997_an_axis(capsys):
+    """At Fresnel number 22.7; the figures are another program's."""
+    shares = []
+    for more in ([], ["--set", "pair.field_lens=true"]):
+        assert main(["wave", str(DESIGNS / "window-100mm.toml"), *more, "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert min(told["fresnel_number"]) == pytest.approx(22.7, abs=0.05)
+        assert told["field_lens"] == bool(more)
+        shares.append(np.sqrt(told["thin"]["share"]))  # two axes alike
+        assert told["way"] == "pupil"
+        assert told["share"] == pytest.approx(
+            told["rays"]["share"] * told["thin"]["share"] / told["thin_share_of_rays"]
+        )
+    assert shares == pytest.approx([0.966, 0.997], abs=0.001)
 
 
 def test_a_field_lens_keeps_light_of_slopes_that_else_go_to_neighbours():
