@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from everyday import everyday
 
 import clacad
 from clacad.cli import main
@@ -137,9 +136,8 @@ def test_turned_cells_are_done_on_a_square_grid():
     assert turned.slit[0] == pytest.approx(upright.slit[0])  # of the width with the same core
 
 
-@pytest.mark.parametrize(
-    ("pitch", "separation", "part"), everyday((1.0, 10, 0.3), others=[(0.5, 10, 0.3), (1.0, 10, 0.15)])
-)
+@pytest.mark.parametrize(("pitch", "separation", "part"), [
+    (1.0, 10, 0.3), *(pytest.param(*one, marks=pytest.mark.slow) for one in [(0.5, 10, 0.3), (1.0, 10, 0.15)])])  # fmt: skip
 def test_above_fresnel_number_20_the_exact_surfaces_waves_go_on_the_mean_where_their_rays_go(
     pitch, separation, part
 ):
