@@ -64,13 +64,17 @@
     const ids = { eta: ["eta_x", "eta_y"], delta: ["delta_x", "delta_y"], euler: ["phi", "theta", "psi"], count: ["pitch"], viewer: ["eye"] };
     const lines = [], wrong = closedForms.unbuildable(made);
     if (wrong) lines.push("# cannot be made: " + wrong);
-    const on = Boolean(closedForms.fieldLens(made));
+    const on = Boolean(closedForms.fieldLens(made)), start = started();
+    const anew = facts.given && ["eta_x", "eta_y", "delta_x", "delta_y", "separation", "field"].some(function (id) { return state[id] !== start[id]; });
+    if (anew) lines.push("# the faces that were given were for another law or separation: they are derived here");
     let section = "";
     for (const line of facts.toml) {
       if (typeof line === "string") {
         if (line === "" && section === "[pair]" && on && !facts.field) lines.push("field_lens = true");
         if (line.startsWith("[")) section = line;
-        if (on || !line.startsWith("field_lens = ") && !line.startsWith("field = ")) lines.push(line);
+        const key = section === "[pair]" ? line.split(" = ")[0] : "";
+        if (!on && ["field_lens", "field"].includes(key) || anew && ["prescription", "face", "search", "vertex"].includes(key)) continue;
+        lines.push(line);
         continue;
       }
       const touched = (ids[line.key] || [line.key]).some(function (id) { return state[id] !== sliders[id].start; })
