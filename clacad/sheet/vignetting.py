@@ -233,12 +233,14 @@ def lit_zone(cells: ThinCells) -> Floats:
     return clip(cells.image, cells.zone)
 
 
-def fresnel_numbers(cells: ThinCells, wavelength: float) -> tuple[float, float]:
+def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:
     """(w/2)²/(λ|f2|) along lens x and y, w what is lit of lens 2; infinite across an axis without power, where there is no lens.
 
     wavelength : float, length
+    lit : (m, 2) lengths or None
+        What is lit of lens 2 by light along the middle of the field; None: as for equal cells.
     """
-    widths = equivalent_widths(lit_zone(cells))
+    widths = equivalent_widths(lit_zone(cells) if lit is None else lit)
     x, y = (
         (0.5 * float(w)) ** 2 / (wavelength * abs(f)) if np.isfinite(f) else np.inf
         for w, f in zip(widths, cells.pair.focal_length[1], strict=True)

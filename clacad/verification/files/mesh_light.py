@@ -18,6 +18,7 @@ from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
+from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
 from clacad.verification.checks import Check, judge, not_run
 from clacad.verification.files.cell_triangles import CellFacets, chosen_cells, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
@@ -29,7 +30,6 @@ from clacad.verification.files.law_through_file import (
     light_checks,
     measure_light,
 )
-from clacad.verification.light.through_window import SeenCell, tried_cells, worst_of
 from clacad.verification.limit_sources import derived, other
 
 CELL_RAYS = 4096

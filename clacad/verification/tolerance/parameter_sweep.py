@@ -19,7 +19,7 @@ from clacad.base.types import Progress
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
-from clacad.verification.light.through_window import worst_cell
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
 from clacad.verification.tolerance.study import asked_design, named_design, worked
@@ -191,7 +191,9 @@ def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, A
     row |= {"state": "failed" if failed else "ok", "failed": failed} | _built(facts)
     seen = worst_cell(window, made.check.field)
     if seen.tried:
-        row["message"] = f"light through cell ({seen.cell[0]}, {seen.cell[1]}), the worst of {seen.tried} tried"
+        row["message"] = (
+            f"light through cell ({seen.cell[0]}, {seen.cell[1]}), the worst of {seen.tried} tried"
+        )
     table = bench(made, seen.like, rays)
     measured = table.measured({})
     chief = {f"exit_{a}": float(table.chief[k]) for k, a in enumerate("xy")}
