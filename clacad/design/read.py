@@ -40,6 +40,7 @@ from clacad.design.sections import (
 )
 from clacad.design.varying import VaryingSpec, varying_read
 
+
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
     """Read a design file; the fields of a `Design`, see `load`."""
     name = os.fspath(path)
@@ -119,7 +120,13 @@ def _converted(data: dict[str, Any], unit: Unit) -> tuple[dict[str, Any], list[M
                                           allowed=f"a table [{section}] with the keys {known_in(section)}"))  # fmt: skip
         elif section not in data and section not in OPTIONAL:
             table.missing.append(_missing(section))
-            table.values.update({f"{section}.{name}": key.default for name, key in keys.items() if key.default is not REQUIRED})
+            table.values.update(
+                {
+                    f"{section}.{name}": key.default
+                    for name, key in keys.items()
+                    if key.default is not REQUIRED
+                }
+            )
         else:
             table.read((section,), keys, given)
     table.mistakes.extend(_unknown((name,)) for name in data if name not in ROOT and name not in SECTIONS)
