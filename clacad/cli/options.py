@@ -78,7 +78,7 @@ class _AsGiven:
         wanted = param.type_descriptor.annotation
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
-        if wanted is str and isinstance(value, str):
+        if isinstance(wanted, type) and type(value) is wanted:  # a text, or what stands there by default
             return value
         if (
             wanted is Path
