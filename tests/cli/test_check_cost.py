@@ -27,7 +27,18 @@ def test_check_loads_neither_kernel_nor_effects_nor_network():
     )
     status, loaded = json.loads(done.stdout.splitlines()[-1])
     assert status in (0, 1)
-    heavy = {"OCP", "build123d", "numba", "scipy", "matplotlib", "trimesh", "manifold3d", "embreex", "PIL"}
+    heavy = {
+        "OCP",
+        "build123d",
+        "numba",
+        "scipy",
+        "matplotlib",
+        "trimesh",
+        "manifold3d",
+        "embreex",
+        "PIL",
+        "pydantic",
+    }
     assert not heavy & set(loaded)
     assert not {
         "clacad.effects",
