@@ -171,7 +171,8 @@ def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -
     """What parallel light of each direction (k, 3) does: sent together, for so few rays cost little more than none."""
     lit = [bundle(window, rays, 0.0, middle=direction) for direction in directions]
     starts, ways = ([getattr(one.rays, name) for one in lit] for name in ("position", "direction"))
-    result = send(replace(lit[0], rays=Rays(np.concatenate(starts), np.concatenate(ways))))
+    joined = Rays(np.concatenate(starts), np.concatenate(ways))
+    result = send(replace(lit[0], rays=joined, points=np.concatenate([one.points for one in lit])))
     rows = [slice(first, first + rays) for first in range(0, len(lit) * rays, rays)]
     return tuple(
         _field_point(window, one, direction, result.direction[own], result.fate[own])
