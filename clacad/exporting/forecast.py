@@ -160,7 +160,7 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
 
 
 def _forecast_fixture(window: Window, name: str) -> Forecast:
-    """Price of baffle, frame, coupon and BREP: the first exactly, the modelled ones by size classes."""
+    """Price of baffle, frame, pins, coupon and BREP: the first exactly, the modelled ones by size classes."""
     cells = window.lattice.cell_count
     if name == "baffle":
         honeycombs = max(1, len(window.bodies) - 1)
@@ -168,7 +168,9 @@ def _forecast_fixture(window: Window, name: str) -> Forecast:
         row = Forecast(name, 84 * honeycombs + 50 * facets, False, facets, None, costs.stl_seconds(facets),
                        (80_000_000, 400_000_000))  # fmt: skip
         return row
-    size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
+    size = {"frame": 400_000, "pins": 25_000, "coupon": 2_000_000}.get(
+        name, 15_000 + 8_000 * cells * len(window.bodies)
+    )
     return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))
 
 

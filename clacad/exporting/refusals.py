@@ -127,6 +127,13 @@ def _frame(window: Window, _asked: Request, worker: Worker) -> None:
         _require_room(mark_text(window.name), width, height, worker)
 
 
+def _pins(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Two plates with pin holes, a gap, and land for the shoulders."""
+    from clacad.exporting.fixtures.shoulder_pins import pin_spec
+
+    pin_spec(window)
+
+
 def _marks(window: Window, _asked: Request, worker: Worker) -> None:
     """A border with room for the name."""
     from clacad.solid.marks import mark_place, mark_text
@@ -197,7 +204,7 @@ DRAWING_SECONDS = 300.0
 """Time for OCC to draw a line of text."""
 
 _NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
-    "gds": _gds, "mask": _mask, "baffle": _baffle, "frame": _frame, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
+    "gds": _gds, "mask": _mask, "baffle": _baffle, "frame": _frame, "pins": _pins, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
     "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland, "zmx": _zmx,
 }  # fmt: skip
 """Format → what refuses it; formats of a mere shape are refused by their price alone."""

@@ -72,7 +72,8 @@ class Request:
     ----------
     formats : sequence of str
         step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
-        `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
+        `gds`), pov, brep, baffle, frame, pins (with a shoulder between the bodies), coupon, marked (bodies with their name and an
+        arrow in the border, STEP),
         marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
         telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
         (DXF and PDF, needs the extras `dxf` and `pdf`).
