@@ -28,13 +28,11 @@ from clacad.design.sections import AimedAt
 from clacad.optics.surface import Quadric, Surface
 from clacad.prescription.given import GivenFaces
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
+from clacad.sheet.gap import FIELD as ARRAY
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
 
 if TYPE_CHECKING:
     from clacad.prescription.assemble import Intent
-
-ARRAY = 2
-"""Number of the field lens's array; lens 1 and lens 2 have 0 and 1."""
 
 STEEPEST = 1.05
 """Least radius of a field face over half the width of its cell."""

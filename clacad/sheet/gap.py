@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from clacad.sheet.window import Body, Window
 
+FIELD = 2
+"""Number of the array of a field lens; lens 1 and lens 2 have 0 and 1."""
+
 
 class NoFixture(ValueError):
     """A fixture that this window leaves no room for; exit status 2."""

@@ -39,7 +39,7 @@ class StackMeridian:
         Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack.
     determinant : float
     length : float, length
-        From the first of these arrays to the last, what is solid reduced to air.
+        From the first of these arrays to the last, along z.
     acts_as_space : float or None, length
         Where slopes leave as they came: the length of empty space the stack stands for, B.
     moves_image : float or None, length

@@ -13,7 +13,8 @@ POLICY = "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; base-ur
 
 NOTE = (
     "Drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows the view "
-    "flipped left-right. Exact refraction at every lens face, ghosts included; lengths in floor tiles."
+    "flipped left-right. Exact refraction at every lens face, ghosts included; lengths in floor tiles, "
+    "but for rows W."
 )
 
 STYLE = """
