@@ -161,7 +161,9 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
     edge = boundary(window.lattice)
-    by_row = edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])  # own cells are held for some rows
+    by_row = (
+        edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])
+    )  # own cells are held for some rows
     points = {at: _side_points(tiled, *at) for at in by_row}
     for i, j, k in edge:
         keys = list(points[i, j, k])

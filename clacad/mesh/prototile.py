@@ -117,7 +117,9 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
-    return Prototile(plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted, _on_left(make, borders))
+    return Prototile(
+        plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted, _on_left(make, borders)
+    )
 
 
 def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ...]:

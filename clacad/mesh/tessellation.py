@@ -57,7 +57,9 @@ def tessellate(
     """
     need_window(window, "tessellate", ", quads=16")
     if saddle_bevel > 0.0:
-        need_equal_cells(window, "a bevel at saddles", "without them columns that touch keep vertices of their own")
+        need_equal_cells(
+            window, "a bevel at saddles", "without them columns that touch keep vertices of their own"
+        )
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
     if quads is None:
@@ -117,7 +119,9 @@ class _Parts:
         if not mine:
             return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
         own = OwnCells(make, quads)
-        i, j = next(row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))).tolist()
+        i, j = next(
+            row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))
+        ).tolist()
         return Tiled(own.at((i, j)), tiling.shift, lattice, own)
 
 

@@ -105,9 +105,7 @@ def make_border(
     return Border(k, window.lattice.steps[k], tuple(a), tuple(b), steps, joints, kept, roots)
 
 
-def roots_between(
-    window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int
-) -> Floats:
+def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int) -> Floats:
     """`Border.roots` (n,) between two cells that differ, of border class k.
 
     Parameters

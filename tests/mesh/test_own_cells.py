@@ -78,14 +78,18 @@ def test_bodies_of_cells_that_differ_are_closed_and_enclose_what_the_faces_do(ch
     window = built(**changes)
     coarse, fine = (tessellate(window, quads=q) for q in (5, 10))
     for some, many, body in zip(coarse.bodies, fine.bodies, window.bodies, strict=True):
-        health = check_closed(lambda some=some: (rows.astype(np.float32) for rows in some.rows()), pieces=True)
+        health = check_closed(
+            lambda some=some: (rows.astype(np.float32) for rows in some.rows()), pieces=True
+        )
         assert health.closed
         assert health.four_face_edges == health.degenerate == 0
         assert len(some.triangles) == some.facet_count == sum(len(rows) for rows in some.rows())
         exact = body_volume(window, body)
         chords = [abs(mesh.volume() - exact.value) for mesh in (some, many)]
         assert chords[0] < 0.03 * exact.value
-        assert chords[1] < 0.36 * chords[0] + 3.0 * exact.error  # the error of chords falls as the square of their length
+        assert (
+            chords[1] < 0.36 * chords[0] + 3.0 * exact.error
+        )  # the error of chords falls as the square of their length
 
 
 def test_every_corner_of_a_lens_lies_on_the_quadric_of_its_own_cell_where_that_stands():
@@ -119,7 +123,10 @@ def test_every_corner_of_a_lens_lies_on_the_quadric_of_its_own_cell_where_that_s
 
 def test_the_mesh_of_cells_that_differ_is_the_same_every_time_and_in_any_order():
     def digest(mesh):
-        return [hashlib.sha256(b"".join(rows.tobytes() for rows in body.rows())).hexdigest() for body in mesh.bodies]
+        return [
+            hashlib.sha256(b"".join(rows.tobytes() for rows in body.rows())).hexdigest()
+            for body in mesh.bodies
+        ]
 
     window = built(lattice__kind="hexagonal")
     first, second = tessellate(window, quads=4), tessellate(built(lattice__kind="hexagonal"), quads=4)

@@ -79,7 +79,9 @@ def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
             fills &= (back > front) & (mine == (front if face is body.front else back))
     if not fills.all():
         need_equal_cells(
-            window, "a mask of lenses that end at rims", "height maps (tiff, png) hold rims that differ from cell to cell"
+            window,
+            "a mask of lenses that end at rims",
+            "height maps (tiff, png) hold rims that differ from cell to cell",
         )
 
 

@@ -73,7 +73,10 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
     if face.array is not None and window.placements[face.array].pitch is not None:
         found["cells_pitch_mm"] = [p * scale for p in window.lattice_of(face.array).pitch]
     if face.change is not None:
-        found |= {"apex_in_cell_mm": [None, None, face.vertex[2] * scale], "apex": "cell by cell in the pose table"}
+        found |= {
+            "apex_in_cell_mm": [None, None, face.vertex[2] * scale],
+            "apex": "cell by cell in the pose table",
+        }
     return found
 
 

@@ -179,7 +179,10 @@ def _range_of_pixels(map_: HeightMap) -> tuple[float, float]:
     """Range of heights over all pixels of a map whose cells differ."""
     low, high = np.inf, -np.inf
     for block in map_.blocks():
-        low, high = min(low, float(np.nanmin(block, initial=np.inf))), max(high, float(np.nanmax(block, initial=-np.inf)))
+        low, high = (
+            min(low, float(np.nanmin(block, initial=np.inf))),
+            max(high, float(np.nanmax(block, initial=-np.inf))),
+        )
     return low, high
 
 

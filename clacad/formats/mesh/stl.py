@@ -65,7 +65,9 @@ def write_stl(bodies: Iterable[FacetStream], path: Path, scale: float, name: str
         A body yielded another number of facets than it had promised, or a corner that is no number.
     """
     bodies = list(bodies)
-    counted = all(not getattr(body, "own", False) for body in bodies)  # cells that differ are counted as they are made
+    counted = all(
+        not getattr(body, "own", False) for body in bodies
+    )  # cells that differ are counted as they are made
     count = sum(body.facet_count for body in bodies) if counted else 0
     _refuse_many(count)
     with path.open("wb") as stream:

@@ -81,7 +81,9 @@ def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINT
 def deviations(window: Window, gathered: CellFacets, present: Sequence[str] | None) -> list[Deviation]:
     """Facets of every cell that was looked at against the exact faces; `present`: as for `telescopelet`."""
     return [
-        deviation(_like(window, gathered, k), telescopelet(window, gathered, k, present), FEWER if k else POINTS)
+        deviation(
+            _like(window, gathered, k), telescopelet(window, gathered, k, present), FEWER if k else POINTS
+        )
         for k in range(len(gathered.cells))
     ]
 
