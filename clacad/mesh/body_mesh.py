@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import fsum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,13 @@ from clacad.base.unique_rows import unique_rows
 from clacad.mesh.cell_template import Template, TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.land_ring import row_states
-from clacad.mesh.own_cells import OwnCells
 from clacad.mesh.volume import flux
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.like_cell import outer_cells, sampled_cells
 from clacad.sheet.window import Body, Window
+
+if TYPE_CHECKING:
+    from clacad.mesh.own_cells import OwnCells
 
 _CHUNK = 200_000  # triangles an expanded block holds at most, about
 

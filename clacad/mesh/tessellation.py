@@ -10,7 +10,6 @@ from clacad.mesh.cell_template import TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
-from clacad.mesh.own_cells import OwnCells
 from clacad.mesh.prototile import make_prototile
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Body, Window
@@ -118,6 +117,8 @@ class _Parts:
         mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
         if not mine:
             return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
+        from clacad.mesh.own_cells import OwnCells  # sheets of equal cells have no use for it
+
         own = OwnCells(make, quads)
         i, j = next(
             row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))

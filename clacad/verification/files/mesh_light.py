@@ -100,7 +100,7 @@ def checks_of_light(
         Light through the file against the law (file_*), then against the design cut as the file is (faithful_*).
     """
     asked.progress("tracing the triangles", 0.0)
-    held, one = telescopelet(window, gathered, 0, present), _seen(window, gathered.cells[0])
+    held, one = telescopelet(window, gathered, 0, present), seen_cell(window, gathered.cells[0])
     light = measure_light(
         asked.design, one.like, lambda lit: trace_facets(held, one.placed(lit).rays), max(asked.rays, _enough(gathered)),
         min(asked.rays, POINT_RAYS), gathered.cells[0] if window.uniform else None, one.send,
@@ -124,7 +124,7 @@ def _by_cell(
     main, spec = light.rays, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
-        one, count = _seen(window, cell), len(main.rays)
+        one, count = seen_cell(window, cell), len(main.rays)
         lit, seen, truth = one.placed(main), light.seen, light.truth
         if number:
             count = min(asked.rays, CELL_RAYS)
@@ -159,7 +159,7 @@ def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
     return tuple(dict.fromkeys((int(i), int(j)) for i, j in cells))
 
 
-def _seen(window: Window, cell: tuple[int, int]) -> SeenCell:
+def seen_cell(window: Window, cell: tuple[int, int]) -> SeenCell:
     """One cell, as it is lit."""
     index = np.array(cell, dtype=np.int64)
     return SeenCell(window, like_cell(window, index, widest=False), index)
@@ -242,7 +242,7 @@ def _fits(
     """
     spec = asked.design.check
     angle = max(spec.field, FIT_FIELD * min(half_field(thin_cells(window))))
-    one = _seen(window, gathered.cells[0])
+    one = seen_cell(window, gathered.cells[0])
     lit = one.placed(bundle(one.like, asked.rays, angle, spec.field_centre))
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
