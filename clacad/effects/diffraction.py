@@ -127,9 +127,7 @@ def bound(situation: Situation) -> Bound:
         return Bound(0.0, 0.0, "no light passes the sheet", COST)
     cells = thin_cells(window)
     probe = situation.probe
-    widths = lit_widths(
-        cells, situation.rays.direction[passing], probe.order[passing], probe.cell[passing]
-    )
+    widths = lit_widths(cells, situation.rays.direction[passing], probe.order[passing], probe.cell[passing])
     mean = widths.mean(axis=0)
     wave = max(lines)
     angle = hypot(*(wave / (mean * window.unit)))

@@ -88,9 +88,7 @@ def orders(cells: ThinCells, slopes: Floats, index: Ints | None = None) -> list[
     return [order for order in listed if order != (0, 0)]
 
 
-def shares(
-    cells: ThinCells, slopes: Floats, order: tuple[int, int], index: Ints | None = None
-) -> Floats:
+def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int], index: Ints | None = None) -> Floats:
     """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order; `index` as in `orders`."""
     if index is None:
         shift = arrivals(cells, slopes) - cells.neighbour(order)

@@ -44,7 +44,10 @@ def worst_bound(situation: Situation, name: str, bound: Callable[[Situation], Bo
     unknown = [one for one in every if not one.known]
     if unknown:
         return unknown[0]
-    parts = [max(one.angle / max(situation.angle, TINY), one.radiance / max(situation.radiance, TINY)) for one in every]
+    parts = [
+        max(one.angle / max(situation.angle, TINY), one.radiance / max(situation.radiance, TINY))
+        for one in every
+    ]
     worst = int(np.argmax(parts))
     i, j = situation.stand_ins[worst][0]
     counted = situation.share(COUNTED[name]) if name in COUNTED else 0.0

@@ -191,7 +191,9 @@ def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, A
     row |= {"state": "failed" if failed else "ok", "failed": failed} | _built(facts)
     seen = worst_cell(window, made.check.field)
     if seen.tried:
-        row["message"] = f"light through cell ({seen.cell[0]}, {seen.cell[1]}), the worst of {seen.tried} tried"
+        row["message"] = (
+            f"light through cell ({seen.cell[0]}, {seen.cell[1]}), the worst of {seen.tried} tried"
+        )
     table = bench(made, seen.like, rays)
     measured = table.measured({})
     chief = {f"exit_{a}": float(table.chief[k]) for k, a in enumerate("xy")}
