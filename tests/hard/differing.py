@@ -90,7 +90,7 @@ CASES = [
     case("kappa = 1e-12, with curl", "four numbers", BENT, (20, 0)),
     case("kappa = 5e-3, vertices traced", "a table of vertices", TABLED, (40, 40)),
     case("kappa = 5e-3, hexagonal, vertices traced", "rows of the table begin elsewhere", {**TABLED, "lattice.kind": "hexagonal"},
-         (25, 30)),
+         (18, 30)),
     case("kappa = 5e-3, vertices traced, a ghost", "the lens of the next cell stands elsewhere", TABLED, (30, 12), slope=(0.04, 0.0)),
     case("a gradient with curl beside a table", "lenses 2 turn about the middle", {**TABLED, "gradient": CURL}, (31, 9)),
     case("a gradient with curl beside another pitch", "the same in an array of its own pitch", pitched(1.02, gradient=CURL), (3, 16)),

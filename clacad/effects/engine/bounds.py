@@ -103,12 +103,9 @@ class Situation:
         return np.flatnonzero(self.probe.fate < Fate.MISSED)
 
     @cached_property
-    def loss(self) -> float:
-        """Mean share that the probe rays lose by reflection at all faces."""
-        from clacad.effects.fresnel import losses
-
-        lost = losses(self)
-        return float(lost.mean()) if len(lost) else 0.0
+    def kept(self) -> dict[str, float]:
+        """What effects worked out from this very situation; a changed one begins anew."""
+        return {}
 
     def share(self, *fates: Fate) -> float:
         """Share of the rays on the sheet that end in one of the fates, as counted."""

@@ -29,8 +29,8 @@ from clacad.sheet.window import Window
 if TYPE_CHECKING:
     from clacad.imaging.shape import Rendered
 
-DISTANCE, FOCAL = 400.0, 200.0
-"""Of the eye before the sheets, and of the glens's image of parallel light, mm."""
+NEAR, FAR, FARTHER, FOCAL = 400.0, 1500.0, 2000.0, 200.0
+"""Of the eye before the window, the glens and the moiré magnifier; of the glens's image of parallel light, mm."""
 
 SHAPED_CELLS, SHAPED_DISTANCE, SHAPED_WIDTH = (60, 60), 500.0, 40.0
 """Cells of the sheet that shapes a beam, the screen's distance and the width of its picture, mm."""
@@ -52,7 +52,7 @@ def _window(load: Loader) -> Iterator[AtlasFinding]:
         if label == "aimed":
             for axis, name in ((0, "x"), (1, "y")):
                 body = prescribe(scene.design())
-                expected = 1.0 + (body.thin.separation - (200.0 - _thickness(body))) / DISTANCE
+                expected = 1.0 + (body.thin.separation - (200.0 - _thickness(body))) / NEAR
                 yield AtlasFinding(
                     f"aimed, z = 200: 1/stretch in {name}", float(found.matrix[axis, axis]), expected, 0.01
                 )
@@ -73,10 +73,10 @@ def _glens(load: Loader) -> Iterator[AtlasFinding]:
     """The map from the glens to screens behind it, by exact surfaces and by its law."""
     cells, smooth = load("glens-knight"), load("glens-knight-law")
     window = prescribe(cells.design())
-    middle = 1.0 - 0.5 * window.thin.separation / DISTANCE  # of the cell, over where its light comes through
-    for z in (100.0, 200.0):
-        real = 1.0 - (z - _thickness(window)) * (1.0 / DISTANCE + middle / FOCAL)
-        ideal = 1.0 - z * (1.0 / DISTANCE + 1.0 / FOCAL)
+    middle = 1.0 - 0.5 * window.thin.separation / FAR  # of the cell, over where its light comes through
+    for z in (100.0, 300.0):
+        real = 1.0 - (z - _thickness(window)) * (1.0 / FAR + middle / FOCAL)
+        ideal = 1.0 - z * (1.0 / FAR + 1.0 / FOCAL)
         for scene, label, expected, slack in (
             (cells, "cells, exact surfaces", real, 0.04), (smooth, "smooth law", ideal, 1e-9),
         ):  # fmt: skip
@@ -98,7 +98,7 @@ def _moire(load: Loader) -> Iterator[AtlasFinding]:
     scene = load("moire-magnifier")
     window = prescribe(scene.design())
     first, second = window.lattice.pitch[0], window.lattice_of(1).pitch[0]
-    expected = second / (1.0 + window.thin.separation / DISTANCE - second / first)
+    expected = second / (1.0 + window.thin.separation / FARTHER - second / first)
     for axis, name in ((0, "x"), (1, "y")):
         found = _period(scene, axis)
         yield AtlasFinding(f"period of the lenses in {name}, mm", found, expected, 0.02 * expected)
@@ -114,7 +114,7 @@ def _period(scene: Scene, axis: int) -> float:
     across = np.linspace(0.95 * x0, 0.95 * x1, 8 * RAYS)
     place = np.zeros((len(across), 3))
     place[:, axis] = across
-    eye = np.array([0.0, 0.0, -DISTANCE])
+    eye = np.array([0.0, 0.0, -FARTHER])
     result = trace(window, Rays(np.broadcast_to(eye, place.shape).copy(), place - eye), path="numpy")
     through = result.fate <= Fate.GHOST
     line: Floats = np.polyfit(across[through], result.order[through, axis].astype(np.float64), 1)
@@ -184,7 +184,8 @@ DIFFERING: tuple[Figure, ...] = (
     Figure("V2", "A glens", "f = 200 mm with eta = -1: cells that differ by the place of lens 2 image like a lens that has both foci on "
            "one side; beside it the smooth law.",
            (("glens-knight", "cells, exact surfaces"), ("glens-knight-law", "smooth law")), _glens),
-    Figure("V3", "A moiré magnifier", "Arrays of two pitches, 0.5 and 0.49 mm, make a lattice of lenses, each of many lenslets.",
+    Figure("V3", "A moiré magnifier", "Arrays of two pitches, 0.5 and 0.49 mm, make a lattice of lenses, each of many lenslets; behind it three knights, and "
+           "each is seen by a lens of its own.",
            (("moire-magnifier", "pitch 0.5 and 0.49 mm"),), _moire),
     Figure("V4", "A shaped beam", "A table of cells sends parallel light into the outline of a knight, 500 mm behind the sheet.",
            (), _beam, drawn=(("shaped-beam", "asked; by rays through the sheet; the difference", _shaped_picture),)),
