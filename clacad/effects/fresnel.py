@@ -80,11 +80,11 @@ def losses(situation: Situation) -> Floats:
 
 
 def mean_loss(situation: Situation) -> float:
-    """Mean share that the probe rays lose by reflection at all faces; traced once a situation."""
-    if NAME not in situation.memory:
+    """Mean share that the probe rays lose by reflection at all faces; kept with the situation."""
+    if NAME not in situation.kept:
         lost = losses(situation)
-        situation.memory[NAME] = float(lost.mean()) if len(lost) else 0.0
-    return situation.memory[NAME]
+        situation.kept[NAME] = float(lost.mean()) if len(lost) else 0.0
+    return situation.kept[NAME]
 
 
 def bound(situation: Situation) -> Bound:

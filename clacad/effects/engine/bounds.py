@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -88,7 +88,6 @@ class Situation:
     spread: float = 0.0
     stand_ins: tuple[tuple[tuple[int, int], Situation], ...] = ()
     notes: tuple[str, ...] = ()
-    memory: dict[str, float] = field(default_factory=dict)
 
     @cached_property
     def probe(self) -> TraceResult:
@@ -101,6 +100,11 @@ class Situation:
     def met(self) -> NDArray[np.intp]:
         """Rows (m,) of the probe rays that meet the sheet."""
         return np.flatnonzero(self.probe.fate < Fate.MISSED)
+
+    @cached_property
+    def kept(self) -> dict[str, float]:
+        """What effects worked out from this very situation; a changed one begins anew."""
+        return {}
 
     def share(self, *fates: Fate) -> float:
         """Share of the rays on the sheet that end in one of the fates, as counted."""

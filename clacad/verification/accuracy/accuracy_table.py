@@ -102,7 +102,7 @@ def _measured(
     return AccuracyTable(name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
-OWN_SECONDS, OWN_SECONDS_A_RAY = 4.0, 3.0e-5
+OWN_SECONDS, OWN_SECONDS_A_RAY = 10.0, 2.0e-5
 """Of the rows of a sheet whose cells differ: its worst cell found and 50 digits; each ray, mostly on rungs law and thin in numpy."""
 
 TASK = "accuracy"
