@@ -12,9 +12,10 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rung
 from clacad.imaging.best_point import BestPoint, best_point
 from clacad.optics.law import angle_between
-from clacad.optics.law.focusing import Superlens, along_axes, cell_width
+from clacad.optics.law.focusing import along_axes, cell_width
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.cell_laws import CellLaws
+from clacad.sheet.feasibility.imaging_rows import Zone, zone_of
 from clacad.sheet.need_window import need_window
 from clacad.tracing.tracer import Tracer
 
@@ -53,14 +54,6 @@ class RungImage:
     def off(self) -> float:
         """Distance from the predicted point to the one found, length."""
         return float(np.linalg.norm(self.found.point - self.predicted.point))
-
-
-@dataclass(frozen=True, slots=True)
-class Zone:
-    """How far a superlens is one lens: light along the normal stays with its partner over `width`, (2,) lengths."""
-
-    width: Pair2
-    f_number: Pair2
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +154,7 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
     sent, which = sent_to(window, place, rays)
     cells = window.lattice.cells()[np.unique(which)]
     found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
-    return Image(place, found, _width(window, place), _sampling(window, sent), _zone(window))
+    return Image(place, found, _width(window, place), _sampling(window, sent), zone_of(window))
 
 
 def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
@@ -242,19 +235,6 @@ def _sampling(window: Window, sent: Rays) -> Sampling | None:
     return Sampling(
         float(np.sqrt(np.mean(apart**2))), best_point(smooth.position[good], smooth.direction[good])
     )
-
-
-def _zone(window: Window) -> Zone | None:
-    """The zone of a superlens, along the cells' axes."""
-    own = window.thin.pitch
-    if own is None:
-        return None
-    first = window.lattice.pitch
-    (f1x, f1y), (f2x, f2y) = window.thin.focal_length
-    x, y = (
-        Superlens((a, b), focal) for a, b, focal in zip(first, own, ((f1x, f2x), (f1y, f2y)), strict=True)
-    )
-    return Zone((x.zone_period, y.zone_period), (x.f_number, y.f_number))
 
 
 def _width(window: Window, source: Floats) -> Pair2 | None:

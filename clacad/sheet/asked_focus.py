@@ -32,6 +32,11 @@ def less_focus(window: Window, points: Floats, direction: Floats) -> Floats:
     points : (n, 2) lengths
         Where each ray crosses z = 0 from the centre of its cell.
     """
+    return _with_slopes(window, direction, points)
+
+
+def _with_slopes(window: Window, direction: Floats, points: Floats) -> Floats:
+    """Directions (n, 3) whose slopes grow by D times `points` (n, 2), lengths."""
     power = asked_power(window)
     if not power.any():
         return direction
@@ -40,6 +45,12 @@ def less_focus(window: Window, points: Floats, direction: Floats) -> Floats:
     slopes = lens[:, :2] / lens[:, 2:] + (points @ turn[:2, :2]) * power
     made = np.column_stack([slopes, np.ones(len(slopes))]) @ turn.T
     return np.asarray(made / np.linalg.norm(made, axis=1)[:, None])
+
+
+def asked_directions(window: Window, lit: Bundle) -> Floats:
+    """What each ray of a bundle shall leave as, (n, 3), unit: by the law, and by the focus that was asked for."""
+    out = window.law.refract(lit.rays.direction)
+    return _with_slopes(window, out, -lit.points)
 
 
 def held_to_law(window: Window, lit: Bundle, result: TraceResult) -> TraceResult:

@@ -51,9 +51,19 @@ assert abs(focus["traced"] - 200) < 0.5 < 4 < abs(focus["paraxial"] - 200)
 # %%
 found = clacad.image(window, (20, 0, -2000))
 for rung in found.rungs:
-    print(rung.rung, "predicted", rung.predicted.point.round(3), "found", rung.found.point.round(3), "share", round(rung.share, 3))
+    print(
+        rung.rung,
+        "predicted",
+        rung.predicted.point.round(3),
+        "found",
+        rung.found.point.round(3),
+        "share",
+        round(rung.share, 3),
+    )
 sampling = found.sampling
-print(f"cells turn light {1e3 * sampling.slope:.2f} mrad rms from the smooth law, whose spot would be {max(sampling.smooth.spot):.1e} mm")
+print(
+    f"cells turn light {1e3 * sampling.slope:.2f} mrad rms from the smooth law, whose spot would be {max(sampling.smooth.spot):.1e} mm"
+)
 thin = found.rungs[1]
 distance = thin.predicted.point[2] - 10
 assert abs(distance - -1 * (-2000 - 10) / (1 + -1 / 200 * -2000)) < 1e-9  # ζ = η (z − s)/(1 + κz)
@@ -65,9 +75,13 @@ assert thin.share > 0.7
 # themselves, their images on top of one another. Then nothing is left of the cells.
 
 # %%
-sharp = design.replace({"law": {"eta": [-1.0, -1.0]}, "pair.focus": {"object": -300, "image": 400}, "lattice.count": [11, 11]})
+sharp = design.replace(
+    {"law": {"eta": [-1.0, -1.0]}, "pair.focus": {"object": -300, "image": 400}, "lattice.count": [11, 11]}
+)
 (ideal, real) = clacad.image(clacad.prescribe(sharp), (0, 0, -300), ("thin", "surfaces"), 20_000).rungs
-print(f"spot of a point at -300 mm: ideal lenses {max(ideal.found.spot):.1e} mm, these {max(real.found.spot):.3f} mm")
+print(
+    f"spot of a point at -300 mm: ideal lenses {max(ideal.found.spot):.1e} mm, these {max(real.found.spot):.3f} mm"
+)
 assert max(ideal.found.spot) < 1e-9
 assert max(real.found.spot) < 0.5 / 12**0.5
 

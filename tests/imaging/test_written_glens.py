@@ -1,4 +1,4 @@
-"""A glens as it is written: the STEP file read back by its kernel, its faces traced here in plain numpy, cell by cell."""
+"""A glens as it is written: its STEP file read back by a kernel, its cells meshed, both traced here in plain numpy, cell by cell."""
 
 from __future__ import annotations
 
@@ -132,3 +132,76 @@ def test_sixty_four_cells_of_the_written_step_focus_where_the_glens_shall(tmp_pa
     assert focus - level == pytest.approx(199.9, abs=0.3)
     assert spot <= 0.13
     assert np.abs(place[:, 0]).max() > 24.5
+
+
+def facets_over(mesh, upwards, quads):
+    """Triangles of one side by the square of a grid over the cell that holds their middle: {square: corners (k, 3, 3)}."""
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    side = normal[:, 2] > 0.0 if upwards else normal[:, 2] < 0.0
+    corners = corners[side]
+    square = np.floor((corners.mean(axis=1)[:, :2] / PITCH + 0.5) * quads).astype(int)
+    table = np.full((quads, quads, 2), -1)
+    order = np.lexsort(square.T)
+    place, first = np.unique(square[order], axis=0, return_index=True)
+    assert len(place) == quads**2
+    table[place[:, 0], place[:, 1], 0] = order[first]
+    table[place[:, 0], place[:, 1], 1] = order[first + 1]
+    return corners, table
+
+
+def facet_met(over, start, way, quads):
+    """Where rays meet the facets, their unit normals towards the light, and which rays do."""
+    corners, table = over
+    point, normal = np.full(start.shape, np.nan), np.full(start.shape, np.nan)
+    flat = corners[:, 0, 2].mean()
+    guess = start + ((flat - start[:, 2]) / way[:, 2])[:, None] * way
+    middle = np.floor((guess[:, :2] / PITCH + 0.5) * quads).astype(int)
+    reach = range(-3, 4)
+    for dx in reach:
+        for dy in reach:
+            for k in (0, 1):
+                square = middle + (dx, dy)
+                known = ((square >= 0) & (square < quads)).all(axis=1)
+                rows = np.flatnonzero(known & np.isnan(point[:, 0]))
+                a, b, c = np.moveaxis(corners[table[square[rows, 0], square[rows, 1], k]], 1, 0)
+                n = np.cross(b - a, c - a)
+                t = ((a - start[rows]) * n).sum(axis=1) / (way[rows] * n).sum(axis=1)
+                hit = start[rows] + t[:, None] * way[rows]
+                inside = np.ones(len(rows), bool)
+                for p, q in ((a, b), (b, c), (c, a)):
+                    inside &= (np.cross(q - p, hit - p) * n).sum(axis=1) >= -1e-12 * (n**2).sum(axis=1)
+                good = rows[inside]
+                point[good] = hit[inside]
+                unit = n[inside] / np.linalg.norm(n[inside], axis=1)[:, None]
+                normal[good] = -np.sign((unit * way[good]).sum(axis=1))[:, None] * unit
+    return point, normal, np.isfinite(point[:, 0])
+
+
+@pytest.mark.long
+def test_sixty_four_cells_meshed_at_256_quads_focus_where_the_glens_shall():
+    from clacad.sheet.like_cell import like_cell
+
+    window = clacad.prescribe(clacad.Design.from_dict(DESIGN).with_cells((ACROSS, 2)))
+    quads, index = 256, window.bodies[0].index
+    rng = np.random.default_rng(7)
+    places, ways = [], []
+    cells = np.unique(np.linspace(0, ACROSS - 1, 64).round().astype(int))
+    for i in cells:
+        cell = np.array([i, 1])
+        mesh = clacad.tessellate(like_cell(window, cell, widest=False).with_cells((1, 1)), quads=quads)
+        local = rng.uniform(-0.499 * PITCH, 0.499 * PITCH, (64, 2))
+        start, way = np.column_stack([local, np.full(64, -2.0)]), np.tile([0.0, 0.0, 1.0], (64, 1))
+        at, normal, inside = facet_met(facets_over(mesh, False, quads), start, way, quads)
+        assert inside.all()
+        way = refracted(way, normal, 1 / index)
+        at, normal, inside = facet_met(facets_over(mesh, True, quads), at, way, quads)
+        centre = window.lattice.centres(cell)
+        places.append(at[inside] + [*centre, 0.0])
+        ways.append(refracted(way[inside], normal[inside], index))
+    place, way = np.concatenate(places), np.concatenate(ways)
+    assert len(place) > 0.96 * 64 * 64
+    level = window.faces[1].vertex[2]
+    focus, spot = best_focus(place, way, level + 190.0, level + 210.0)
+    assert focus - level == pytest.approx(199.9, abs=0.3)
+    assert spot <= 0.13

@@ -383,3 +383,25 @@ def test_a_cylindrical_sheet_loses_nothing_across_its_axis_without_power():
     fresnel = 0.25**2 / (550e-6 * 5.0)
     assert facts.fresnel_number == pytest.approx(fresnel, rel=1e-12)
     assert facts.viewing.lost == (0.0, pytest.approx(0.164 / np.sqrt(fresnel), rel=1e-12))
+
+
+def test_a_sheet_whose_law_varies_tells_its_foci_and_a_superlens_its_zone():
+    base = {
+        "format": 1, "name": "s", "unit": "mm", "law": {"eta": [-0.25, -0.25]},
+        "pair": {"form": "slab", "separation": 10.0, "index": 1.5}, "lattice": {"pitch": 0.5, "count": 9},
+    }  # fmt: skip
+
+    def told(section, key, value):
+        window = clacad.prescribe(clacad.Design.from_dict({**base, section: {**base[section], key: value}}))
+        rows = describe(window, feasibility(window))
+        return {row.name: row.value for row in rows if row.about == "imaging"}
+
+    glens = told("law", "varying", {"f_image": [200, -100]})
+    assert glens["focus of light from before the sheet, lens x, y"] == "200, -100"
+    assert glens["nodal point, lens x, y"] == "1000, -500"
+    superlens = told("lattice", "pitch_2", 0.4)
+    assert superlens["width of one lens, x, y"] == "2.5, 2.5"
+    assert superlens["F-number of one lens, x, y"] == "4, 4"
+    sharp = told("pair", "focus", {"object": -300, "image": "inf"})
+    assert sharp["planes that pairs image sharply"] == "-300, inf"
+    assert told("lattice", "pitch", 0.4) == {}

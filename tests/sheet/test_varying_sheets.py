@@ -285,3 +285,33 @@ def test_sheets_of_one_law_have_the_text_and_hash_they_had():
     assert "varying" not in made.canonical_toml()
     assert clacad.prescribe(made).cell_laws is None
     assert made.law_at((0, 0)) == made.law
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_steps_between_cells_are_those_of_two_ellipsoids_apart(kind):
+    from clacad.sheet.cell_steps import greatest_steps
+
+    window = built(lattice__kind=kind, lattice__count=[8, 7], law__varying={"f_image": 60})
+    face, lattice = window.faces[1], window.lattice
+    cells = lattice.cells()
+    c, k = abs(face.surface.curvature_x), face.surface.conic_x
+
+    def height(x, y):
+        r2 = (x * x + y * y) * c * c
+        return r2 / c / (1 + np.sqrt(1 - (1 + k) * r2))
+
+    apex = lattice.centres(cells) + window.vertices(face, cells)[:, :2]
+    place = {tuple(cell): n for n, cell in enumerate(cells.tolist())}
+    expected = np.zeros(len(cells))
+    tile = lattice.tile()
+    for n, cell in enumerate(cells):
+        for e, step in enumerate(lattice.steps):
+            other = place.get(tuple((cell + step).tolist()))
+            if other is None:
+                continue
+            line = lattice.centres(cell) + np.linspace(tile[e], tile[(e + 1) % len(tile)], 9)
+            apart = height(*(line - apex[n]).T) - height(*(line - apex[other]).T)
+            expected[n] = max(expected[n], np.abs(apart).max())
+    assert greatest_steps(window, face, cells) == pytest.approx(expected, abs=1e-13)
+    assert expected.max() > 0.01
+    assert not greatest_steps(window, window.faces[0], cells).any()

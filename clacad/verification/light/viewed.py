@@ -134,6 +134,12 @@ def _cure(design: Design, viewer: tuple[float, float, float], found: Viewed) -> 
     """The key that makes a sheet for this eye."""
     if isinstance(design.lattice.aperture, AimedAt) and design.lattice.aperture.point == viewer:
         return "the lenses themselves lose it; a smaller pitch or a viewer farther away would keep more"
+    if (
+        design.law_spec.varying is not None
+        or design.lattice.pitch_2 is not None
+        or design.pair.focus is not None
+    ):
+        return "light of each place comes aslant as the eye stands; a viewer farther away or a smaller sheet would keep more"
     point = ", ".join(f"{v:.6g}" for v in viewer)
     return f"lattice.aperture = {{point = [{point}]}} stands the cells of array 2 where it arrives; check.viewer says where the eye is"
 
