@@ -84,8 +84,7 @@ def bound(situation: Situation) -> Bound:
     whole = 1.0
     for body in situation.window.bodies:
         whole *= (1.0 - normal_loss(body.index)) ** 2
-    lost = losses(situation)
-    measured = float(lost.mean()) if len(lost) else 0.0
+    measured = situation.loss
     coated = situation.setting.coating != "none"
     radiance = measured if coated else max(1.0 - whole, measured)
     kind = "coated" if coated else "bare"

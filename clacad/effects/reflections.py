@@ -15,7 +15,6 @@ from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect
 from clacad.effects.fresnel import effect as straight
-from clacad.effects.fresnel import losses
 from clacad.optics.surface.fresnel_coefficients import normal_loss
 from clacad.sheet.window import Window
 
@@ -33,7 +32,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 def bound(situation: Situation) -> Bound:
     """First order in r0: forward pairs of faces, and every face once backwards; steeper rays reflect more."""
     n = situation.faces
-    r = mean_loss(situation) / n
+    r = situation.loss / n
     if situation.setting.coating == "none":
         r = max(r, max(normal_loss(body.index) for body in situation.window.bodies))
     forward = 0.5 * n * (n - 1) * r * r * situation.contrast
@@ -43,9 +42,3 @@ def bound(situation: Situation) -> Bound:
         f"(contrast {situation.contrast:.2g}), one sends {n * r:.2g} of the camera's side back"
     )
     return Bound(0.0, forward + front, why, COST * n * n)
-
-
-def mean_loss(situation: Situation) -> float:
-    """Mean share that the probe rays lose by reflection at all faces."""
-    lost = losses(situation)
-    return float(lost.mean()) if len(lost) else 0.0

@@ -14,6 +14,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.asked_focus import less_focus
 from clacad.sheet.bundle import Bundle, bundle, central_cell
 from clacad.sheet.like_cell import like_cell, outer_cells, sampled_cells
 from clacad.sheet.window import Window
@@ -92,11 +93,13 @@ def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
 
 def through_all(tried: list[SeenCell], field: float) -> tuple[Rays, Bools, Floats]:
     """Rays through every cell of a sheet that is tried, as many through each; which are ALIVE, and where they go."""
-    starts, rays = [], []
+    starts, rays, points = [], [], []
     for one in tried:
         lit = bundle(one.like, TRIED_RAYS, field)
         starts.append(one.moved(lit))
         rays.append(lit.rays.direction)
+        points.append(lit.points)
     sent = Rays(np.concatenate(starts), np.concatenate(rays))
     result = trace(tried[0].window, sent, path="size")
-    return sent, result.fate == Fate.ALIVE, result.direction
+    direction = less_focus(tried[0].window, np.concatenate(points), result.direction)
+    return sent, result.fate == Fate.ALIVE, direction

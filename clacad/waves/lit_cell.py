@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import (
     ThinCells,
@@ -41,7 +42,7 @@ ALONG = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class LitSheet:
     """A window lit from one direction, before anything is computed.
 
     seen : SeenCell
@@ -75,7 +76,7 @@ class Situation:
     @cached_property
     def rim(self) -> Floats:
         """Optical zone of lens 2 (m, 2) about the middle of its own cell, lengths."""
-        return partner_zone(self.seen.window)
+        return partner_zone(thin_cells(self.seen.window))
 
     @property
     def built(self) -> bool:
@@ -174,7 +175,7 @@ def _ends(points: Floats) -> Floats:
 
 def situation(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
-) -> Situation:
+) -> LitSheet:
     """A cell of a design's window lit from one direction; what cannot be is refused.
 
     Parameters
@@ -198,12 +199,18 @@ def situation(
     from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 
     refuse_uncountable(design)
-    seen = worst_cell(prescribe(design), design.check.field)
+    sheet = prescribe(design)
+    if asked_power(sheet).any():
+        raise BadRequest(
+            "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply, and waves are computed "
+            "of afocal pairs"
+        )
+    seen = worst_cell(sheet, design.check.field)
     window = seen.like
     wave = wavelength or window.wavelength or DEFAULT_WAVELENGTH
     slope = [middle + tan(angle) for middle, angle in zip(aperture_slope(window), field, strict=True)]
     direction = np.array([*slope, 1.0]) / hypot(*slope, 1.0)
-    found = Situation(seen, direction, wave, field_lens)
+    found = LitSheet(seen, direction, wave, field_lens)
     if found.built:
         found = replace(found, field_lens=True)
     if len(found.lit) == 0:

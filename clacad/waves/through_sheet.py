@@ -20,7 +20,7 @@ from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.waves import exit_pupil
 from clacad.waves.far_field import FarField, marginal, peak
 from clacad.waves.lens_planes import grid_for, propagate
-from clacad.waves.lit_cell import Situation, area, situation
+from clacad.waves.lit_cell import LitSheet, area, situation
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -143,7 +143,7 @@ def wave(
     return look(situation(design, field, wavelength, field_lens=field_lens), design.name)
 
 
-def look(lit: Situation, name: str) -> WaveReport:
+def look(lit: LitSheet, name: str) -> WaveReport:
     """As `wave`, of a window lit from one direction."""
     try:
         return _look(lit, name)
@@ -151,7 +151,7 @@ def look(lit: Situation, name: str) -> WaveReport:
         raise why if isinstance(why, BadRequest) else BadRequest(str(why)) from why
 
 
-def _look(lit: Situation, name: str) -> WaveReport:
+def _look(lit: LitSheet, name: str) -> WaveReport:
     refused: dict[str, str] = {}
     exact, thin, thin_share, side = None, None, np.nan, exit_pupil.FEWEST
     sheet = lit.seen.window
@@ -178,7 +178,7 @@ def _look(lit: Situation, name: str) -> WaveReport:
     )  # fmt: skip
 
 
-def outlook(lit: Situation) -> dict[str, float]:
+def outlook(lit: LitSheet) -> dict[str, float]:
     """What `look` would take: rays and points along a side, processor seconds, bytes.
 
     Raises
@@ -210,7 +210,7 @@ def outlook(lit: Situation) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _thin(lit: Situation) -> tuple[FarField, float]:
+def _thin(lit: LitSheet) -> tuple[FarField, float]:
     """Far field and share of the ideal pair: axis by axis where cells allow, else on a square grid."""
     scale = abs(float(np.prod(focal_ratio(lit.window.thin))))
     ideal = area(lit.lit) ** 2 / scale
