@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.unique_rows import unique_rows
 from clacad.mesh.cell_template import Template, TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.land_ring import row_states
@@ -77,10 +78,10 @@ class CellBlock:
     def vertices(self, first: int, last: int) -> Floats:
         """Vertices (cells, v, 3) of cells first … last − 1: the owner's centre plus its frame's x, y."""
         t, shift = self.template, np.array(self.tiled.shift)
-        steps, which = np.unique(t.owner, axis=0, return_inverse=True)
+        steps, which = t.owners
         centres = self.tiled.lattice.centres(self.cells[first:last, None, :] + steps[None]) + shift
         out = np.empty((last - first, len(t.z), 3))
-        out[:, :, :2] = centres[:, which.ravel(), :]
+        out[:, :, :2] = centres[:, which, :]
         out[:, :, :2] += t.xy
         out[:, :, 2] = t.z
         return out
@@ -382,11 +383,7 @@ def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
 
 def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Give one number to vertices with one key."""
-    packed = np.zeros(len(key), dtype=np.int64)
-    for column in range(4):
-        _, rank = np.unique(key[:, column], return_inverse=True)
-        packed = packed * (int(rank.max()) + 1) + rank
-        _, packed = np.unique(packed, return_inverse=True)
+    packed = unique_rows(key)[1]
     first = np.zeros(int(packed.max()) + 1, dtype=np.int64)
     first[packed[::-1]] = np.arange(len(packed))[::-1]
     return position[first], packed[triangles]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,11 @@ class Template:
     z: Floats
     triangles: Ints
     kind: NDArray[np.uint8]
+
+    @cached_property
+    def owners(self) -> tuple[Ints, Ints]:
+        """Distinct index steps (k, 2), and which of them each vertex has (v,)."""
+        return unique_rows(self.owner)
 
 
 def neighbour_offsets(lattice: Lattice) -> tuple[Offset, ...]:
