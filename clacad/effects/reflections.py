@@ -15,6 +15,7 @@ from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect
 from clacad.effects.fresnel import effect as straight
+from clacad.effects.fresnel import mean_loss
 from clacad.optics.surface.fresnel_coefficients import normal_loss
 from clacad.sheet.window import Window
 
@@ -32,7 +33,7 @@ def effect(window: Window, setting: Setting) -> Effect:
 def bound(situation: Situation) -> Bound:
     """First order in r0: forward pairs of faces, and every face once backwards; steeper rays reflect more."""
     n = situation.faces
-    r = situation.loss / n
+    r = mean_loss(situation) / n
     if situation.setting.coating == "none":
         r = max(r, max(normal_loss(body.index) for body in situation.window.bodies))
     forward = 0.5 * n * (n - 1) * r * r * situation.contrast

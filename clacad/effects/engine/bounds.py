@@ -102,14 +102,6 @@ class Situation:
         """Rows (m,) of the probe rays that meet the sheet."""
         return np.flatnonzero(self.probe.fate < Fate.MISSED)
 
-    @cached_property
-    def loss(self) -> float:
-        """Mean share that the probe rays lose by reflection at all faces."""
-        from clacad.effects.fresnel import losses
-
-        lost = losses(self)
-        return float(lost.mean()) if len(lost) else 0.0
-
     def share(self, *fates: Fate) -> float:
         """Share of the rays on the sheet that end in one of the fates, as counted."""
         if len(self.met) == 0:
