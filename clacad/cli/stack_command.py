@@ -65,6 +65,10 @@ def _sheets_and_places(
     from clacad.cli.export_scene import is_scene
 
     if not any(is_scene(path) for path in paths):
+        if len(paths) == 1:
+            raise BadOption(
+                f"{paths[0]}: a stack is of two sheets or more; name one twice to stack two alike"
+            )
         designs = load_sheets(paths, overrides)
         texts = [text for text in gap.split(",") if text.strip()]
         return (

@@ -196,7 +196,8 @@ void fieldFace(inout Ray r, bool x) {
   vec2 cell = vec2(0.0), at = r.local - (x ? fieldCentre.xy : fieldCentre.zw);
   relocate(cell, at);
   vec2 axis = x ? turn[0].xy : turn[1].xy;
-  r.d.xy -= axis * dot(axis, at) * (x ? fieldPower.x : fieldPower.y);
+  float power = (x ? fieldPower.x : fieldPower.y) * contains(r.cell + cell); // beside the sheet there is none
+  r.d.xy -= axis * dot(axis, at) * power;
 }
 #endif
 

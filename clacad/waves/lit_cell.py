@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import (
     ThinCells,
@@ -198,7 +199,13 @@ def situation(
     from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 
     refuse_uncountable(design)
-    seen = worst_cell(prescribe(design), design.check.field)
+    sheet = prescribe(design)
+    if asked_power(sheet).any():
+        raise BadRequest(
+            "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply, and waves are computed "
+            "of afocal pairs"
+        )
+    seen = worst_cell(sheet, design.check.field)
     window = seen.like
     wave = wavelength or window.wavelength or DEFAULT_WAVELENGTH
     slope = [middle + tan(angle) for middle, angle in zip(aperture_slope(window), field, strict=True)]
