@@ -25,14 +25,13 @@ def measure_accuracy(
     """Print the table (or JSON), write the plot, name the cheapest file within a target."""
     design = load_counted(path, overrides)
     from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.need_window import equal_cells
     from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
     from clacad.verification.accuracy.cheapest_file import files_within
 
     limit = None if target is None else parse_angle("--target", target)
     if out is not None:
         require_writable(out, overwrite=overwrite)
-    progress, window = Progress(quiet=quiet), equal_cells(prescribe(design), "the table of accuracy")
+    progress, window = Progress(quiet=quiet), prescribe(design)
     try:
         with forecast(TASK, accuracy_seconds(rays, window), quiet=quiet) as span:
             progress.expect(span.middle)

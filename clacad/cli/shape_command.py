@@ -187,6 +187,7 @@ def _document(design: Design, found: Shaped, seen: Rendered) -> dict[str, Any]:
         "cells": len(found.cells), "unit": design.unit, "rms_way": found.way,
         "blur": {"all": blur.all, "cell": blur.cell, "source": blur.source, "diffraction": blur.diffraction},
         "through": seen.through, "within_one_blur": seen.within, "elsewhere": seen.difference,
+        "elsewhere_by_lenses": seen.by_lenses,
     }  # fmt: skip
 
 
@@ -197,7 +198,8 @@ def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str
         f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source {_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
         f"  through           {100 * seen.through:.4g} % of the light, through lenses of one telescopelet",
         f"  within one blur   {100 * seen.within:.4g} % of all light",
-        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target spread by the cells",
+        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as a cell: light comes in "
+        f"{len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
     ])  # fmt: skip
 
 

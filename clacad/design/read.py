@@ -38,7 +38,7 @@ from clacad.design.sections import (
     PairSpec,
     TolerancesSpec,
 )
-from clacad.design.varying import VaryingSpec, varying_read
+from clacad.design.varying import Conjugates, VaryingSpec, varying_read
 
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
@@ -230,6 +230,7 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
     pair["face"] = faces_read(pair["face"])
     pair["search"] = None if pair["search"] is None else search_read(pair["search"])
     pair["field"] = FieldSpec(**dict(pair["field"] or ()))
+    pair["focus"] = None if pair["focus"] == "afocal" else Conjugates(**dict(pair["focus"]))
     law["euler_degrees"] = law.pop("euler")
     law["varying"] = _varying(law["varying"], path, source)
     if lattice["outline"] is not None:

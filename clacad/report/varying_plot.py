@@ -8,7 +8,7 @@ import numpy as np
 
 from clacad.imaging.best_point import spot_at
 from clacad.imaging.image_by_rays import RungImage, image
-from clacad.imaging.through_focus import heights
+from clacad.imaging.through_focus import heights, reach_of
 from clacad.report.figures import ACCENT, SECOND, svg
 from clacad.report.panels import Margins, panels
 from clacad.verification.light.image_checks import RAYS, asked_image
@@ -59,7 +59,7 @@ def _through_focus(panel: object, seen: RungImage, mm: float) -> None:
     from typing import Any, cast
 
     axes = cast(Any, panel)
-    z = heights(seen)
+    z = heights(seen, reach_of(seen))
     widths = np.array(
         [spot_at(seen.position, seen.direction, np.array([*seen.found.point[:2], h])) for h in z]
     )

@@ -1,4 +1,4 @@
-"""STEP masters of sheets whose cells differ: judged by light through their own faces, mutants found out."""
+"""Files of sheets whose cells differ: judged by light through their own faces and triangles, mutants found out."""
 
 from dataclasses import replace
 
@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 import clacad
+from clacad.formats.mesh.readers import read_mesh
+from clacad.formats.mesh.stl import write_stl
 from clacad.formats.step.step_files import write_step
+from clacad.mesh import tessellate
 from clacad.sheet.need_window import CellsDiffer
+from clacad.verification.files.inspection import Inspection
+from clacad.verification.files.mesh_file import judge_mesh
 
 DESIGN = clacad.Design.from_dict(
     {
@@ -71,7 +76,7 @@ def test_light_finds_out_a_sheet_that_was_made_otherwise(spoil, tmp_path):
 
 def test_formats_of_equal_cells_are_refused_by_one_code_before_any_work(tmp_path):
     with pytest.raises(CellsDiffer, match="CL139.*step"):
-        clacad.export(DESIGN, tmp_path / "out", formats=("glb",))
+        clacad.export(DESIGN, tmp_path / "out", formats=("gds",))
     assert not (tmp_path / "out").exists()
 
 
@@ -86,3 +91,34 @@ def test_the_heights_of_the_steps_between_neighbours_are_named_and_fail_a_diamon
     )  # p |vertex offset| / R2, both meridians at the worst border
     assert 0.5 * apart < wall.value < 1.3 * apart
     assert f"{wall.value:.4g} mm high" in wall.sentence
+
+
+QUADS = 16
+LIGHT = {
+    "file_law_bias", "file_law_delta", "file_confocality", "faithful_rms", "faithful_eta", "faithful_delta"
+}  # fmt: skip
+"""What 16 facets a side do not make fail: the law's rms is theirs, 4 mrad."""
+
+
+def judged(spoil, path):
+    """Checks of an STL file of the spoilt sheet, held against the design."""
+    made = spoil(clacad.prescribe(DESIGN))
+    write_stl(tessellate(made, quads=QUADS).bodies, path, 1.0, "mutant")
+    asked = Inspection(DESIGN, path.name, 2048)
+    checks, _ = judge_mesh(asked, clacad.prescribe(DESIGN), read_mesh(path), 1.0)
+    return {check.id: check for check in checks}
+
+
+@pytest.mark.slow
+def test_light_through_the_triangles_of_cells_that_differ_is_that_of_the_design(tmp_path):
+    found = judged(lambda window: window, tmp_path / "sheet.stl")
+    for name in (*LIGHT, "closed", "pieces", "volume", "shape", "scale", "file_throughput"):
+        assert found[name].state == "pass", found[name].sentence
+    assert len(found["faithful_rms"].detail["cells"]) == 9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spoil", [one_vertex_moved, wrong_pitch, aimed_elsewhere])
+def test_light_through_triangles_finds_out_a_sheet_that_was_made_otherwise(spoil, tmp_path):
+    found = judged(spoil, tmp_path / "mutant.stl")
+    assert [name for name in LIGHT if found[name].state == "fail"], {k: c.state for k, c in found.items()}

@@ -68,6 +68,10 @@ class Situation:
         From the camera to the sheet; inf for parallel light.
     pixel : float, radians
         Angle of a pixel; 0 without a camera.
+    spread : float
+        Tangent of the half angle of the cone sent about the middle of the field; 0 where a camera sends the rays.
+    stand_ins : tuple of ((i, j), Situation)
+        Where cells differ: sheets of equal cells like some of them, with the light that comes to those; see `stand_ins`.
     """
 
     window: Window
@@ -81,6 +85,8 @@ class Situation:
     far: float = np.inf
     sheet_distance: float = np.inf
     pixel: float = 0.0
+    spread: float = 0.0
+    stand_ins: tuple[tuple[tuple[int, int], Situation], ...] = ()
     notes: tuple[str, ...] = ()
     memory: dict[str, float] = field(default_factory=dict)
 

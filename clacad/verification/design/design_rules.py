@@ -363,8 +363,9 @@ def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
     steps = order_steps(window.lattice, facts.wavelength / window.unit)
     value, limit = 0.5 * max(steps), design.check.law_rms
     first, second = (digits(1e3 * step, count=3) for step in steps)
+    cells = "equal" if window.uniform else "neighbouring"
     sentence = (
-        f"in coherent light equal cells send orders {first} and {second} mrad apart, so the law is met to "
+        f"in coherent light {cells} cells send orders {first} and {second} mrad apart, so the law is met to "
         f"±{digits(1e3 * value, count=3)} mrad only"
     )
     return Check(

@@ -18,6 +18,7 @@ from clacad.base.digits import digits
 from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult, fate_counts
+from clacad.sheet.asked_focus import held_to_law
 from clacad.sheet.bundle import Bundle, bundle, field_points
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
@@ -119,7 +120,9 @@ class Turn:
     doubt: float
 
 
-def measure(design: Design, window: Window, send: Tracer, rays: int, point_rays: int = POINT_RAYS) -> Optics:
+def measure(
+    design: Design, window: Window, through: Tracer, rays: int, point_rays: int = POINT_RAYS
+) -> Optics:
     """Trace the bundles of the checks through something and gather what they say.
 
     Parameters
@@ -127,14 +130,18 @@ def measure(design: Design, window: Window, send: Tracer, rays: int, point_rays:
     design : Design
         For field and its middle.
     window : Window
-    send : callable
-        Bundle → TraceResult.
+    through : callable
+        Bundle → TraceResult; what a sharp pair adds because it was asked to is taken off.
     rays : int
         Rays of the main bundle; the fit takes a quarter.
     point_rays : int
         Rays of each of the nine field points.
     """
     spec = design.check
+
+    def send(lit: Bundle) -> TraceResult:
+        return held_to_law(window, lit, through(lit))
+
     main = bundle(window, rays, spec.field, spec.field_centre)
     result = send(main)
     alive = result.fate == Fate.ALIVE
@@ -164,7 +171,8 @@ def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -
     """What parallel light of each direction (k, 3) does: sent together, for so few rays cost little more than none."""
     lit = [bundle(window, rays, 0.0, middle=direction) for direction in directions]
     starts, ways = ([getattr(one.rays, name) for one in lit] for name in ("position", "direction"))
-    result = send(replace(lit[0], rays=Rays(np.concatenate(starts), np.concatenate(ways))))
+    joined = Rays(np.concatenate(starts), np.concatenate(ways))
+    result = send(replace(lit[0], rays=joined, points=np.concatenate([one.points for one in lit])))
     rows = [slice(first, first + rays) for first in range(0, len(lit) * rays, rays)]
     return tuple(
         _field_point(window, one, direction, result.direction[own], result.fate[own])
@@ -422,9 +430,10 @@ def confocality_check(design: Design, window: Window) -> Check:
     except ValueError as error:
         return not_run("confocality", str(error), limit=limit, where="surfaces, parabasal")
     value, between = found.defect, found.astigmatism
+    goal = "share a focal plane with lens 1" if design.pair.focus is None else "image as pair.focus asks"
     sentence = (
-        f"lens 2 would have to move by {digits(value, count=4)} of the distance between the lenses to share a focal plane with "
-        f"lens 1 (x {digits(found.shift[0] / found.distance, count=4)}, y {digits(found.shift[1] / found.distance, count=4)})"
+        f"lens 2 would have to move by {digits(value, count=4)} of the distance between the lenses to {goal} "
+        f"(x {digits(found.shift[0] / found.distance, count=4)}, y {digits(found.shift[1] / found.distance, count=4)})"
     )
     if value > limit and design.pair.confocal != "exact":
         sentence += '; pair.confocal = "exact" would make it 0'
