@@ -20,7 +20,7 @@ from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import difference_of_laws
 from clacad.optics.rays import Fate
-from clacad.sheet.bundle import bundle, central_cell, field_points
+from clacad.sheet.bundle import bundle, central_cell, field_points, sent_together
 from clacad.sheet.light_against_law import (
     FEWEST,
     change_with_shift,
@@ -278,7 +278,7 @@ class _Light:
         """Worst angle (radians) of the mean direction to the law at a point of the field, exact surfaces."""
         from clacad.tracing.trace import trace
 
-        return self._bias(lambda rays: trace(self.window, rays, path="numpy"))
+        return self._bias(lambda lit: trace(self.window, lit.rays, path="numpy"))
 
     def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
         """Send the rays through facets."""
@@ -286,16 +286,19 @@ class _Light:
 
         seen = trace_facets(bodies, self.rays)
         stretch, offset = self._fitted(seen)
-        bias = self._bias(lambda rays: trace_facets(bodies, rays))
+        bias = self._bias(lambda lit: trace_facets(bodies, lit.rays))
         return Grade(quads, self._rms(seen), bias, stretch, offset, self._defocus(seen))
 
     def _rms(self, seen: TraceResult) -> float:
         return rms_error(law_errors(seen, self._asked))
 
-    def _bias(self, send: Callable[[Rays], TraceResult]) -> float:
+    def _bias(self, send: Callable[[Bundle], TraceResult]) -> float:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""
         law = self.window.law
-        found = [mean_error(send(lit.rays), law.refract(lit.rays.direction[:1])[0]) for lit in self._points]
+        found = [
+            mean_error(*seen, law.refract(lit.rays.direction[:1])[0])
+            for lit, seen in zip(self._points, sent_together(self._points, send), strict=True)
+        ]
         return max((error for error in found if not isnan(error)), default=nan)
 
     @cached_property

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from clacad.base.digits import digits
 from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
-from clacad.optics.rays import Fate, Rays, TraceResult, fate_counts
+from clacad.optics.rays import Fate, TraceResult, fate_counts
 from clacad.sheet.asked_focus import held_to_law
-from clacad.sheet.bundle import Bundle, bundle, field_points
+from clacad.sheet.bundle import Bundle, bundle, field_points, sent_together
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
 from clacad.sheet.light_against_law import FEWEST, rms_error
@@ -168,15 +168,11 @@ def measure(
 
 
 def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -> tuple[FieldPoint, ...]:
-    """What parallel light of each direction (k, 3) does: sent together, for so few rays cost little more than none."""
+    """What parallel light of each direction (k, 3) does."""
     lit = [bundle(window, rays, 0.0, middle=direction) for direction in directions]
-    starts, ways = ([getattr(one.rays, name) for one in lit] for name in ("position", "direction"))
-    joined = Rays(np.concatenate(starts), np.concatenate(ways))
-    result = send(replace(lit[0], rays=joined, points=np.concatenate([one.points for one in lit])))
-    rows = [slice(first, first + rays) for first in range(0, len(lit) * rays, rays)]
     return tuple(
-        _field_point(window, one, direction, result.direction[own], result.fate[own])
-        for one, direction, own in zip(lit, directions, rows, strict=True)
+        _field_point(window, one, direction, *seen)
+        for one, direction, seen in zip(lit, directions, sent_together(lit, send), strict=True)
     )
 
 
