@@ -11,7 +11,7 @@ from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
 from clacad.cli.interrupts import INTERRUPTED
-from clacad.cli.option_values import BadOption, parse_angle
+from clacad.cli.option_values import BadOption, design_file, parse_angle
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -101,6 +101,7 @@ def optimise_design(
     path: Path, overrides: list[str], request: OptimiseRequest, *, json: bool, quiet: bool
 ) -> int:
     """Search, write the better design, say what was gained; exit 1 where verify will fail, 130 when stopped."""
+    design_file(request.out)
     design = load_counted(path, overrides)
     from clacad.optimising import optimise, outlook
     from clacad.optimising.optimised_text import design_text

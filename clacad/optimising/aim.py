@@ -77,7 +77,7 @@ class Aim:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class AimedRays:
     """An aim at a design: the rays, and what may go wrong.
 
     lights : tuple of (AskedLight, root of its share of the weights)
@@ -91,7 +91,7 @@ class Target:
     few: AskedLight
 
     @staticmethod
-    def of(aim: Aim, design: Design, window: Window, unknowns: int = 1) -> Target:
+    def of(aim: Aim, design: Design, window: Window, unknowns: int = 1) -> AimedRays:
         """The target of an aim at a design whose window, to start from, is built, for a search of so many unknowns.
 
         Raises
@@ -113,7 +113,7 @@ class Target:
             rays=Rays(most.rays.position[::step], most.rays.direction[::step]),
             asked=most.asked[::step],
         )
-        return Target(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
+        return AimedRays(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
 
     def residuals(self, trial: Window) -> Floats:
         """Residuals (m,) of a trial, radians: their sum of squares is the expected mean square error."""

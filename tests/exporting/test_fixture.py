@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,7 +13,7 @@ from clacad import Design, Fate, Rays, prescribe, trace
 from clacad.exporting.fixtures import (
     COMPENSATIONS,
     NoFixture,
-    baffle_mesh,
+    baffle_meshes,
     coupon_solid,
     frame_solids,
     frame_spec,
@@ -18,6 +21,8 @@ from clacad.exporting.fixtures import (
     pin_spec,
 )
 from clacad.exporting.fixtures.frame import MARK_DEPTH
+from clacad.sheet.bundle import bundle
+from clacad.sheet.vignetting import aperture_slope, share, thin_cells
 
 BASE = {
     "format": 1,
@@ -45,7 +50,7 @@ def as_trimesh(baffle):
 
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 def test_the_baffle_is_one_closed_honeycomb_of_the_closed_forms_volume(kind):
-    baffle = baffle_mesh(window_of(kind))
+    (baffle,) = baffle_meshes(window_of(kind))
     mesh = as_trimesh(baffle)
     assert len(mesh.faces) == baffle.facet_count
     assert mesh.is_watertight
@@ -61,11 +66,9 @@ def test_the_baffle_stops_the_ghosts_and_lets_partners_through_where_the_tracer_
     start = np.column_stack([rng.uniform(-1.5, 1.5, (400, 2)), np.full(400, -1.0)])
     slope = rng.uniform(-0.02, 0.02, (400, 2)) + [0.0, -np.tan(np.radians(1.0))]
     rays = Rays(start, np.column_stack([slope, np.ones(400)]))
-    from dataclasses import replace
-
     fates = trace(window, rays).fate
     bare = trace(replace(window, baffle=None), rays, record=True)
-    mesh = as_trimesh(baffle_mesh(window))
+    mesh = as_trimesh(*baffle_meshes(window))
     through = np.isin(bare.fate, [Fate.ALIVE, Fate.GHOST])
     gap = bare.hits[2, through] - bare.hits[1, through]
     origin = bare.hits[1, through]
@@ -103,6 +106,83 @@ def test_the_frame_holds_the_plates_at_the_separation_and_nothing_collides():
         common = parts["spacer"] & parts[name]
         volume = 0.0 if common is None else sum(s.volume for s in common.solids())
         assert volume < 1e-9
+
+
+def with_field_lens(**body):
+    """Three bodies, the one in the middle a field lens; off the axis and tilted."""
+    data = {k: dict(v) if isinstance(v, dict) else v for k, v in BASE.items()}
+    data["law"] |= {"eta": [-0.5, -0.5]}
+    data["pair"] |= {"field_lens": True}
+    data["body"] |= body
+    return prescribe(Design.from_dict(data))
+
+
+def test_two_honeycombs_beside_a_field_lens_stop_every_ghost_and_what_their_solids_stop():
+    """Segments before and behind the field lens against the triangles of either honeycomb, by another library."""
+    window = with_field_lens()
+    rng = np.random.default_rng(4)
+    start = np.column_stack([rng.uniform(-1.5, 1.5, (600, 2)), np.full(600, -1.0)])
+    slope = rng.uniform(-0.06, 0.06, (600, 2)) + [0.0, -np.tan(np.radians(1.0))]
+    rays = Rays(start, np.column_stack([slope, np.ones(600)]))
+    fates, ideal = trace(window, rays).fate, trace(window, rays, rung="thin").fate
+    assert not np.isin(fates, Fate.GHOST).any()
+    assert not np.isin(ideal, Fate.GHOST).any()
+    bare = trace(replace(window, baffle=None), rays, record=True)
+    meshes = [as_trimesh(baffle) for baffle in baffle_meshes(window)]
+    assert [mesh.is_watertight for mesh in meshes] == [True, True]
+    through = np.isin(bare.fate, [Fate.ALIVE, Fate.GHOST])
+    hit = np.zeros(through.sum(), dtype=bool)
+    for mesh, (leaves, meets) in zip(meshes, ((1, 2), (3, 4)), strict=True):
+        origin = bare.hits[leaves, through]
+        hit |= mesh.ray.intersects_any(origin, bare.hits[meets, through] - origin)
+    stopped = fates[through] == Fate.VIGNETTED
+    assert (bare.fate == Fate.GHOST).sum() > 20
+    assert stopped.sum() > 50
+    assert (~stopped).sum() > 50
+    # honeycombs end a clearance before the lenslets, and in the middle of lens 1 where light has not yet been bent
+    assert np.mean(hit == stopped) > 0.96
+
+
+def test_a_baffle_beside_a_field_lens_passes_its_channels_share():
+    """Of light in the middle of the field, (1 − w/p)² of a cell; none beyond the slope at which a wall of the field lens is met."""
+    window = with_field_lens()
+    cells, wall, pitch = thin_cells(window), 0.05, 0.5
+    axis = np.array([*aperture_slope(window), 1.0])
+    edge = 0.5 * (pitch - wall) * 1.5 / 10.0  # over f1
+    light = [axis + [part * edge, 0.0, 0.0] for part in (0.0, 0.97, 1.03)]
+    want = [(1.0 - wall / pitch) ** 2] * 2 + [0.0]
+    np.testing.assert_allclose(share(cells, light), want, rtol=1e-2)
+    for direction, expected in zip(light, want, strict=True):
+        lit = bundle(window, 4000, 0.0, middle=direction / np.linalg.norm(direction))
+        for rung in ("thin", "surfaces"):
+            alive = (trace(window, lit.rays, rung=rung).fate == Fate.ALIVE).mean()
+            assert alive == pytest.approx(expected, abs=0.06 if rung == "surfaces" else 0.02)
+
+
+@pytest.mark.slow
+def test_a_frame_of_three_plates_is_two_spacers_that_stand_on_each_other():
+    window = with_field_lens()
+    spec = frame_spec(window, window.land.border)
+    parts = frame_solids(spec, "ab 1")
+    assert set(parts) == {"spacer1", "spacer2", "retainer1", "retainer2"}
+    assert all(part.is_valid and len(part.solids()) == 1 for part in parts.values())
+    from build123d import Box, Pos
+
+    plates = []
+    for body in window.bodies:
+        array = 2 if body.name == "field" else int(body.name[-1]) - 1
+        low = body.front.land if body.front.array is not None else body.front.vertex[2]
+        high = body.back.land if body.back.array is not None else body.back.vertex[2]
+        size = (window.outline.width, window.outline.height, high - low)
+        plates.append(Pos(*window.shifts[array], 0.5 * (low + high)) * Box(*size))
+    for one, other in itertools.combinations([*parts.values(), *plates], 2):
+        common = one & other
+        assert (0.0 if common is None else sum(solid.volume for solid in common.solids())) < 1e-9
+    ends = [parts[name].bounding_box() for name in ("spacer1", "spacer2")]
+    for plate, (low, high) in zip(plates, ((0, 0), (0, 0), (1, 1)), strict=True):
+        box = plate.bounding_box()
+        assert ends[low].min.Z < box.min.Z
+        assert box.max.Z < ends[high].max.Z
 
 
 def _carries_its_marks(parts, spec):
@@ -211,7 +291,7 @@ def test_the_coupon_is_one_solid_with_five_scaled_patches():
 @pytest.mark.parametrize(
     ("changes", "make", "words"),
     [
-        ({"baffle": None, "baffle_wall": None}, baffle_mesh, "has no baffle"),
+        ({"baffle": None, "baffle_wall": None}, baffle_meshes, "has no baffle"),
         ({"border": 0.5}, lambda w: frame_spec(w, 1.0), "body.border >= '1 mm'"),
         ({"border": None}, lambda w: frame_spec(w, 1.0), "no flat border"),
         ({}, pin_spec, "body.pins says where"),
