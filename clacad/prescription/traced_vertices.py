@@ -165,7 +165,9 @@ def _solved(window: Window, light: CellLight) -> Floats:
             return move
         step = -np.einsum("kij,kj->ki", inverse, error)
         step = np.where(np.abs(error).max(axis=1, keepdims=True) <= CLOSE, 0.0, step)
-        beyond = np.abs(move + step) > allowed[:, None]  # aslant the first step, as by paraxial rays, is too long
+        beyond = (
+            np.abs(move + step) > allowed[:, None]
+        )  # aslant the first step, as by paraxial rays, is too long
         step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)
         after = _bias(seq, second, points, slopes, light.first + move + step, asked)
         inverse = _broyden(inverse, step, after - error)
