@@ -122,7 +122,8 @@ LABELLED, PER_ATLAS_RAY, PER_FIGURE, PER_SOLID_RAY = 0.1, 1.7e-7, 2.0, 7e-6
 def atlas_seconds(job: AtlasJob) -> float:
     """Processor seconds of an atlas: its stills, the frames of its movies, and what is measured."""
     frames = [still for movie in job.movies for still in movie.frames]
-    total = _drawn(list(job.stills.values())) + _drawn(frames)
+    twice = [job.stills[stem] for figure in job.figures if figure.ghosts_marked for stem, _ in figure.scenes]
+    total = _drawn([*job.stills.values(), *twice]) + _drawn(frames)
     if job.first is not None:
         total += LABELLED + PER_SOLID_RAY * _rays(job.first[1])
     measured = len(job.figures) + (job.first is not None)

@@ -51,7 +51,10 @@ class Look:
 
 
 def look(design: Design, window: Window, progress: Progress) -> Look:
-    """Render a figure on a chequered floor, seen past and through the sheet."""
+    """Render a figure on a chequered floor, seen past and through the sheet.
+
+    By numpy: so small a picture takes about as long as loading what is compiled, which on a fresh machine takes half a minute to make.
+    """
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import pixels_of
 
@@ -60,10 +63,11 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
         _copy_table(design, Path(folder))
         scene = _scene(design, window, folder)
         progress("looking through the sheet", 0.0)
-        without = view_through(scene, sheet=False, window=window)
+        without = view_through(scene, sheet=False, window=window, compiled=False)
         through = view_through(
-            scene, window=window, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
-        )
+            scene, window=window, compiled=False,
+            progress=lambda _, part: progress("looking through the sheet", part or 0.0),
+        )  # fmt: skip
     eye, behind, high, _ = _distances(design, window)
     mm = millimetres(window.unit)
     said = (

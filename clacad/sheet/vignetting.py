@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 from clacad.base.unique_rows import distinct
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
@@ -117,10 +117,11 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     """
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
-    arrival = arrivals(cells, cells.slopes(directions))
+    slopes = cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
     whole = polygon_area(cells.image)
-    return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
+    common = _common_areas(cells.image, arrivals(cells, slopes), target)
+    return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
 
 
 def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
@@ -209,6 +210,21 @@ def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
     return arrival
 
 
+def _in_channels(cells: ThinCells, slopes: Floats) -> Bools:
+    """Whether light of lens-frame slopes (n, 2) meets the field lens between the walls of a baffle, which end there (n,)."""
+    open_to = np.ones(len(slopes), dtype=bool)
+    window, pair = cells.window, cells.pair
+    if window.baffle is None:
+        return open_to
+    for lens in pair.field:
+        aside = lens.depth * slopes - (pair.field_centre(lens) @ pair.rotation)[:2]
+        met = aside @ pair.rotation[:, :2].T
+        for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
+            along = met[:, :2] @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
+            open_to &= along <= half - 0.5 * window.baffle.wall
+    return open_to
+
+
 def lit_zone(cells: ThinCells) -> Floats:
     """What is lit of lens 2 (m, 2), about its own middle, by light along the middle of the field, lens frame, lengths.
 
@@ -217,12 +233,14 @@ def lit_zone(cells: ThinCells) -> Floats:
     return clip(cells.image, cells.zone)
 
 
-def fresnel_numbers(cells: ThinCells, wavelength: float) -> tuple[float, float]:
+def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:
     """(w/2)²/(λ|f2|) along lens x and y, w what is lit of lens 2; infinite across an axis without power, where there is no lens.
 
     wavelength : float, length
+    lit : (m, 2) lengths or None
+        What is lit of lens 2 by light along the middle of the field; None: as for equal cells.
     """
-    widths = equivalent_widths(lit_zone(cells))
+    widths = equivalent_widths(lit_zone(cells) if lit is None else lit)
     x, y = (
         (0.5 * float(w)) ** 2 / (wavelength * abs(f)) if np.isfinite(f) else np.inf
         for w, f in zip(widths, cells.pair.focal_length[1], strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -88,7 +88,6 @@ class Situation:
     spread: float = 0.0
     stand_ins: tuple[tuple[tuple[int, int], Situation], ...] = ()
     notes: tuple[str, ...] = ()
-    memory: dict[str, float] = field(default_factory=dict)
 
     @cached_property
     def probe(self) -> TraceResult:

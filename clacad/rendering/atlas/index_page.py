@@ -12,9 +12,9 @@ POLICY = "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; base-ur
 """Content security policy: no script, no frame, no font, nothing from anywhere else."""
 
 NOTE = (
-    "Figures F1 to F8 are drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows "
-    "the view flipped left-right; their lengths are floor tiles. Others are drawn as the part shows them, in millimetres. Exact "
-    "refraction at every lens face, ghosts included."
+    "Figures F and W are drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows "
+    "the view flipped left-right. Figures V are drawn as the part shows it. Lengths are floor tiles in F, millimetres elsewhere. "
+    "Exact refraction at every lens face, ghosts included."
 )
 
 STYLE = """

@@ -13,6 +13,7 @@ from clacad.design import Design
 from clacad.design.law_in_words import law_words
 from clacad.design.sections import AimedAt
 from clacad.rendering.atlas.differing_figures import DIFFERING
+from clacad.rendering.atlas.field_lens_figure import FIELD_LENS, ghosts_marked
 from clacad.rendering.atlas.figure1 import section_findings, solid_findings
 from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
@@ -136,7 +137,8 @@ def prepare(request: AtlasRequest) -> AtlasJob:
     SceneError
         A scene is missing or wrong.
     """
-    known = ("F1", *(figure.row for figure in FIGURES))
+    figures = (*FIGURES, FIELD_LENS)
+    known = ("F1", *(figure.row for figure in figures))
     for row in request.rows:
         if row not in known:
             raise NoSuchRow(f"there is no row {row}; rows are {', '.join(known)}")
@@ -144,7 +146,7 @@ def prepare(request: AtlasRequest) -> AtlasJob:
     def load(stem: str) -> Scene:
         return load_scene(request.scenes / f"{stem}.toml")
 
-    chosen = tuple(f for f in FIGURES if not request.rows or f.row in request.rows)
+    chosen = tuple(f for f in figures if not request.rows or f.row in request.rows)
     stills = {stem: _sized(load(stem), request.size, request.samples) for f in chosen for stem, _ in f.scenes}
     movies = []
     for stem, title in MOVIES:
@@ -177,8 +179,9 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
         for figure in job.figures:
             for stem, label in figure.scenes:
                 tell(f"{figure.row}: {label}", None)
-                picture = view_through(job.stills[stem], compiled=True)
-                text = f"{figure.row}: {parameters(job.stills[stem])}"
+                still = job.stills[stem]
+                picture = ghosts_marked(still) if figure.ghosts_marked else view_through(still, compiled=True)
+                text = f"{figure.row}: {label if figure.ghosts_marked else parameters(still)}"
                 save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), metadata_of(picture))
             for stem, label, draw in figure.drawn:
                 tell(f"{figure.row}: {label}", None)

@@ -50,8 +50,8 @@ def accuracy(
     from clacad.exporting.limits import refuse_early
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
+    from clacad.tracing.worst_cell import worst_cell
     from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, own_rows
-    from clacad.verification.light.through_window import worst_cell
 
     report = progress or silent
     refuse_early(design, (), {})

@@ -19,7 +19,7 @@ from clacad.base.types import Progress
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
-from clacad.verification.light.through_window import worst_cell
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
 from clacad.verification.tolerance.study import asked_design, named_design, worked

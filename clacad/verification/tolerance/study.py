@@ -18,7 +18,7 @@ from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
-from clacad.verification.light.through_window import worst_cell
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.checkpoint import Checkpoint
 from clacad.verification.tolerance.farm import Farm, WorkersLost
 from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
