@@ -159,12 +159,16 @@ def _solved(window: Window, light: CellLight) -> Floats:
     allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
     error = _bias(seq, second, points, slopes, light.first + move, asked)
     for _ in range(STEPS):
-        if not np.isfinite(error).all() or (np.abs(move).max(axis=1) > allowed).any():
+        if not np.isfinite(error).all():
             break
         if np.abs(error).max() <= CLOSE:
             return move
         step = -np.einsum("kij,kj->ki", inverse, error)
         step = np.where(np.abs(error).max(axis=1, keepdims=True) <= CLOSE, 0.0, step)
+        beyond = (
+            np.abs(move + step) > allowed[:, None]
+        )  # aslant the first step, as by paraxial rays, is too long
+        step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)
         after = _bias(seq, second, points, slopes, light.first + move + step, asked)
         inverse = _broyden(inverse, step, after - error)
         move, error = move + step, after

@@ -81,6 +81,7 @@ CASES = [
     case("pitch_2 = pitch (1 - 1e-12)", "the other way", pitched(1.0 - 1e-12), (0, 20)),
     case("pitch_2 = pitch (1 + 1e-12), 10^4 cells out", "the difference is 5e-9", pitched(1.0 + 1e-12, **WIDE), (20_000, 0)),
     case("pitch_2 = .9975 pitch", "a moiré magnifier", pitched(0.9975), (20, 7)),
+    case("a ghost in an array of another pitch", "lens 2 of the next cell but one", pitched(1.02), (15, 10), slope=(0.06, -0.03)),
     case("a few last bits above a border of the wider array", "the border belongs to the cell above it", pitched(1.02), (15, 10),
          off="border", slope=(0.02, 0.0)),
     case("a few last bits below a border of the wider array", "the other side of it", pitched(1.02), (15, 10), off="below", slope=(0.02, 0.0)),

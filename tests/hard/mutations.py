@@ -103,6 +103,8 @@ MUTATIONS = [
     Mutation("kernel: hexagons' centres by columns of squares", OWN, "x, y = lat[slot.X0] + (i + 0.5 * j) * lat[slot.PITCH]", "x, y = lat[slot.X0] + i * lat[slot.PITCH]", ITS_KERNEL),
     Mutation("kernel: another pitch as if it were the same", OWN, "if here[slot.PITCH] == there[slot.PITCH] and here[slot.ROW] == there[slot.ROW]:", "if True:", ITS_KERNEL),
     Mutation("kernel: cells of lens 1 in every array", OWN, "i, j, x, y = locate(there, xh, xl, yh, yl)", "_, _, x, y = locate(there, xh, xl, yh, yl)", ITS_KERNEL),
+    Mutation("vertex: given up where the first step is too long", "clacad/prescription/traced_vertices.py",
+             "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),
     # -- sag and normal
     Mutation("sag: R - sqrt(R² - r²)", SHAPE, "surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))",
              "surface.side * (1.0 - slope_root(surface, x, y)) * lateral_square(surface, x, y) / (1.0 - slope_root(surface, x, y) ** 2)"),

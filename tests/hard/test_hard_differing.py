@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hard.differing import CASES, FAR, window_of
 from hard.measure import error, off
 from mpmath import mp, mpf
 from oracle import sheet as oracle
+from oracle import trace as faces
 
-from clacad import Rays, trace
+from clacad import Rays, load, prescribe, trace
 from clacad.optics.rays import Fate
+from clacad.prescription.radii import NoSuchLens
+from clacad.prescription.traced_vertices import BRACKET, _cell_points, traced_moves
 from clacad.sheet.like_cell import like_cell, outer_cells, sampled_cells
 from clacad.sheet.vignetting import aperture_slopes
 
+ROOT = Path(__file__).parents[2]
 WINDOWS = {}
 
 
@@ -125,3 +132,37 @@ def test_the_cells_that_stand_out_are_those_farthest_in_four_directions():
     few = sampled_cells(window, 20)
     assert len(np.unique(few, axis=0)) == 20
     assert np.ptp(few, axis=0).min() > 20
+
+
+def test_a_vertex_traced_to_the_end_of_its_bracket_sends_the_mean_where_sixty_digits_ask():
+    """The steepest light whose vertex is still found, and the next slope refused: at the root itself, not near it."""
+    window = prescribe(load(ROOT / "designs" / "window-100mm.toml").replace({"lattice.count": [3, 3]}))
+    low, high = 0.1, 0.2
+    while high - low > 1e-4:
+        middle = 0.5 * (low + high)
+        try:
+            traced_moves(window, np.array([[middle, 0.0]]))
+            low = middle
+        except NoSuchLens:
+            high = middle
+    (move,) = traced_moves(window, np.array([[low, 0.0]]))
+    pitch = window.lattice.pitch[0]
+    assert 0.29 * pitch < np.abs(move).max() <= BRACKET * pitch
+    body = window.bodies[0]
+    with mp.workdps(60):
+        placed = []
+        for face, before, after, aside in (
+            (body.front, 1.0, body.index, (0, 0)), (body.back, body.index, 1.0, move),
+        ):  # fmt: skip
+            one = face.surface
+            shape = (one.curvature_x, one.curvature_y, one.kappa, 0.0, one.side)
+            at = [mpf(float(v)) + mpf(float(m)) for v, m in zip(face.vertex, (*aside, 0))]
+            placed.append(replace(faces.Face("quadric", shape, (0.0, 0.0, 0.0), before, after), vertex=at))
+        ray = faces.unit([mpf(low), mpf(0), mpf(1)])
+        total = [mpf(0)] * 3
+        for x, y in _cell_points(window):
+            start = [mpf(float(x)) - mpf(low), mpf(float(y)), mpf(-1)]
+            way = faces.trace(placed, start, ray).directions[-1]
+            total = [a + b for a, b in zip(total, way)]
+        mean, asked = faces.unit(total), faces.unit([-mpf(low), mpf(0), mpf(1)])
+        assert max(float(abs(a - b)) for a, b in zip(mean, asked)) < 4e-13

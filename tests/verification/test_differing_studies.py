@@ -7,9 +7,9 @@ import pytest
 
 import clacad
 from clacad.sheet.bundle import bundle
+from clacad.tracing.worst_cell import tried_cells, worst_cell
 from clacad.verification.accuracy.extended_precision import direction_errors
 from clacad.verification.accuracy.measure_rungs import TracedRays, own_rows
-from clacad.verification.light.through_window import tried_cells, worst_cell
 from clacad.verification.tolerance import Farm, sweep, tolerance
 from clacad.verification.tolerance.study import asked_design, named_design
 
