@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import say, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import BadOption
+from clacad.cli.option_values import BadOption, picture_kind
 
 if TYPE_CHECKING:
     from clacad.imaging import Image
@@ -72,6 +72,7 @@ def _is_number(text: str) -> bool:
 
 def image_design(path: Path, overrides: list[str], request: ImageRequest, *, json: bool, quiet: bool) -> int:
     """Print where the point is imaged (or JSON), write the through-focus picture."""
+    kind = picture_kind(request.out)
     design = load_counted(path, overrides)
     source = parse_place(request.source, design.unit)
     from clacad.imaging import image
@@ -94,7 +95,7 @@ def image_design(path: Path, overrides: list[str], request: ImageRequest, *, jso
     if request.out is not None:
         from clacad.imaging.through_focus import plot_png, plot_svg
 
-        plot = plot_svg if request.out.suffix.lower() == ".svg" else plot_png
+        plot = plot_svg if kind == "svg" else plot_png
         write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)
     if json:
         show_json(found.to_dict() | {"unit": design.unit})
@@ -123,12 +124,38 @@ def image_text(found: Image, unit: str) -> str:
             one.rung, _place(one.predicted.point), _place(one.found.point), f"{one.off:.3g}",
             ", ".join(f"{v:.4g}" for v in one.found.spot), f"{100.0 * one.share:.3g} %", "",
         ])  # fmt: skip
-    width = ", ".join(f"{w:.4g}" for w in found.width)
+    return "\n".join([table(lines), *_notes(found, unit)])
+
+
+NO_WIDTH = 1e-9
+"""Part of the image's distance below which pairs image sharply."""
+
+
+def _notes(found: Image, unit: str) -> list[str]:
+    """What the table leaves unsaid."""
     notes = [
-        f"cells do not focus: the image of a point is {width} {unit} wide at least (x, y)",
-        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a sheet of no thickness at z = 0",
+        "share: of the light on the sheet, what goes through lenses of one telescopelet; rung law: a sheet of no thickness at z = 0"
     ]
-    return "\n".join([table(lines), *notes])
+    if found.width is None:
+        notes.append(
+            "a table of cells: predicted is the point nearest to the light through the middles of its lenses"
+        )
+    elif max(found.width) <= NO_WIDTH * max(1.0, *(abs(float(v)) for v in found.rungs[-1].predicted.point)):
+        notes.append("every pair images this plane sharply: ideal lenses leave a point")
+    else:
+        width = ", ".join(f"{w:.4g}" for w in found.width)
+        notes.append(f"cells do not focus: the image of a point is {width} {unit} wide at least (x, y)")
+    if found.sampling is not None:
+        spot = ", ".join(f"{v:.3g}" for v in found.sampling.smooth.spot)
+        notes.append(f"sampling: the law of the cell hit turns light {1e3 * found.sampling.slope:.3g} mrad rms from the smooth law, whose spot "
+                     f"at {_place(found.sampling.smooth.point)} would be {spot} {unit}")  # fmt: skip
+    if found.zone is not None:
+        zone, number = (
+            ", ".join(f"{v:.4g}" for v in pair) for pair in (found.zone.width, found.zone.f_number)
+        )
+        notes.append(f"array 2 has a pitch of its own: light along the normal stays with its partner over {zone} {unit} (x, y), one lens of "
+                     f"F-number {number} of a lattice of them; one large lens: [law.varying] f_image")  # fmt: skip
+    return notes
 
 
 def _place(point: Any) -> str:

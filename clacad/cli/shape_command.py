@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import say, show_json, show_text
-from clacad.cli.option_values import BadOption, parse_angle, parse_cells, parse_distance
+from clacad.cli.option_values import BadOption, design_file, parse_angle, parse_cells, parse_distance
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -37,6 +37,7 @@ class ShapeRequest:
 
 def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quiet: bool) -> int:
     """Write the design, its table and the picture of what it does; print the forecast and what rays found."""
+    design_file(request.out)
     design = _base(request, overrides)
     distance = parse_distance("--distance", request.distance, design.unit)
     source = 0.0 if request.source is None else parse_angle("--source", request.source)
@@ -187,6 +188,7 @@ def _document(design: Design, found: Shaped, seen: Rendered) -> dict[str, Any]:
         "cells": len(found.cells), "unit": design.unit, "rms_way": found.way,
         "blur": {"all": blur.all, "cell": blur.cell, "source": blur.source, "diffraction": blur.diffraction},
         "through": seen.through, "within_one_blur": seen.within, "elsewhere": seen.difference,
+        "elsewhere_by_lenses": seen.by_lenses,
     }  # fmt: skip
 
 
@@ -197,7 +199,8 @@ def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str
         f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source {_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
         f"  through           {100 * seen.through:.4g} % of the light, through lenses of one telescopelet",
         f"  within one blur   {100 * seen.within:.4g} % of all light",
-        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target spread by the cells",
+        f"  elsewhere         {100 * seen.difference:.3g} % of what arrives, against the target as wide as a cell: light comes in "
+        f"{len(found.cells):,} spots; by the lenses {100 * seen.by_lenses:.3g} %",
     ])  # fmt: skip
 
 

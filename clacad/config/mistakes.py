@@ -100,7 +100,7 @@ class Mistake:
             return f"--set {self.source_line}: "
         place = [self.path] if self.path else []
         if self.path and self.line is not None:
-            place += [str(self.line), str(self.column)]
+            place += [str(number) for number in (self.line, self.column) if number is not None]
         return ":".join(place) + ": " if place else ""
 
     def _excerpt(self) -> list[str]:

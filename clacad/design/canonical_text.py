@@ -24,7 +24,7 @@ from clacad.design.sections import (
     Outline,
     PairSpec,
 )
-from clacad.design.varying import VaryingSpec, varying_table
+from clacad.design.varying import Conjugates, VaryingSpec, planes_table, varying_table
 
 if TYPE_CHECKING:
     from clacad.design.model import Design
@@ -88,6 +88,8 @@ def _written(value: Any, key: Key, design: Design) -> Any:
         return {"width": value.width} | ({} if value.height is None else {"height": value.height})
     if isinstance(value, VaryingSpec):
         return varying_table(value)
+    if isinstance(value, Conjugates):
+        return planes_table(value)
     if isinstance(value, FieldSpec):
         return {part: given for part in ("conic", "gap") if (given := getattr(value, part)) is not None}
     if isinstance(value, tuple) and value and isinstance(value[0], FaceSpec):

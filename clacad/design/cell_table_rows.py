@@ -17,6 +17,12 @@ from clacad.design.number_rows import NumberRows, RowBlock
 from clacad.sheet.lattice import Lattice
 
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
+NOT_HERE: Final = (
+    (
+        "eta",
+        "eta is one for all cells, law.eta: with one of its own each lens would have a radius of its own, which is not made",
+    ),
+)
 LARGEST: Final = 1e6
 """Largest |δ|, as of the key law.delta."""
 ARRAY: Final = "delta"
@@ -52,7 +58,7 @@ class TableFile:
 
     def _of_rows(self) -> Floats:
         made = np.full((*self.lattice.count, 2), np.nan)
-        rows = NumberRows(self.path, COLUMNS, self.key)
+        rows = NumberRows(self.path, COLUMNS, self.key, NOT_HERE)
         for block in rows.blocks():
             self._enter(made, block, rows)
         return self._whole(made)

@@ -43,6 +43,11 @@ def has_plate(a: Ask) -> bool:
     return polygon or any(bool(a(f"body.{key}")) for key in ("holes", "corners", "pins"))
 
 
+def _focused(a: Ask) -> bool:
+    """Whether pairs are asked to image two planes sharply."""
+    return a("pair.focus") not in (None, "afocal")
+
+
 def _is_slope(a: Ask) -> bool:
     """Whether the aperture is a slope, not a word and no point."""
     aperture = a("lattice.aperture")
@@ -81,6 +86,9 @@ FEATURES: Final = (
     Feature("traced vertices", "pair.offset", lambda a: a("pair.offset") == "traced", 'offset = "paraxial"'),
     Feature("law that varies", "law.varying", lambda a: a("law.varying") is not None, "leave one of the two out"),
     Feature("other pitch", "lattice.pitch_2", lambda a: a("lattice.pitch_2") is not None, "leave one of the two out"),
+    Feature("sharp pairs", "pair.focus", _focused, "leave one of the two out"),
+    Feature("curved inside", "pair.curved", lambda a: a("pair.form") == "plano" and a("pair.curved") == "inside", 'curved = "outside"'),
+    Feature("thin recipe", "pair.confocal", lambda a: a("pair.confocal") == "thin", 'confocal = "exact"'),
     Feature("confocal best", "pair.confocal", lambda a: a("pair.confocal") == "best", 'confocal = "exact"'),
     Feature("plate with holes, corners or pins", "body.holes", has_plate, "plain edges"),
     Feature("field lens", "pair.field_lens", lambda a: bool(a("pair.field_lens")), "field_lens = false"),
@@ -90,13 +98,50 @@ FEATURES: Final = (
 
 VARYING: Final = "law.varying"
 PITCH_2: Final = "lattice.pitch_2"
+FOCUS: Final = "pair.focus"
 SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
     VARYING: lambda a: a(VARYING) is not None,
     PITCH_2: lambda a: a(PITCH_2) is not None,
+    FOCUS: _focused,
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
 REASONS: Final[Mapping[tuple[str, str], str]] = {
+    (
+        VARYING,
+        "sharp pairs",
+    ): "its cells stand over their partners, and images of sharp pairs would not fall on one another",
+    (PITCH_2, "sharp pairs"): "the pitch of array 2 follows from the two planes",
+    (
+        FOCUS,
+        "law that varies",
+    ): "its cells stand over their partners, and images of sharp pairs would not fall on one another",
+    (FOCUS, "other pitch"): "the pitch of array 2 follows from the two planes",
+    (
+        FOCUS,
+        "tilt",
+    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
+    (FOCUS, "biconvex"): "thick lenses of two curved faces are solved for an afocal pair",
+    (
+        FOCUS,
+        "curved inside",
+    ): "the plane faces lie between its lenses and the planes, and shift them by their thickness",
+    (FOCUS, "thin recipe"): "its lenses are thick ones of one curved face each",
+    (FOCUS, "given faces"): "its faces follow from the two planes",
+    (
+        FOCUS,
+        "plate with holes, corners or pins",
+    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
+    (FOCUS, "field lens"): "there is no common focus for it to stand at",
+    (FOCUS, "steered"): "its cells look along its chief rays",
+    (FOCUS, "aimed at a point"): "its cells look along its chief rays",
+    (FOCUS, "traced vertices"): "its lenses stand in the middle of their own cells",
+    (FOCUS, "confocal best"): "its radii are for parallel light along the axis",
+    (FOCUS, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
+    (
+        FOCUS,
+        "tolerances",
+    ): "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
     (
         VARYING,
         "tilt",
@@ -125,8 +170,6 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
     (PITCH_2, "traced vertices"): "its lenses stand in the middle of their own cells",
     (PITCH_2, "confocal best"): "its radii are for light along the axis alone",
     (PITCH_2, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (PITCH_2, "tolerances"): "a study of tolerances samples sheets of equal cells",
-    (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
 }
 """Sheet and feature → why they are not built together; what is not here is built."""
 

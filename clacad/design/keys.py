@@ -28,7 +28,7 @@ from clacad.config.value_kinds import (
 from clacad.design.given_faces import FACES
 from clacad.design.plate_keys import CORNERS, HOLES, PINS, POLYGON
 from clacad.design.search_record import SEARCH
-from clacad.design.varying import VARYING
+from clacad.design.varying import PLANES, VARYING
 
 FORMAT: Final = 1
 REQUIRED: Final = object()
@@ -177,6 +177,11 @@ PAIR: Final[dict[str, Key]] = {
     "field": Key(
         InlineTable((("conic", _CONIC), ("gap", _ABOVE_0))),
         "field lens: conic constant of its faces, and air gap between the plates of a slab",
+    ),
+    "focus": Key(
+        WordOr(("afocal",), PLANES),
+        "afocal: parallel light leaves parallel; or two planes that every pair images sharply to one another",
+        "afocal",
     ),
 }
 LATTICE: Final[dict[str, Key]] = {

@@ -37,11 +37,14 @@ class NumberRows:
         The header.
     key : str
         Key of the design that names it, "" where none does.
+    elsewhere : tuple of (str, str)
+        Beginnings of columns that are no part of it, and what to do instead.
     """
 
     path: str
     columns: tuple[str, ...]
     key: str = ""
+    elsewhere: tuple[tuple[str, str], ...] = ()
 
     def blocks(self) -> Iterator[RowBlock]:
         """Rows, many at a time.
@@ -74,8 +77,16 @@ class NumberRows:
         if names != [*self.columns]:
             wrong = next((k for k, pair in enumerate(zip(names, self.columns)) if pair[0] != pair[1]),
                          min(len(names), len(self.columns)))  # fmt: skip
+            hint = next(
+                (way for start, way in self.elsewhere for name in names if name.startswith(start)), ""
+            )
             self.refuse(
-                "the header is not that of a table of cells", 1, line, wrong, allowed=",".join(self.columns)
+                "the header is not the one asked for",
+                1,
+                line,
+                wrong,
+                allowed=",".join(self.columns),
+                hint=hint,
             )
 
     def _lines(self, stream: IO[bytes]) -> Iterator[list[str]]:

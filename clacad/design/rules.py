@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from math import isinf
 from typing import Any, Final
 
 from clacad.base.digits import rounded_up
@@ -453,6 +454,28 @@ def varying_law_has_lenses(a: Asked) -> Iterator[Mistake]:
                       allowed="planes farther from the sheet")  # fmt: skip
 
 
+def focus_has_planes(a: Asked) -> Iterator[Mistake]:
+    """One plane at least is finite; both meridians have power; two ratios of pitches lie along the cells."""
+    read, eta, euler = a("pair.focus"), a("law.eta"), a("law.euler")
+    if read in (None, "afocal") or eta is None:
+        return
+    planes = dict(read)
+    if isinf(planes["object"]) and isinf(planes["image"]):
+        yield Mistake("CL113", "pair.focus with both planes at infinity: parallel light that leaves parallel is the afocal pair",
+                      "pair.focus", allowed='a finite object or image, or "afocal"')  # fmt: skip
+    if 1.0 in eta:
+        yield Mistake("CL111", "eta = 1 with pair.focus: a lens without power focuses nothing", "pair.focus",
+                      allowed="eta other than 1 in both x and y")  # fmt: skip
+    if eta[0] == eta[1]:
+        return
+    if a("lattice.kind") == "hexagonal":
+        yield Mistake("CL116", "eta_x and eta_y differ: with pair.focus array 2 needs two pitches, and a hexagonal lattice has one",
+                      "lattice.kind", allowed="square | rectangular", hint="eta_x = eta_y")  # fmt: skip
+    if euler is not None and (angle := euler[0] + euler[2]) % 90.0:
+        yield Mistake("CL125", f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: with pair.focus array 2's cells would "
+                      "be sheared", "law.euler.0", allowed="phi + psi = 0 deg, or a multiple of 90 deg", hint="eta_x = eta_y")  # fmt: skip
+
+
 def sheet_is_built(a: Asked) -> Iterator[Mistake]:
     """What a sheet whose cells differ can have beside it."""
     for sheet in built_sheets(a):
@@ -483,6 +506,7 @@ RULES: Final[tuple[Rule, ...]] = (
     plate_has_a_border,
     baffle_has_walls,
     varying_law_has_lenses,
+    focus_has_planes,
     sheet_is_built,
 )
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from clacad.design.given_faces import FaceSpec
 from clacad.design.plate_keys import CornersSpec, HoleSpec, PinsSpec, Vertex
 from clacad.design.search_record import SearchRecord
-from clacad.design.varying import VaryingSpec
+from clacad.design.varying import Conjugates, VaryingSpec
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
@@ -109,6 +109,8 @@ class PairSpec:
         Whether an array of lenses at the common focus images lens 1 onto lens 2.
     field : FieldSpec
         How it is built.
+    focus : Conjugates or None
+        Planes that every pair images sharply to one another; None: the pair is afocal.
     """
 
     form: Literal["biconvex", "plano", "slab"]
@@ -130,6 +132,7 @@ class PairSpec:
     search: SearchRecord | None = None
     field_lens: bool = False
     field: FieldSpec = FieldSpec()
+    focus: Conjugates | None = None
 
     @property
     def given(self) -> bool:

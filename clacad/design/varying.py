@@ -124,17 +124,16 @@ class TableFileName:
 
 _NUMBER = Quantity("ratio", "a number from -1e6 to 1e6", least=-1e6, most=1e6)
 _REACH = Reach("a length, not 0")
+_PLANES: Final = (("object", Reach("a length < 0", most=-1e-300)), ("image", _REACH))
+PLANES: Final = InlineTable(_PLANES, required=("object", "image"))
+"""Kind of a value that names two planes."""
 VARYING: Final = InlineTable(
     (
         ("f_image", Several(_REACH, _XY, single=True)),
         (
             "conjugates",
             InlineTable(
-                (
-                    ("object", Reach("a length < 0", most=-1e-300)),
-                    ("image", _REACH),
-                    ("magnification", Several(_NUMBER, _XY, single=True)),
-                ),
+                (*_PLANES, ("magnification", Several(_NUMBER, _XY, single=True))),
                 required=("object", "image"),
             ),
         ),
@@ -162,11 +161,13 @@ def varying_table(spec: VaryingSpec) -> dict[str, Any]:
     if spec.table is not None:
         return {"table": {"file": spec.table.file, "sha256": spec.table.sha256}}
     assert spec.conjugates is not None  # one of the four is given
-    planes = spec.conjugates
+    return {"conjugates": planes_table(spec.conjugates)}
+
+
+def planes_table(planes: Conjugates) -> dict[str, Any]:
+    """Two planes as a table of a design file; `PLANES` reads it back."""
     made: dict[str, Any] = {"object": _reach(planes.object), "image": _reach(planes.image)}
-    if planes.magnification is not None:
-        made["magnification"] = list(planes.magnification)
-    return {"conjugates": made}
+    return made if planes.magnification is None else made | {"magnification": list(planes.magnification)}
 
 
 def _reach(length: float) -> float | str:

@@ -113,8 +113,8 @@ MISTAKES: dict[str, Text] = {
         "t = n |f1x − f1y| between the two foci", "What the message names: a smaller gap, a larger separation, or eta_x = eta_y.",
     ),
     "CL120": (
-        "No lens pair has what is asked: the radii cannot be solved, a lens would be thicker than its focal length allows, or the "
-        "surface would end inside its cell.",
+        "No lens pair has what is asked: the radii cannot be solved, a lens would be thicker than its focal length allows, the "
+        "surface would end inside its cell, or the planes of pair.focus lie too near to the foci of the lenses.",
         "The thick-lens equation has no root there; the message names lens and meridian.",
         "R_k = (n − 1) f_k (1 + √(1 − T_k/(n f_k))),  T_k < n f_k,  R_k > half the diagonal of a cell",
         "Take a smaller pitch, a larger separation, a thinner lens or a higher index; the message says which and how much.",

@@ -11,9 +11,11 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rung
 from clacad.imaging.best_point import BestPoint, best_point
-from clacad.optics.law.focusing import along_axes
+from clacad.optics.law import angle_between
+from clacad.optics.law.focusing import along_axes, cell_width
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.cell_laws import CellLaws
+from clacad.sheet.feasibility.imaging_rows import Zone, zone_of
 from clacad.sheet.need_window import need_window
 from clacad.tracing.tracer import Tracer
 
@@ -55,6 +57,22 @@ class RungImage:
 
 
 @dataclass(frozen=True, eq=False)
+class Sampling:
+    """The law of the cell hit, which is built, beside the smooth one that it samples.
+
+    Parameters
+    ----------
+    slope : float, radians
+        Angle between the directions that the two give to the light sent, rms.
+    smooth : BestPoint
+        Of that light by the smooth law: what cells without end would make of it.
+    """
+
+    slope: float
+    smooth: BestPoint
+
+
+@dataclass(frozen=True, eq=False)
 class Image:
     """Where a sheet images a point, rung by rung.
 
@@ -63,19 +81,30 @@ class Image:
     source : (3,) lengths
         As asked; with z = −inf, parallel light of the slopes x and y.
     rungs : tuple of RungImage
-    width : (2,) lengths
-        Full width of the image that cells of this size have at least, along x and y: |η| p and more.
+    width : (2,) lengths or None
+        Full width of the image that cells of this size have at least, along x and y: |η| p and more, 0 of the planes of sharp
+        pairs. None where a table gives each cell an image of its own.
+    sampling : Sampling or None
+        What it costs that the law changes from cell to cell; None where all cells share one, or a table has none between.
+    zone : Zone or None
+        Where array 2 has a pitch of its own.
     """
 
     source: Floats
     rungs: tuple[RungImage, ...]
-    width: Pair2
+    width: Pair2 | None
+    sampling: Sampling | None = None
+    zone: Zone | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON."""
         return {
             "object": self.source.tolist(),
-            "width": list(self.width),
+            "width": None if self.width is None else list(self.width),
+            "zone": None if self.zone is None else {"width": list(self.zone.width), "f_number": list(self.zone.f_number)},
+            "sampling": None if self.sampling is None else {
+                "slope": self.sampling.slope, "found": self.sampling.smooth.point.tolist(), "spot": list(self.sampling.smooth.spot),
+            },
             "rungs": [
                 {
                     "rung": one.rung, "predicted": one.predicted.point.tolist(), "found": one.found.point.tolist(),
@@ -125,13 +154,16 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
     sent, which = sent_to(window, place, rays)
     cells = window.lattice.cells()[np.unique(which)]
     found = tuple(_on(window, rung, place, sent, cells) for rung in rungs)
-    return Image(place, found, _width(window, place))
+    return Image(place, found, _width(window, place), _sampling(window, sent), zone_of(window))
 
 
 def image_seconds(window: Window, rungs: Sequence[Rung], rays: int) -> float:
     """Processor seconds of `image` on the reference machine, where a sheet of differing cells is traced in numpy."""
     each = {"law": 0.7e-6, "thin": 6e-6, "surfaces": 16e-6}
-    return 0.05 + rays * sum(each[rung] for rung in rungs) + 2e-6 * window.lattice.cell_count
+    smooth = (
+        2.0 * each["law"] if window.cell_laws is not None and window.cell_laws.smooth is not None else 0.0
+    )
+    return 0.05 + rays * (smooth + sum(each[rung] for rung in rungs)) + 2e-6 * window.lattice.cell_count
 
 
 def sent_to(window: Window, source: Floats, rays: int) -> tuple[Rays, Ints]:
@@ -191,11 +223,34 @@ def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> Bes
     return best_point(at[good], out[good])
 
 
-def _width(window: Window, source: Floats) -> Pair2:
+def _sampling(window: Window, sent: Rays) -> Sampling | None:
+    """Light of the cells' laws held against that of the smooth one."""
+    if window.cell_laws is None or window.cell_laws.smooth is None:
+        return None
+    cells, smooth = (Tracer(window, "law", path="size", continuous=c)(sent) for c in (False, True))
+    good = (cells.fate == Fate.ALIVE) & (smooth.fate == Fate.ALIVE)
+    if not good.any():
+        return None
+    apart = angle_between(cells.direction[good], smooth.direction[good])
+    return Sampling(
+        float(np.sqrt(np.mean(apart**2))), best_point(smooth.position[good], smooth.direction[good])
+    )
+
+
+def _width(window: Window, source: Floats) -> Pair2 | None:
     """Full width of the image of a point that cells of a finite size leave, along the lens axes; a table has none."""
     laws = CellLaws(window.law) if window.cell_laws is None else window.cell_laws
     if laws.smooth is None:
-        return np.nan, np.nan
-    axes = along_axes(laws.smooth, window.thin.separation)
-    x, y = (one.width(float(source[2]), p) for one, p in zip(axes, window.lattice.pitch, strict=True))
+        return None
+    s, z = window.thin.separation, float(source[2])
+    axes = along_axes(laws.smooth, s)
+    if "focus" in window.recipe:
+        (f1x, f1y), (f2x, f2y) = window.thin.focal_length
+        pairs = ((f1x, f2x), (f1y, f2y))
+        x, y = (
+            cell_width(focal, s, (z, one.image_distance(z)), p)
+            for one, focal, p in zip(axes, pairs, window.lattice.pitch, strict=True)
+        )
+        return x, y
+    x, y = (one.width(z, p) for one, p in zip(axes, window.lattice.pitch, strict=True))
     return x, y

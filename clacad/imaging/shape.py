@@ -59,6 +59,7 @@ class Shaped:
     way : float, length
         Rms distance from a cell to its place across.
     blur : Blur
+    target : Target
     """
 
     cells: Any
@@ -66,6 +67,7 @@ class Shaped:
     deltas: Floats
     way: float
     blur: Blur
+    target: Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,24 +76,28 @@ class Rendered:
 
     Parameters
     ----------
-    seen, wanted : (h, w) arrays
-        Light in each square of the screen, over all the light on the sheet: as rays make it, and as asked, spread by the
-        blur of a cell. Row 0 is the top.
+    seen, target, spots : (h, w) arrays
+        Light in each square of the screen, over all the light on the sheet: as rays make it, as asked, spread by the width
+        of a cell, and as one spot a cell of ideal lenses would make it. Row 0 is the top.
     corners : (x_min, x_max, y_min, y_max), lengths
     through : float
         Share of the light that goes through lenses of one telescopelet.
     within : float
         Share of all the light that arrives within one blur of its cell's place.
     difference : float
-        Half the sum of |seen − wanted|, each scaled to 1: the part of the light that lies elsewhere.
+        Half the sum of |seen − target|, each scaled to 1: the part of the light that lies elsewhere.
+    by_lenses : float
+        The same against `spots`: what of that the lenses make; the rest is that light comes in spots.
     """
 
     seen: Floats
-    wanted: Floats
+    target: Floats
+    spots: Floats
     corners: tuple[float, float, float, float]
     through: float
     within: float
     difference: float
+    by_lenses: float
 
 
 def shaped(design: Design, lattice: Lattice, target: Target, distance: float, source: float = 0.0) -> Shaped:
@@ -121,7 +127,7 @@ def shaped(design: Design, lattice: Lattice, target: Target, distance: float, so
     way = wanted - centres
     deltas = deltas_to(design.law, way, distance)
     far = float(np.sqrt(np.mean(np.sum(way**2, axis=1))))
-    return Shaped(cells, wanted, deltas, far, blur_of(design, distance, source))
+    return Shaped(cells, wanted, deltas, far, blur_of(design, distance, source), target)
 
 
 def blur_of(design: Design, distance: float, source: float) -> Blur:
@@ -162,11 +168,17 @@ def rendered(window: Window, found: Shaped, distance: float, rays: int) -> Rende
     edges = [np.linspace(low[k], high[k], int(shape[k]) + 1) for k in (0, 1)]
     light, _, _ = np.histogram2d(at[:, 0], at[:, 1], edges)
     spread = found.places[which] + _over_cell(window, sent.position, sent.direction, which, found)
-    asked, _, _ = np.histogram2d(spread[:, 0], spread[:, 1], edges)
-    light, asked = light.T[::-1] / rays, asked.T[::-1] / rays
-    apart = 0.5 * float(np.abs(light / (light.sum() or 1.0) - asked / (asked.sum() or 1.0)).sum())
+    spots, _, _ = np.histogram2d(spread[:, 0], spread[:, 1], edges)
+    asked = found.target.light((edges[0], edges[1]), found.blur.cell)
+    light, asked, spots = light.T[::-1] / rays, asked.T[::-1], spots.T[::-1] / rays
     corners = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
-    return Rendered(light, asked, corners, float(np.mean(good)), float(near.sum() / rays), apart)
+    return Rendered(light, asked, spots, corners, float(np.mean(good)), float(near.sum() / rays),
+                    _elsewhere(light, asked), _elsewhere(light, spots))  # fmt: skip
+
+
+def _elsewhere(one: Floats, other: Floats) -> float:
+    """Part of the light that lies elsewhere in one picture than in another."""
+    return 0.5 * float(np.abs(one / (one.sum() or 1.0) - other / (other.sum() or 1.0)).sum())
 
 
 def _over_cell(window: Window, position: Floats, direction: Floats, which: Any, found: Shaped) -> Floats:

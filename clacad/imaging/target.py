@@ -19,6 +19,10 @@ MOST_PIXELS: Final = 1 << 20
 """Pixels that a picture is reduced to: light is spread over more than one of them anyway."""
 
 
+ROWS: Final = 4096
+"""Points whose light is spread at a time."""
+
+
 class NoTarget(ValueError):
     """A picture or points that no light can be sent into; exit status 2."""
 
@@ -46,6 +50,23 @@ class Target:
     grain: Pair2
     pixels: tuple[int, int] | None = None
 
+    def light(self, edges: tuple[Floats, Floats], blur: Pair2) -> Floats:
+        """Light (n_x, n_y), sum up to 1, between edges (n + 1,), lengths, along x and y: exact, each point a box of its grain and the blur."""
+        (x, column), (y, row) = (np.unique(self.points[:, k], return_inverse=True) for k in (0, 1))
+        parts = [
+            np.diff(_box_over_box(edge[None, :] - at[:, None], grain, width), axis=1)
+            for edge, at, grain, width in zip(edges, (x, y), self.grain, blur, strict=True)
+        ]
+        if self.pixels is not None:
+            each = np.zeros((len(x), len(y)))
+            np.add.at(each, (column, row), self.weights)
+            return np.asarray(parts[0].T @ each @ parts[1])
+        made = np.zeros((len(edges[0]) - 1, len(edges[1]) - 1))
+        for first in range(0, len(self.points), ROWS):
+            some = slice(first, first + ROWS)
+            made += (parts[0][column[some]] * self.weights[some, None]).T @ parts[1][row[some]]
+        return made
+
     def places(self, count: int) -> Floats:
         """Places (count, 2), lengths: as many in each point as its weight asks, to less than one.
 
@@ -64,6 +85,19 @@ class Target:
         first = np.searchsorted(which, which, side="left")
         spread = sobol(int((np.arange(count) - first).max()) + 1, 2) - 0.5
         return np.asarray(self.points[which] + spread[np.arange(count) - first] * self.grain)
+
+
+def _box_over_box(x: Floats, first: float, second: float) -> Floats:
+    """Share that lies below x (lengths) of a box of width `first` spread over one of width `second` > 0, both about 0."""
+    if first == 0.0:
+        return np.clip(x / second + 0.5, 0.0, 1.0)
+
+    def twice(at: Floats) -> Floats:
+        return 0.5 * np.maximum(at, 0.0) ** 2
+
+    high, low = 0.5 * (first + second), 0.5 * (first - second)
+    whole = twice(x + high) - twice(x + low) - twice(x - low) + twice(x - high)
+    return np.clip(whole / (first * second), 0.0, 1.0)
 
 
 def of_picture(light: Floats, width: float) -> Target:

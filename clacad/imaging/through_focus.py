@@ -28,19 +28,24 @@ def plot_svg(image: Image, name: str, unit: str) -> str:
     return drawn("svg", SIZE, lambda figure: _draw(figure, image, name, unit), style).decode()
 
 
-def heights(one: RungImage) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Heights (81,), lengths, about the image at whose ends the light is some five times as wide."""
+def reach_of(one: RungImage) -> float:
+    """Distance (length) from the image at which the light is some five times as wide."""
     slopes = one.direction[:, :2] / one.direction[:, 2:]
     cone = float(np.sqrt(np.mean(np.sum((slopes - slopes.mean(axis=0)) ** 2, axis=1))))
-    reach = 5.0 * float(np.hypot(*one.found.spot)) / cone
+    return 5.0 * float(np.hypot(*one.found.spot)) / cone
+
+
+def heights(one: RungImage, reach: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Heights (81,), lengths, up to `reach` about the image."""
     return np.asarray(one.found.point[2] + np.linspace(-reach, reach, HEIGHTS))
 
 
 def _draw(figure: Any, image: Image, name: str, unit: str) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
     seen = [one for one in image.rungs if np.isfinite(one.found.point).all()]
+    reach = max((reach_of(one) for one in seen), default=0.0)
     for one in seen:
-        z = heights(one)
+        z = heights(one, reach)
         widths = [spot_at(one.position, one.direction, np.array([*one.found.point[:2], h])) for h in z]
         for k, line in ((0, "-"), (1, ":")):
             left.plot(

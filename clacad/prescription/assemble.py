@@ -47,6 +47,7 @@ from clacad.prescription.radii import (
     thin_pair,
 )
 from clacad.prescription.residual import residual
+from clacad.prescription.sharp_pairs import sharp_lenses, with_focus
 from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
@@ -81,7 +82,10 @@ class Intent:
     def built_offset(self, lenses: LensPair) -> Floats:
         """Offset (2,) of lens 2 as built, lengths: as given, else from δ."""
         given = self.design.pair.vertex
-        offset = self.offset(lenses.focal_length[0]) if given is None else np.array(given)
+        focal = lenses.focal_length[0]
+        if self.design.pair.focus is not None:  # δ is that of chief rays, whatever lens 1 focuses
+            focal = thin_pair(self.eta, separation_of(self))[0]
+        offset = self.offset(focal) if given is None else np.array(given)
         if not np.isfinite(offset).all():
             raise NoSuchLens(
                 "lens 1 has no power in a meridian with an offset delta",
@@ -318,9 +322,12 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
 
 
 def _one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
-    """Lenses with one curved face each: as given, else of the asked η."""
-    if intent.design.pair.given:
-        return given_pair(intent.design.pair, thickness, intent.index)
+    """Lenses with one curved face each: as given, else of the asked η, afocal or of the asked focus."""
+    pair = intent.design.pair
+    if pair.given:
+        return given_pair(pair, thickness, intent.index)
+    if pair.focus is not None:
+        return sharp_lenses(intent.eta, separation, pair.focus, thickness, intent.index)
     return single_surface(intent.eta, separation, thickness, intent.index)
 
 
@@ -457,7 +464,7 @@ def _untraced(intent: Intent) -> Intent:
 
 def _plano_auto(intent: Intent, separation: float) -> Pair2:
     """Smallest vertex-to-plane thickness that leaves the neck under the whole lens, and the land when there is one."""
-    trial = single_surface(intent.eta, separation, (0.0, 0.0), intent.index)
+    trial = _one_faced(intent, separation, (0.0, 0.0))
     window = _plano_placed(
         _untraced(intent), trial, np.array([0.0, 0.0, separation]),
         intent.turn if intent.design.pair.curved == "outside" else poses.shallower(intent.law, intent.index),
@@ -583,6 +590,8 @@ def _own_places(window: Window, design: Design) -> Window:
         from clacad.prescription.varying_cells import with_varying_law
 
         return with_varying_law(window, design)
+    if design.pair.focus is not None:
+        return with_focus(window, design)
     if design.lattice.pitch_2 is not None:
         from clacad.prescription.superlens import with_pitch_2
 

@@ -9,12 +9,13 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.optics.parabasal import STEP, parabasal
+from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
 
 
 def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) -> dict[str, float]:
-    """Parabasal law error (radians) and decollimation over half a cell (radians) of a built window.
+    """Parabasal law error (radians) and decollimation over half a cell (radians) of a built window, beyond what is asked.
 
     Parameters
     ----------
@@ -37,5 +38,5 @@ def residual(window: Window, rotation: Floats, origin: Floats, asked: Floats) ->
     half = 0.5 * max(window.lattice.pitch)
     return {
         "law": float(angle_between(found.direction, asked)),
-        "decollimation": float(np.linalg.norm(found.cosines, 2)) * half,
+        "decollimation": float(np.linalg.norm(found.cosines + np.diag(asked_power(window)), 2)) * half,
     }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Pair2
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.cell_places import CellPlacement
@@ -31,11 +31,16 @@ def with_pitch_2(window: Window, design: Design) -> Window:
     """
     pitch = design.lattice.pitch_2
     assert pitch is not None  # who calls this has looked
-    place = CellPlacement(window.placements[1].shift, pitch)
-    focal = np.array(window.recipe["f"][0])
+    focal = window.recipe["f"][0]
     if not np.isfinite(focal).all():
         raise NoSuchLens("eta = 1 with pitch_2: a lens without power has no axis to stand aside of",
                          key="lattice.pitch_2", code="CL111", hint="eta other than 1 in both x and y")  # fmt: skip
+    return spread_to(window, pitch, focal)
+
+
+def spread_to(window: Window, pitch: Pair2, focal: Pair2) -> Window:
+    """The window of equal cells, array 2 spread to a pitch (lengths); `focal` (lengths) takes lens 2's place to δ."""
+    place = CellPlacement(window.placements[1].shift, pitch)
     return replace(
         window,
         placements=(CellPlacement(), place),
@@ -45,10 +50,10 @@ def with_pitch_2(window: Window, design: Design) -> Window:
 
 
 def _gradient(
-    window: Window, place: CellPlacement, focal: Floats
+    window: Window, place: CellPlacement, focal: Pair2
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """K, 1/length: lens axes by sheet axes."""
     (gx, gy) = place.scale(window.lattice)
     turn = window.law.rotation[:2, :2]
-    (a, b), (c, d) = ((turn.T @ np.diag([gx - 1.0, gy - 1.0])) / focal[:, None]).tolist()
+    (a, b), (c, d) = ((turn.T @ np.diag([gx - 1.0, gy - 1.0])) / np.asarray(focal)[:, None]).tolist()
     return (a, b), (c, d)

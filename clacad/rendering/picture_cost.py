@@ -17,7 +17,6 @@ from clacad.rendering.camera import View, aim
 from clacad.rendering.picture import tile, tried, worth_compiling
 from clacad.rendering.view import Viewing, set_up
 from clacad.scene import Scene
-from clacad.sheet.need_window import equal_cells
 
 if TYPE_CHECKING:
     from clacad.rendering.atlas.make_atlas import AtlasJob
@@ -54,12 +53,7 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
     frames : int
     """
     view = aim(scene.camera)
-    viewing = set_up(
-        scene,
-        equal_cells(prescribe(scene.design()), "a picture through the sheet"),
-        worth_compiling(scene),
-        passage,
-    )
+    viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene), passage)
     each = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
     return frames * (FIXED + each * _again(viewing, scene, view) * view.width * view.height)
 

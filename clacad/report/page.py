@@ -70,7 +70,7 @@ def _light(content: Content) -> dict[str, str]:
         "transfer": figures.transfer(report), "transmission": figures.transmission(report),
         "ghosts": plots.ghosts(content.evidence), "residual": figures.residual_map(report),
         "spots": figures.spots(report), "foci": plots.foci(report, content.evidence),
-        "viewed": plots.viewed(report, content.whole or report.window), "varying": varying(report.design, content.whole or report.window),
+        "viewed": plots.viewed(report, content.whole or report.window), "varying": varying(report, content.whole or report.window),
     }  # fmt: skip
 
 

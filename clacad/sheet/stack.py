@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
+from string import ascii_lowercase
 
 from clacad.sheet.gap import FIELD
 from clacad.sheet.window import Body, Face, Window
 
-MOST = 26
+MOST = len(ascii_lowercase)
 """Sheets in a stack: as many as there are letters to name them by."""
 
 

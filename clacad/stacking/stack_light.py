@@ -30,7 +30,7 @@ SHARE_RAYS = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class Meridian:
+class StackMeridian:
     """What a stack does in one meridian.
 
     Attributes
@@ -103,7 +103,7 @@ class StackLight:
     expected_share: float
     fates: dict[str, int]
     sheets: tuple[float, ...]
-    meridians: tuple[Meridian, Meridian]
+    meridians: tuple[StackMeridian, StackMeridian]
     error: float
     strays: float
     seconds: float = 0.0
@@ -228,7 +228,7 @@ def _meridian(
     left: Floats,
     found: StackTrace,
     strayed: Bools | None,
-) -> Meridian:
+) -> StackMeridian:
     """One meridian: in closed form, and fitted to the rays that kept to it; ghosts that strayed across it alone are among them.
 
     entered : place and slope (n,) on the first lens plane; left : place (n,) on the last
@@ -247,7 +247,7 @@ def _meridian(
         out = found.direction[kept, axis] / found.direction[kept, 2]
         (space, slope), rest = _fitted(way, np.column_stack([left[kept] - place, out]))
         scatter = rest / stack.sheets[0].window.lattice.pitch[axis]
-    return Meridian(
+    return StackMeridian(
         None if chief is None else _pairs(chief.matrix), None if chief is None else chief.determinant, long, acts,
         None if acts is None else long - acts, None if middle is None else float(middle.matrix[0, 1]),
         share, space, slope, scatter,

@@ -13,6 +13,7 @@ import pytest
 from clacad.config.design_error import DesignError, DesignTooLarge
 from clacad.design import number_rows
 from clacad.design.cell_table import TableSpec, digest, read_table, table_path
+from clacad.design.cell_table_rows import TableFile
 from clacad.sheet.lattice import Circle, Lattice
 
 HEADER = "i,j,delta_x,delta_y\n"
@@ -169,3 +170,13 @@ def test_too_many_cells_rows_or_bytes_are_refused_by_the_limit(tmp_path, monkeyp
     monkeypatch.setattr(number_rows, "BUDGETS", {"cell-table": few})
     with pytest.raises(DesignTooLarge, match="more than 5 rows"):
         read(tmp_path, rows(SMALL))
+
+
+def test_a_column_of_eta_is_refused_saying_that_eta_is_one_for_all(tmp_path):
+    (tmp_path / "t.csv").write_text("i,j,delta_x,delta_y,eta_x\n0,0,0,0,-1\n")
+    with pytest.raises(DesignError) as caught:
+        TableFile(
+            str(tmp_path / "t.csv"), Lattice("square", (0.5, 0.5), (1, 1)), "law.varying.table"
+        ).deltas()
+    assert "law.eta" in caught.value.mistakes[0].hint
+    assert caught.value.mistakes[0].column == 21

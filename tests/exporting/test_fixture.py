@@ -17,6 +17,8 @@ from clacad.exporting.fixtures import (
     coupon_solid,
     frame_solids,
     frame_spec,
+    pin_solids,
+    pin_spec,
 )
 from clacad.exporting.fixtures.frame import MARK_DEPTH
 from clacad.sheet.bundle import bundle
@@ -200,6 +202,81 @@ def _carries_its_marks(parts, spec):
     assert tip.X == pytest.approx(arrow.bounding_box().center().X, abs=1e-6)
 
 
+PINNED = {"border": 4.0, "baffle": None, "baffle_wall": None,
+          "pins": {"diameter": 1.2, "at": [[-4.3, 1.0], [4.3, -1.0]], "play": "20 um"}}  # fmt: skip
+
+
+def test_shoulder_pins_hold_the_plates_at_the_separation_and_enter_neither():
+    from build123d import Cylinder, Plane, Polyline, Pos, extrude, make_face
+
+    window = window_of(**PINNED)
+    pins = pin_spec(window)
+    first, second = window.bodies
+    flats = [face.land for body in (first, second) for face in (body.front, body.back)]
+    assert pins.heights == pytest.approx(flats)
+    assert pins.gap == pytest.approx(second.front.land - first.back.land)
+    solid = pin_solids(pins)
+    assert solid.is_valid
+    assert len(solid.solids()) == 2
+    radius, lead, ends = 0.6, pins.lead, flats[3] - flats[2] + flats[1] - flats[0]
+    assert 0 < lead <= 0.3 * min(flats[1] - flats[0], flats[3] - flats[2]) * (1 + 1e-12)
+    cones = 2 * np.pi * lead * (radius**2 - radius * lead + lead**2 / 3)
+    wanted = np.pi * (radius**2 * (ends - 2 * lead) + 0.25 * pins.shoulder**2 * pins.gap) + cones
+    assert solid.volume == pytest.approx(2 * wanted, rel=1e-9)
+    box = window.outline.box
+    for number, body in enumerate(window.bodies):
+        corners = [(box[i], box[j]) for i, j in ((0, 2), (1, 2), (1, 3), (0, 3), (0, 2))]
+        plate = extrude(Plane.XY * make_face(Polyline(*corners)), flats[2 * number + 1] - flats[2 * number])
+        plate = Pos(0, 0, flats[2 * number]) * plate
+        for x, y in PINNED["pins"]["at"]:
+            plate -= Pos(x, y, 0) * Cylinder(0.5 * 1.22, 100)
+        common = solid & plate
+        assert (0.0 if common is None else sum(s.volume for s in common.solids())) < 1e-9
+        away = [solid.distance_to(Pos(0, 0, way) * plate) for way in (1e-3, -1e-3)]
+        assert sorted(away) == pytest.approx([0.0, 1e-3], abs=2e-4), (
+            body.name
+        )  # it bears, and lifts off one way only
+
+
+def test_a_shoulder_keeps_off_cells_edges_and_other_holes():
+    window = window_of(**PINNED | {"holes": [{"diameter": 1.0, "at": [[4.3, 0.85]]}]})
+    pins = pin_spec(window)
+    assert 0.5 * pins.shoulder == pytest.approx(1.2)  # nowhere nearer than that: at most twice the pin
+    near = window_of(**PINNED | {"holes": [{"diameter": 1.0, "at": [[4.3, 0.4]]}]})
+    assert 0.5 * pin_spec(near).shoulder == pytest.approx(0.95 * 0.9)
+    close = window_of(**PINNED | {"holes": [{"diameter": 1.0, "at": [[4.3, 0.2]]}]})
+    with pytest.raises(
+        NoFixture,
+        match=r"at \(4.3, -1\) stands 0.7 mm from the next cell, edge or hole: its shoulder needs 0.7684",
+    ):
+        pin_spec(close)
+    beside = window_of(**PINNED | {"pins": PINNED["pins"] | {"at": [[-3.0, 1.0], [4.3, -1.0]]}})
+    with pytest.raises(NoFixture, match=r"at \(-3, 1\) stands 0.7[0-9]* mm"):
+        pin_spec(beside)
+
+
+@pytest.mark.slow
+def test_shoulder_pins_are_written_read_back_and_no_master(tmp_path):
+    from build123d import import_step
+
+    from clacad.cli.tables import holds_text
+    from clacad.exporting.export_design import export
+
+    data = {**BASE, "body": {"border": 4.0, "pins": PINNED["pins"]}}
+    manifest = export(Design.from_dict(data), tmp_path / "out", formats=("pins",))
+    (entry,) = manifest.files
+    assert entry["role"] == "other"
+    assert (
+        holds_text(entry) == "2 solids with 18 faces, one a connected piece"
+    )  # there is no other way to write them
+    found = import_step(str(tmp_path / "out" / "fixture.pins.step"))
+    assert len(found.solids()) == 2
+    box, window = found.bounding_box(), prescribe(Design.from_dict(data))
+    assert (box.min.Z, box.max.Z) == pytest.approx(
+        (window.bodies[0].front.land, window.bodies[1].back.land), abs=1e-6
+    )
+
+
 @pytest.mark.long
 def test_the_coupon_is_one_solid_with_five_scaled_patches():
     coupon = coupon_solid(window_of(border=None, baffle=None, baffle_wall=None))
@@ -214,8 +291,10 @@ def test_the_coupon_is_one_solid_with_five_scaled_patches():
         ({"baffle": None, "baffle_wall": None}, baffle_meshes, "has no baffle"),
         ({"border": 0.5}, lambda w: frame_spec(w, 1.0), "body.border >= '1 mm'"),
         ({"border": None}, lambda w: frame_spec(w, 1.0), "no flat border"),
+        ({}, pin_spec, "body.pins says where"),
+        (PINNED, lambda w: frame_spec(w, 1.0), "--format pins"),
     ],
-    ids=["no baffle", "narrow border", "no border"],
+    ids=["no baffle", "narrow border", "no border", "no pins", "pins in a frame"],
 )
 def test_what_cannot_be_held_is_refused_with_words(changes, make, words):
     with pytest.raises(NoFixture, match=words):

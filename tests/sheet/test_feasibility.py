@@ -358,6 +358,27 @@ def test_three_pitches_are_printed_and_the_conflict_between_them_is_said():
     assert rows["pitch with diffraction below 1′, lens x, y"].value == "0.00189076, 0.00189076"
 
 
+def test_the_three_pitches_of_the_acrylic_window_by_hand():
+    """η = −1, 550 nm, eye at 1 m, object ten separations behind: √(λz), 1 m · 1′, λ/1′; mm."""
+    design = clacad.load(DESIGNS / "window-100mm.toml")
+    window = prescribe(design)
+    told = {
+        row.name: row
+        for row in describe(window, feasibility(window, *design.viewing_places))
+        if row.about == "view"
+    }
+    minute, green = np.pi / 10800.0, 550e-6
+    asked = {
+        "sharpest pitch": np.sqrt(green * 100.0), "invisible pitch": 1000.0 * minute,
+        "pitch with diffraction below 1′, lens x, y": green / minute,
+    }  # fmt: skip
+    for name, pitch in asked.items():
+        assert [float(v) for v in told[name].value.split(",")] == pytest.approx(
+            [pitch] * (1 + ("lens" in name)), rel=1e-5
+        )
+    assert np.isclose(green / minute, 1.8908, rtol=1e-4)
+
+
 def test_an_eye_in_the_image_sees_nothing_sharp_and_a_law_without_change_asks_for_no_pitch():
     advice = viewing((-1.0, 1.0), (np.inf, 100.0), 0.5, 0.5, 550e-9)
     assert advice.blur == (np.inf, 0.0)
@@ -383,3 +404,25 @@ def test_a_cylindrical_sheet_loses_nothing_across_its_axis_without_power():
     fresnel = 0.25**2 / (550e-6 * 5.0)
     assert facts.fresnel_number == pytest.approx(fresnel, rel=1e-12)
     assert facts.viewing.lost == (0.0, pytest.approx(0.164 / np.sqrt(fresnel), rel=1e-12))
+
+
+def test_a_sheet_whose_law_varies_tells_its_foci_and_a_superlens_its_zone():
+    base = {
+        "format": 1, "name": "s", "unit": "mm", "law": {"eta": [-0.25, -0.25]},
+        "pair": {"form": "slab", "separation": 10.0, "index": 1.5}, "lattice": {"pitch": 0.5, "count": 9},
+    }  # fmt: skip
+
+    def told(section, key, value):
+        window = clacad.prescribe(clacad.Design.from_dict({**base, section: {**base[section], key: value}}))
+        rows = describe(window, feasibility(window))
+        return {row.name: row.value for row in rows if row.about == "imaging"}
+
+    glens = told("law", "varying", {"f_image": [200, -100]})
+    assert glens["focus of light from before the sheet, lens x, y"] == "200, -100"
+    assert glens["nodal point, lens x, y"] == "1000, -500"
+    superlens = told("lattice", "pitch_2", 0.4)
+    assert superlens["width of one lens, x, y"] == "2.5, 2.5"
+    assert superlens["F-number of one lens, x, y"] == "4, 4"
+    sharp = told("pair", "focus", {"object": -300, "image": "inf"})
+    assert sharp["planes that pairs image sharply"] == "-300, inf"
+    assert told("lattice", "pitch", 0.4) == {}

@@ -211,18 +211,22 @@ PRESENT = {
     "tolerances": {"tolerances__index": 0.001}, "aimed at a point": {"lattice__aperture": {"point": [0, 0, -400]}},
     "steered": {"lattice__aperture": [0.01, 0.0]}, "traced vertices": {"pair__offset": "traced"},
     "other pitch": {"lattice__pitch_2": 0.499}, "law that varies": {"law__varying": {"f_image": 200}},
+    "sharp pairs": {"pair__focus": {"object": -300, "image": 400}}, "curved inside": {"pair__form": "plano", "pair__curved": "inside"},
+    "thin recipe": {"pair__form": "plano", "pair__confocal": "thin"},
     "confocal best": {"pair__confocal": "best"}, "field lens": {"pair__field_lens": True, "pair__surface": None},
     "plate with holes, corners or pins": {"body__border": 1, "body__corners": {"round": 0.5}}, "baffle": {"pair__form": "plano", "body__baffle": True, "body__baffle_wall": "50 um"},
 }  # fmt: skip
 
 
-SHEET = {"law.varying": {}, "lattice.pitch_2": {"law__varying": None, "lattice__pitch_2": 0.4975}}
+SHEET = {"law.varying": {}, "lattice.pitch_2": {"law__varying": None, "lattice__pitch_2": 0.4975},
+         "pair.focus": {"law__varying": None, "pair__focus": {"object": -300, "image": 400}}}  # fmt: skip
+ITS_OWN = {"law.varying": "law that varies", "lattice.pitch_2": "other pitch", "pair.focus": "sharp pairs"}
 
 
 @pytest.mark.parametrize("feature", [f.name for f in FEATURES])
 @pytest.mark.parametrize("sheet", SHEETS)
 def test_each_combination_works_or_is_refused_by_one_code_as_the_matrix_says(sheet, feature):
-    if (sheet, feature) in (("law.varying", "law that varies"), ("lattice.pitch_2", "other pitch")):
+    if ITS_OWN[sheet] == feature:
         return
     reason = REASONS.get((sheet, feature))
     changes = {**SHEET[sheet], **PRESENT[feature]}
@@ -261,7 +265,7 @@ def test_the_matrix_is_what_refuses():
     assert head[1:] == list(SHEETS)
     for name, *cells in rows:
         for sheet, cell in zip(head[1:], cells):
-            itself = {"law.varying": "law that varies", "lattice.pitch_2": "other pitch"}[sheet] == name
+            itself = ITS_OWN[sheet] == name
             assert cell == ("itself" if itself else REASONS.get((sheet, name), BUILT))
     assert {f.name for f in FEATURES} == set(PRESENT)
 
@@ -281,3 +285,33 @@ def test_sheets_of_one_law_have_the_text_and_hash_they_had():
     assert "varying" not in made.canonical_toml()
     assert clacad.prescribe(made).cell_laws is None
     assert made.law_at((0, 0)) == made.law
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_steps_between_cells_are_those_of_two_ellipsoids_apart(kind):
+    from clacad.sheet.cell_steps import greatest_steps
+
+    window = built(lattice__kind=kind, lattice__count=[8, 7], law__varying={"f_image": 60})
+    face, lattice = window.faces[1], window.lattice
+    cells = lattice.cells()
+    c, k = abs(face.surface.curvature_x), face.surface.conic_x
+
+    def height(x, y):
+        r2 = (x * x + y * y) * c * c
+        return r2 / c / (1 + np.sqrt(1 - (1 + k) * r2))
+
+    apex = lattice.centres(cells) + window.vertices(face, cells)[:, :2]
+    place = {tuple(cell): n for n, cell in enumerate(cells.tolist())}
+    expected = np.zeros(len(cells))
+    tile = lattice.tile()
+    for n, cell in enumerate(cells):
+        for e, step in enumerate(lattice.steps):
+            other = place.get(tuple((cell + step).tolist()))
+            if other is None:
+                continue
+            line = lattice.centres(cell) + np.linspace(tile[e], tile[(e + 1) % len(tile)], 9)
+            apart = height(*(line - apex[n]).T) - height(*(line - apex[other]).T)
+            expected[n] = max(expected[n], np.abs(apart).max())
+    assert greatest_steps(window, face, cells) == pytest.approx(expected, abs=1e-13)
+    assert expected.max() > 0.01
+    assert not greatest_steps(window, window.faces[0], cells).any()

@@ -226,6 +226,20 @@ class SharpPair:
     object_z: float
     image_distance: float
 
+    @staticmethod
+    def of(eta: float, separation: float, object_z: float, image_distance: float) -> SharpPair:
+        """The pair `separation` apart whose chief rays, those through the middle of lens 1, have η.
+
+        Behind lens 2 their slope is t (1 − s/f2) + …, so that f2 = −η s/(1 − η) whatever the planes; lens 1 then images the
+        object to where lens 2 needs it. f1 is 0 where lens 2 would need it in lens 1, infinite where it needs no lens 1.
+        """
+        s, f2 = Exact(separation), -Exact(eta) * Exact(separation) / (1 - Exact(eta))
+        near, far = _reciprocal(object_z), _reciprocal(image_distance)
+        between = s * (1 - f2 * far) - f2, 1 - f2 * far  # v, as numerator and denominator
+        return SharpPair(
+            (_ratio(between[0], between[1] - near * between[0]), float(f2)), object_z, image_distance
+        )
+
     @property
     def separation(self) -> float:
         """Of the arrays, length: v + u."""
@@ -234,22 +248,39 @@ class SharpPair:
 
     @property
     def pitch_ratio(self) -> float:
-        """p2/p1 = (1 − v/z) ζ/(u + ζ)."""
-        (a, b), (c, d) = self._between()
-        z, far = Exact(self.object_z), Exact(self.image_distance)
-        return _ratio((b * z - a) * far * d, b * z * (c + far * d))
+        """p2/p1 = (1 − v/z) ζ/(u + ζ) = (1 − f2/ζ)/(1 + f1/z)."""
+        (_, b), (_, d) = self._between()
+        return _ratio(d, b)
 
     @property
     def magnification(self) -> float:
         """−v ζ/(z u)."""
         (a, b), (c, d) = self._between()
-        return _ratio(-a * Exact(self.image_distance) * d, b * Exact(self.object_z) * c)
+        return _ratio(-a * d * _reciprocal(self.object_z), b * c * _reciprocal(self.image_distance))
 
     def _between(self) -> tuple[tuple[Exact, Exact], tuple[Exact, Exact]]:
-        """Give v and u, each as numerator and denominator."""
+        """Give v and u, each as numerator and denominator: f1/(1 + f1/z) and f2/(1 − f2/ζ)."""
         f1, f2 = map(Exact, self.focal_lengths)
-        z, far = Exact(self.object_z), Exact(self.image_distance)
-        return (f1 * z, z + f1), (f2 * far, far - f2)
+        return (f1, 1 + f1 * _reciprocal(self.object_z)), (f2, 1 - f2 * _reciprocal(self.image_distance))
+
+
+def cell_width(focal_lengths: Pair2, separation: float, planes: Pair2, pitch: float) -> float:
+    """Full width (length) that the light of a point has on a plane behind array 2 where one cell of a pitch fills lens 1.
+
+    planes : (z, ζ), lengths
+        Heights of the point, of array 1 on, and of the plane, of array 2 on; either may be infinite (then: 0, or an angle).
+    """
+    f1, f2 = map(Exact, focal_lengths)
+    slope = -_reciprocal(planes[0]) - 1 / f1
+    height = 1 + Exact(separation) * slope
+    slope -= height / f2
+    if isinf(planes[1]):
+        return float(abs(slope) * Exact(pitch))
+    return float(abs(height + Exact(planes[1]) * slope) * Exact(pitch))
+
+
+def _reciprocal(length: float) -> Exact:
+    return Exact(0) if isinf(length) else 1 / Exact(length)
 
 
 def _ratio(numerator: Exact, denominator: Exact) -> float:

@@ -12,6 +12,7 @@ from clacad.base.digits import digits
 from clacad.base.even_orders import MONOMIALS, POWER, RAISED
 from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import BodyFacts, FaceShape, Feasibility, LensFacts, two
+from clacad.sheet.feasibility.imaging_rows import imaging_rows
 from clacad.sheet.feasibility.pitch_for_eye import EyeAdvice
 from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.plate import Plate
@@ -61,6 +62,7 @@ def describe(window: Window, facts: Feasibility) -> tuple[FactRow, ...]:
     means = "between the thin lenses that the pair stands for, f1 + f2"
     rows.append(FactRow("assembly", "separation (in air)", of_length(facts.separation), name, means))
     rows += _field_rows(window, facts, of_length, name)
+    rows += [FactRow("imaging", *row) for row in imaging_rows(window, of_length, name)]
     rows += _view_rows(facts, of_length, name)
     return (*rows, *_pitch_rows(facts, of_length, name, window.unit))
 

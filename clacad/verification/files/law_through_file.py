@@ -17,6 +17,7 @@ from clacad.base.types import Bools, Floats
 from clacad.exporting.roles import Role
 from clacad.optics.law import Law, difference_of_laws
 from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.sheet.asked_focus import asked_directions, held_to_law
 from clacad.sheet.bundle import Bundle, bundle, field_points
 from clacad.sheet.light_against_law import (
     FEWEST,
@@ -113,10 +114,11 @@ def measure_light(
     main = bundle(window, rays, spec.field, spec.field_centre, cell=cell)
     seen, truth = send(main), trace(window, main.rays, path="size") if exact is None else exact(main)
     alive = seen.fate == Fate.ALIVE
-    asked = window.law.refract(main.rays.direction)
+    asked = asked_directions(window, main)
     error = law_errors(seen, asked)
     both = alive & (truth.fate == Fate.ALIVE) & np.isfinite(asked).all(axis=1)
-    law, true_law = fitted_laws(window.law, main.rays, seen, truth, both) or (None, None)
+    file, exactly = held_to_law(window, main, seen), held_to_law(window, main, truth)
+    law, true_law = fitted_laws(window.law, main.rays, file, exactly, both) or (None, None)
     bias, middle = _field(design, window, send, point_rays, main.cell)
     closed = float(share(thin_cells(window), main.rays.direction[:SHARE_DIRECTIONS]).mean())
     return FileLight(
@@ -132,11 +134,12 @@ def _field(
     found = []
     middle = (np.nan, np.nan)
     for number, direction in enumerate(field_points(window, design.check.field, design.check.field_centre)):
-        seen = send(bundle(window, rays, 0.0, middle=direction, cell=cell))
+        lit = bundle(window, rays, 0.0, middle=direction, cell=cell)
+        seen = held_to_law(window, lit, send(lit))
         if number == 0:
             passed = float((seen.fate == Fate.ALIVE).mean())
             middle = passed, float(share(thin_cells(window), direction[None])[0])
-        found.append(mean_error(seen, window.law.refract(direction[None])[0]))
+        found.append(mean_error(seen.direction, seen.fate, window.law.refract(direction[None])[0]))
     return np.array(found), middle
 
 

@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet.asked_focus import asked_directions
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.light_against_law import law_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
+from clacad.tracing.worst_cell import tried_cells, worst_of
 from clacad.verification.files.law_through_file import FileLight, measure_light
 from clacad.verification.light.law_checks import Tracer
-from clacad.verification.light.through_window import tried_cells, worst_of
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -88,7 +89,7 @@ def light_of_cells(
         if one is worst:
             continue
         lit = bundle(one.like, CELL_RAYS, design.check.field)
-        error = law_errors(send(one.placed(lit)), one.like.law.refract(lit.rays.direction))
+        error = law_errors(send(one.placed(lit)), asked_directions(one.like, lit))
         rms.append(float(np.sqrt(np.mean(error**2))) if len(error) >= CELL_RAYS // 4 else np.inf)
         cells.append((int(one.cell[0]), int(one.cell[1])))
     return light, rms, cells

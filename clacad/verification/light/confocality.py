@@ -2,7 +2,7 @@
 
 Nothing here knows how the radii were found: the window's faces are traced as explicit surfaces, the exit
 direction is differentiated by the entrance height, and lens 2 is slid along its axis until the pair is
-afocal. That slide, over the distance between the lenses, is the defect.
+afocal, or has the focus that it was asked for. That slide, over the distance between the lenses, is the defect.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.parabasal import STEP, parabasal
 from clacad.optics.rays import Fate, Rays
+from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.telescopelet import interfaces, lens_distance
 from clacad.sheet.window import PLANE, Window
 from clacad.tracing.trace import Interface, trace_sequence
@@ -31,7 +32,7 @@ class Confocality:
     distance : float, length
         Distance between the lenses, along the axis: in glass for a slab.
     power : (2, 2) radians/length
-        Change of exit direction with entrance height, lens frame, as built.
+        Change of exit direction with entrance height, lens frame, as built, less what was asked.
     """
 
     shift: Floats
@@ -69,8 +70,11 @@ def confocality(window: Window) -> Confocality:
     field = field_onto_axis(window, start)
     aside = _onto_axis(window, 1, turn[:, 2], start, along, field)
 
+    asked = np.diag(asked_power(window))
+
     def power(slide: float) -> Floats:
-        return parabasal(interfaces(window, aside + slide * along, field), turn, start, size).slopes
+        slopes = parabasal(interfaces(window, aside + slide * along, field), turn, start, size).slopes
+        return slopes + asked if asked.any() else slopes
 
     as_built = power(0.0)
     if not np.isfinite(as_built).all():

@@ -11,6 +11,7 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, TraceResult
+from clacad.sheet.asked_focus import asked_directions
 from clacad.sheet.bundle import Bundle, central_cell, launched, middle_direction
 from clacad.sheet.vignetting import half_field, share, thin_cells
 from clacad.sheet.window import Window
@@ -112,6 +113,6 @@ def _map(
         direction[MAP // 2],
     )  # fmt: skip
     result = send(lit)
-    error = angle_between(result.direction, window.law.refract(lit.rays.direction))
+    error = angle_between(result.direction, asked_directions(window, lit))
     error = np.where(result.fate == Fate.ALIVE, error, np.nan)
     return place, thin_cells(window).slopes(direction)[:, axis], error.reshape(MAP, MAP)

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet.asked_focus import asked_directions
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.telescopelet import interfaces
 from clacad.sheet.window import Window
@@ -179,7 +180,7 @@ def _differences(window: Window, facets: FacetTraces, lit: Bundle) -> tuple[Floa
     truth = trace(window, lit.rays, path="size")
     chief, chief_known = _through_middle(window, lit)
     exact, held = facets.exact(lit.rays), facets.held(lit.rays)
-    law = window.law.refract(lit.rays.direction)
+    law = asked_directions(window, lit)
     good = chief_known & np.isfinite(law).all(axis=1)
     for result in (truth, exact, held):
         good &= result.fate == Fate.ALIVE

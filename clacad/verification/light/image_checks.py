@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Pair2
-from clacad.imaging.image_by_rays import Image, image, lens_plane
+from clacad.imaging.image_by_rays import image, lens_plane
 from clacad.optics.law.beam_shaping import spot_widths
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check, judge, not_run
@@ -29,13 +29,19 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
 
     A sheet of two focal lengths has no image point, and one whose image is at infinity none at a place.
     """
-    spec = design.law_spec.varying
-    if spec is None:
+    spec, planes = design.law_spec.varying, design.pair.focus
+    if spec is None and planes is None:
         return None
-    if spec.conjugates is not None:
+    if spec is not None and spec.conjugates is not None:
         planes = spec.conjugates
+    if planes is not None:
         return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
-    if spec.f_image is not None and spec.f_image[0] == spec.f_image[1] and isfinite(spec.f_image[0]):
+    if (
+        spec is not None
+        and spec.f_image is not None
+        and spec.f_image[0] == spec.f_image[1]
+        and isfinite(spec.f_image[0])
+    ):
         return (0.0, 0.0, -inf), spec.f_image[0]
     return None
 
@@ -51,10 +57,13 @@ def image_checks(design: Design, window: Window) -> list[Check]:
     if not np.isfinite(one.found.point).all():
         return [not_run(name, "no light of the asked point gets through") for name in ("image_point", "spot")]
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
-    off = hypot(one.off, 0.0)
+    across = one.found.point[:2] - one.predicted.point[:2]
+    off = hypot(*across.tolist(), float(place[2]) - distance)
     text = f"{RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
     unit = design.unit
-    limit = max(*found.width, NEAR * abs(distance))
+    width = found.width
+    assert width is not None  # a design that is made to image has no table
+    limit = max(*width, NEAR * abs(distance))
     point = judge(
         "image_point", off, limit,
         f"light of the asked point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g}, {place[1]:.3g}), {off:.3g} {unit} from "
@@ -62,24 +71,24 @@ def image_checks(design: Design, window: Window) -> list[Check]:
         unit=unit, where="surfaces", bundle=text, limit_source=other("width of a cell's image, or 1 % of its distance"),
         detail={"found": place.tolist(), "share": one.share},
     )  # fmt: skip
-    narrow = _allowed(design, window, found, distance)
+    narrow = _allowed(design, window, width, distance)
     worst = max(range(2), key=lambda k: one.found.spot[k] / narrow[k])
     spot = judge(
         "spot", one.found.spot[worst], narrow[worst],
         f"there it is {one.found.spot[0]:.4g}, {one.found.spot[1]:.4g} {unit} wide (rms in x and y); cells alone leave "
-        f"{found.width[worst] / sqrt(12.0):.4g}",
+        f"{width[worst] / sqrt(12.0):.4g}",
         unit=unit, where="surfaces", bundle=text, limit_source=other("cells, check.law_rms and diffraction together, times 1.5"),
-        detail={"spot": list(one.found.spot), "width": list(found.width)},
+        detail={"spot": list(one.found.spot), "width": list(width)},
     )  # fmt: skip
     return [point, spot]
 
 
-def _allowed(design: Design, window: Window, found: Image, distance: float) -> Pair2:
+def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:
     """Widest rms of the image along x and y (lengths) that what the design allows can leave."""
     waves = design.pair.wavelength / design.unit_m
     _, _, wave = spot_widths(window.law, window.lattice.pitch, abs(distance), 0.0, waves)
     x, y = (
         SPREAD * sqrt(w * w / 12.0 + (design.check.law_rms * distance) ** 2 + d * d)
-        for w, d in zip(found.width, wave, strict=True)
+        for w, d in zip(width, wave, strict=True)
     )
     return x, y

@@ -35,6 +35,10 @@ PLACES = 48
 """Cells a side of the map over the sheet."""
 
 
+FARTHEST = 1000.0
+"""Pitches between a lens and where straight light lands: beyond, it is not traced, for no lens bends it to its partner."""
+
+
 @dataclass(frozen=True, eq=False)
 class Viewed:
     """The share of one viewer's light that obeys the law.
@@ -85,11 +89,12 @@ def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS)
     ray = np.column_stack([slope, np.ones(len(slope))])
     before = window.z_range[0] - max(window.lattice.pitch)
     start = np.column_stack([place + before * slope, np.full(len(slope), before)])
-    fate = trace(window, Rays(start, ray), path="size").fate
+    near = np.hypot(*slope.T) * window.thin.separation <= FARTHEST * min(window.lattice.pitch)
+    alive = np.zeros(len(slope), dtype=bool)
+    alive[near] = trace(window, Rays(start[near], ray[near]), path="size").fate == Fate.ALIVE
     thin = partner_share(
         window, cells, np.column_stack([_slopes(window.centres(0, cells), viewer), ray[:, 2]])
     )
-    alive = fate == Fate.ALIVE
     return Viewed(viewer, float(alive.mean()), float(thin.mean()), place, alive)
 
 
@@ -129,6 +134,12 @@ def _cure(design: Design, viewer: tuple[float, float, float], found: Viewed) -> 
     """The key that makes a sheet for this eye."""
     if isinstance(design.lattice.aperture, AimedAt) and design.lattice.aperture.point == viewer:
         return "the lenses themselves lose it; a smaller pitch or a viewer farther away would keep more"
+    if (
+        design.law_spec.varying is not None
+        or design.lattice.pitch_2 is not None
+        or design.pair.focus is not None
+    ):
+        return "light of each place comes aslant as the eye stands; a viewer farther away or a smaller sheet would keep more"
     point = ", ".join(f"{v:.6g}" for v in viewer)
     return f"lattice.aperture = {{point = [{point}]}} stands the cells of array 2 where it arrives; check.viewer says where the eye is"
 

@@ -1,0 +1,83 @@
+"""What a sheet whose law varies images: foci and nodal point by the law, and how far a superlens is one lens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from clacad.base.digits import digits
+from clacad.base.types import Pair2
+from clacad.optics.law.focusing import Superlens, along_axes
+from clacad.sheet.window import Window
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """How far a superlens is one lens: light along the normal stays with its partner over `width`, (2,) lengths."""
+
+    width: Pair2
+    f_number: Pair2
+
+
+def zone_of(window: Window) -> Zone | None:
+    """The zone of a sheet whose array 2 has a pitch of its own, along the cells' axes; None of others."""
+    own = window.thin.pitch
+    if own is None or window.cell_laws is None:
+        return None
+    (f1x, f1y), (f2x, f2y) = window.thin.focal_length
+    x, y = (
+        Superlens((a, b), focal)
+        for a, b, focal in zip(window.lattice.pitch, own, ((f1x, f2x), (f1y, f2y)), strict=True)
+    )
+    return Zone((x.zone_period, y.zone_period), (x.f_number, y.f_number))
+
+
+def imaging_rows(
+    window: Window, of_length: Callable[[float | Pair2], str], name: str
+) -> list[tuple[str, ...]]:
+    """Name, value, unit and meaning of each number; `of_length` writes lengths in the unit `name`; none where cells are alike."""
+    laws = window.cell_laws
+    if laws is None or laws.smooth is None:
+        return []
+    x, y = along_axes(laws.smooth, window.thin.separation)
+    rows: list[tuple[str, ...]] = [
+        (
+            "focus of light from before the sheet, lens x, y",
+            of_length((x.f_image, y.f_image)),
+            name,
+            "η/κ, from array 2",
+        ),
+        (
+            "focus of light from behind, lens x, y",
+            of_length((x.f_object, y.f_object)),
+            name,
+            "−1/κ, from array 1",
+        ),
+        (
+            "nodal point, lens x, y",
+            of_length((x.nodal_z, y.nodal_z)),
+            name,
+            "(η − 1)/κ, from array 1: light through it is not turned",
+        ),
+    ]
+    if "focus" in window.recipe:
+        ends = ("object", "-inf"), ("image", "inf")
+        planes = ", ".join(
+            far if (z := window.recipe["focus"][key]) is None else of_length(z) for key, far in ends
+        )
+        rows.append(
+            (
+                "planes that pairs image sharply",
+                planes,
+                name,
+                "the object's height before array 1, the image's behind array 2",
+            )
+        )
+    zone = zone_of(window)
+    if zone is not None:
+        rows += [
+            ("width of one lens, x, y", of_length(zone.width), name,
+             "p1²/|p2 − p1|: over it light along the normal stays with its partner; a superlens is a lattice of lenses of that period"),
+            ("F-number of one lens, x, y", ", ".join(map(digits, zone.f_number)), "", "|f2|/p1; law.varying makes one large lens"),
+        ]  # fmt: skip
+    return rows
