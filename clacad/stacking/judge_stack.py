@@ -154,7 +154,12 @@ def _column(stack: Stack, exact: StackTrace) -> tuple[Floats, Floats]:
     corners = []
     for one, (_, result) in zip(stack.sheets, exact.passed, strict=True):
         window = one.window
-        for cells, shift in zip((result.cell, result.cell + result.order), window.shifts, strict=True):
+        met = (
+            result.cell,
+            result.cell + result.order,
+            result.cell,
+        )  # of a field lens, where there is one, the first's
+        for cells, shift in zip(met, window.shifts):
             centres = window.lattice.centres(np.unique(cells, axis=0).astype(np.int64)) + np.asarray(shift)
             reach = MARGIN * 2.0 * window.lattice.circumradius
             corners += [(centres - reach) * one.scale, (centres + reach) * one.scale]

@@ -105,6 +105,22 @@ def test_every_sheet_has_a_plan_of_its_own():
         plan_effects(scene)
 
 
+def test_effects_count_the_faces_of_every_sheet_with_its_field_lens():
+    """Two faces of a slab, four of two plates, six of three: straight down each passes 1 − r² of PMMA, r = (n − 1)/(n + 1)."""
+    with_plate = {"sheet.b.set": {"pair.field_lens": True}}
+    whole = {"sheet.b.set": {"pair.field_lens": True, "law.eta": [-0.5, -1.0], "check.process": "none"}}
+    asked = {"effects.mode": "auto", "effects.list": [], "effects.force": ["fresnel"]}
+    n = 1.4936286728554803
+    for changes, faces in ((with_plate, 4), (whole, 6)):
+        scene = read(**asked, **changes)
+        rows = [plan.row("fresnel") for plan in plan_sheets(scene, stack_of(scene))]
+        for row, count in zip(rows, (2, faces), strict=True):
+            assert f"{count} bare faces" in row.why
+            assert row.radiance == pytest.approx(
+                1.0 - (1.0 - ((n - 1.0) / (n + 1.0)) ** 2) ** count, abs=0.004
+            )
+
+
 def test_the_command_lists_plans_by_id(capsys):
     assert main(["effects", str(FILE), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -101,6 +101,22 @@ def test_what_was_written_passes_as_masters_and_light_goes_through_all_of_it(mad
 
 
 @pytest.mark.slow
+def test_sheets_of_two_and_of_three_bodies_stand_in_one_assembly(tmp_path: Path) -> None:
+    """Two plates of one eta, and three bodies of two: ten faces in a row, by the CAD kernel's own rays."""
+    keys = {"pair.field_lens": True, "check.process": "none"}
+    designs = [DESIGN.replace(keys), DESIGN.replace(keys | {"law.eta": [-0.5, -1.0]})]
+    made = stack(designs, 20.0, tmp_path, cells=(4, 4), rays=256, quads=4, field=FIELD)
+    assert [len(one.window.bodies) for one in made.stack.sheets] == [2, 3]
+    small = [one.with_cells((4, 4)) for one in designs]
+    checks = judge_stack(made.stack, small, tmp_path, FIELD, lambda *_: None)
+    assert passed(checks), [(c.id, c.subject, c.sentence) for c in checks if c.state not in ("pass", "warn")]
+    light = next(c for c in checks if c.id == "stack_light")
+    assert "10 faces" in light.sentence
+    assert light.value is not None
+    assert float(light.value) < 1e-10
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap", "eta"), [(20.001, -0.5), (20.0, -0.51)], ids=["a micrometre farther", "another eta"]
 )

@@ -119,16 +119,21 @@ def whole(out: Path) -> None:
         assert json.loads((out / name).read_text())
 
 
-@pytest.mark.parametrize(("what", "times"), [
-    ("both", 12), pytest.param("export", 100, marks=pytest.mark.long), pytest.param("report", 100, marks=pytest.mark.long),
+THREE_BODIES = TINY.replace("separation", "field_lens = true\nseparation")
+"""A field lens on a plate of its own, for the foci of x and y lie apart."""
+
+
+@pytest.mark.parametrize(("what", "times", "design"), [
+    ("both", 12, TINY), pytest.param("export", 12, THREE_BODIES, marks=pytest.mark.slow),
+    pytest.param("export", 100, TINY, marks=pytest.mark.long), pytest.param("report", 100, TINY, marks=pytest.mark.long),
 ])  # fmt: skip
 def test_kill_9_at_any_instant_leaves_no_partial_file_and_the_next_run_no_trace(
-    tmp_path: Path, what: str, times: int
+    tmp_path: Path, what: str, times: int, design: str
 ) -> None:
     out = tmp_path / "out"
     running = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(out), str(times), "9", what], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        text=True, env=environment(TINY=TINY),
+        text=True, env=environment(TINY=design),
     )  # fmt: skip
     assert running.stdin is not None
     assert running.stdout is not None

@@ -287,3 +287,26 @@ def test_facets_are_of_first_order_and_vertex_normals_of_second(normals, order):
     errors = [seen.error(seen.held(int(quads), EXACT, normals)) for quads in grids]
     slope = np.polyfit(np.log(grids), np.log(errors), 1)[0]
     assert -slope == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_field_lens_has_its_rows_of_error_and_seconds_and_its_step_faces_are_exact():
+    design = clacad.load("designs/window-100mm.toml").with_cells((5, 5)).replace("pair.field_lens", True)
+    found = accuracy(design, rays=1000, quads=(8, 16))
+    surfaces, plain = row(found, "surfaces", float="f64"), row(found, "law")
+    assert surfaces.model_max < 1e-14  # rad, through four faces, against the oracle's digits
+    assert plain.model_rms == pytest.approx(surfaces.law_rms, rel=1e-12)
+    assert row(found, "thin").model_rms == pytest.approx(
+        plain.model_rms, rel=0.05
+    )  # what thick lenses add is small
+    coarse, fine = (
+        next(
+            r.model_rms
+            for r in found.rows
+            if r.rung == "mesh" and r.setting.startswith(f"{quads} quads, facet")
+        )
+        for quads in (8, 16)
+    )
+    assert coarse / fine == pytest.approx(2.0, rel=0.15)
+    assert row(found, "step").model_rms < 1e-9
+    assert all(one.seconds > 0.0 for one in found.rows)
