@@ -53,7 +53,7 @@ class Look:
 def look(design: Design, window: Window, progress: Progress) -> Look:
     """Render a figure on a chequered floor, seen past and through the sheet.
 
-    By numpy: so small a picture takes about as long as loading what is compiled, which on a fresh machine takes half a minute to make.
+    By numpy: so small a picture takes about as long as loading what is compiled, which a fresh machine first has to make in twenty seconds and more.
     """
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import pixels_of
