@@ -9,6 +9,7 @@ on the interpolant. (Trefethen, Approximation Theory and Approximation Practice,
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -39,6 +40,8 @@ def sign_changes(function: Function, noise: float) -> Floats:
         Odd roots. A root where the function only touches zero is none; a stretch of zeros between
         opposite signs counts once, at its middle. Zeros at 0 and 1 themselves are not sign changes.
     """
+    if _keeps_away(function, noise):
+        return np.empty(0)
     knots, values = _monotone_knots(function, noise)
     sign = np.where(np.abs(values) <= noise, 0.0, np.sign(values))
     known = np.flatnonzero(np.isfinite(values) & (sign != 0.0))
@@ -91,7 +94,7 @@ def _critical_points(function: Function, low: float, high: float, noise: float, 
     """Roots of the derivative inside (low, high); None where the function must be split to be resolved."""
     before = np.inf
     for degree in _DEGREES:
-        nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+        nodes = _nodes(degree)
         values = function(low + (high - low) * 0.5 * (nodes + 1.0))
         if np.isnan(values).all():
             return np.empty(0)
@@ -114,9 +117,33 @@ def _critical_points(function: Function, low: float, high: float, noise: float, 
     return None
 
 
+def _keeps_away(function: Function, noise: float) -> bool:
+    """Whether an interpolant that agrees to rounding is farther from zero everywhere than it ever varies."""
+    nodes = _nodes(_DEGREES[0])
+    values = function(0.5 * (nodes + 1.0))
+    if not np.isfinite(values).all():
+        return False
+    coefficients = np.abs(_interpolant(nodes, values))
+    varies, tail = coefficients[1:].sum(), coefficients[-4:].max()
+    resolved = tail <= max(2.0 * noise, 1e-15 * coefficients.max())
+    return bool(resolved and coefficients[0] > varies + 4.0 * (tail + noise))
+
+
+@lru_cache(maxsize=len(_DEGREES))
+def _nodes(degree: int) -> Floats:
+    """First-kind points of a Chebyshev interpolant, (degree + 1,)."""
+    return np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+
+
+@lru_cache(maxsize=len(_DEGREES))
+def _transform(count: int) -> Floats:
+    """Values at first-kind points → sums of them over the polynomials, (count, count)."""
+    return np.asarray(chebyshev.chebvander(_nodes(count - 1), count - 1).T)
+
+
 def _interpolant(nodes: Floats, values: Floats) -> Floats:
     """Chebyshev coefficients of the interpolant at first-kind points (discrete orthogonality)."""
     n = len(nodes)
-    transform = chebyshev.chebvander(nodes, n - 1).T @ values * (2.0 / n)
+    transform = _transform(n) @ values * (2.0 / n)
     transform[0] *= 0.5
     return np.asarray(transform)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_angle
+from clacad.cli.option_values import parse_angle, picture_kind
 from clacad.storage.atomic import require_writable
 
 if TYPE_CHECKING:
@@ -25,14 +25,14 @@ def measure_accuracy(
     """Print the table (or JSON), write the plot, name the cheapest file within a target."""
     design = load_counted(path, overrides)
     from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.need_window import equal_cells
     from clacad.verification.accuracy.accuracy_table import TASK, accuracy, accuracy_seconds
     from clacad.verification.accuracy.cheapest_file import files_within
 
+    kind = picture_kind(out, "svg")
     limit = None if target is None else parse_angle("--target", target)
     if out is not None:
         require_writable(out, overwrite=overwrite)
-    progress, window = Progress(quiet=quiet), equal_cells(prescribe(design), "the table of accuracy")
+    progress, window = Progress(quiet=quiet), prescribe(design)
     try:
         with forecast(TASK, accuracy_seconds(rays, window), quiet=quiet) as span:
             progress.expect(span.middle)
@@ -40,7 +40,7 @@ def measure_accuracy(
     finally:
         progress.done()
     if out is not None:
-        _write(out, measured, limit, overwrite)
+        _write(out, kind, measured, limit, overwrite)
     files = [] if limit is None else files_within(design, window, measured.floors, limit)
     if json:
         document = measured.to_dict()
@@ -67,11 +67,11 @@ def target_text(path: Path, target: float, files: Sequence[FileWithin]) -> str:
     return "\n".join(lines + [f"also within it: {one}" for one in rest])
 
 
-def _write(out: Path, measured: AccuracyTable, target: float | None, overwrite: bool) -> None:
+def _write(out: Path, kind: str, measured: AccuracyTable, target: float | None, overwrite: bool) -> None:
     from clacad.storage.atomic import write_content
     from clacad.verification.accuracy.accuracy_plot import plot_png, plot_svg
 
-    plot = plot_png if out.suffix.lower() == ".png" else plot_svg
+    plot = plot_png if kind == "png" else plot_svg
     write_content(out, plot(measured, target), overwrite=overwrite)
 
 

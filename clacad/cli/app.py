@@ -114,7 +114,7 @@ def optimise(
     design: Design,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE", help="Better design file to write.")] = None,
     free: Annotated[str, typer.Option("--free", metavar="A,B", help="What may change: radii, conic, bending (own radii a "
-                                      "face), a4, a6, a8, offset.")] = "radii,conic",
+                                      "face), a4, a6, a8, offset, field (the field lens).")] = "radii,conic",
     field: Annotated[str | None, typer.Option("--field", metavar="E", help="Half angle of the cone of rays, e.g. '1 deg'; "
                                               "default the design's check.field.")] = None,
     weights: Annotated[str | None, typer.Option("--weights", metavar="P:W,P:W", help="Parts of the field and how much each "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import say, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import BadOption
+from clacad.cli.option_values import BadOption, picture_kind
 
 if TYPE_CHECKING:
     from clacad.imaging import Image
@@ -72,6 +72,7 @@ def _is_number(text: str) -> bool:
 
 def image_design(path: Path, overrides: list[str], request: ImageRequest, *, json: bool, quiet: bool) -> int:
     """Print where the point is imaged (or JSON), write the through-focus picture."""
+    kind = picture_kind(request.out)
     design = load_counted(path, overrides)
     source = parse_place(request.source, design.unit)
     from clacad.imaging import image
@@ -96,7 +97,7 @@ def image_design(path: Path, overrides: list[str], request: ImageRequest, *, jso
     if request.out is not None:
         from clacad.imaging.through_focus import plot_png, plot_svg
 
-        plot = plot_svg if request.out.suffix.lower() == ".svg" else plot_png
+        plot = plot_svg if kind == "svg" else plot_png
         write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)
     if json:
         show_json(found.to_dict() | {"unit": design.unit})

@@ -11,7 +11,7 @@ from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
 from clacad.cli.interrupts import INTERRUPTED
-from clacad.cli.option_values import BadOption, parse_angle
+from clacad.cli.option_values import BadOption, design_file, parse_angle
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -100,7 +100,8 @@ def seconds_of(value: float | None) -> float | None:
 def optimise_design(
     path: Path, overrides: list[str], request: OptimiseRequest, *, json: bool, quiet: bool
 ) -> int:
-    """Search, write the better design, say what was gained; exit 1 where it breaks a design rule, 130 when stopped."""
+    """Search, write the better design, say what was gained; exit 1 where verify will fail, 130 when stopped."""
+    design_file(request.out)
     design = load_counted(path, overrides)
     from clacad.optimising import optimise, outlook
     from clacad.optimising.optimised_text import design_text
@@ -186,16 +187,18 @@ def _finished(
     found: Optimised, made: GainAsMade | None, request: OptimiseRequest, *, json: bool, quiet: bool
 ) -> int:
     """Say what was found and written; the exit status."""
-    out, failed = request.out, broken_rules(found.design) if found.stopped != "interrupted" else []
+    out, failed = request.out, failing(found.design) if found.stopped != "interrupted" else []
     if json:
         more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
         show_json(found.to_dict() | {"path": str(out), "failed": failed} | more)
     elif found.after:
         show_text("\n".join(_told(found, made)), quiet=quiet)
     for sentence in failed:
-        say(f"design rule broken: {sentence}", quiet=quiet)
+        say(f"verify will fail: {sentence}", quiet=quiet)
     pages = "" if made is None else f" and {request.compare}"
-    next_step = f"\nnext: clacad verify {out}" if found.stopped != "interrupted" else ""
+    next_step = (
+        f"\nnext: clacad {'check' if failed else 'verify'} {out}" if found.stopped != "interrupted" else ""
+    )
     say(f"wrote {out}{pages}{', the best so far' if found.stopped else ''}{next_step}", quiet=quiet)
     return INTERRUPTED if found.stopped == "interrupted" else 1 if failed else 0
 
@@ -212,12 +215,8 @@ def _told(found: Optimised, made: GainAsMade | None) -> list[str]:
     return lines + ([] if made is None else [made.sentence()])
 
 
-def broken_rules(design: Design) -> list[str]:
-    """Sentences of the design rules that a design breaks."""
-    from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.feasibility import feasibility
-    from clacad.verification import design_checks
+def failing(design: Design) -> list[str]:
+    """Sentences of the checks that verify will fail: design rules, and light through one cell."""
+    from clacad.advice import judge
 
-    window = prescribe(design)
-    checks = design_checks(design, window, feasibility(window))
-    return [f"{check.id}: {check.sentence}" for check in checks if check.state == "fail"]
+    return [f"{check.id}: {check.sentence}" for check in judge(design).failing]

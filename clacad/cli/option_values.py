@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import isfinite, pi
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -103,6 +104,34 @@ def parse_wavelength(text: str | None) -> float | None:
     if not SHORTEST <= value <= LONGEST:
         raise BadOption(f"--wavelength {text}: a wavelength lies between 10 nm and 1 mm")
     return value
+
+
+def picture_kind(out: Path | None, default: Literal["png", "svg"] = "png") -> Literal["png", "svg"]:
+    """Kind of picture that the name of a file after -o asks for; the default where there is no file.
+
+    Raises
+    ------
+    BadOption
+    """
+    ending = default if out is None else out.suffix.lower().removeprefix(".")
+    if ending == "svg":
+        return "svg"
+    if ending != "png":
+        raise BadOption(f"-o {out}: the picture's name ends in .png or .svg")
+    return "png"
+
+
+def design_file(out: Path | None) -> Path | None:
+    """The file after -o, which a design is written to as TOML.
+
+    Raises
+    ------
+    BadOption
+        It would not be read back as TOML.
+    """
+    if out is not None and out.suffix.lower() != ".toml":
+        raise BadOption(f"-o {out}: the design's name ends in .toml")
+    return out
 
 
 def one_of(name: str, typed: str, spelt: Callable[[str], str] = str) -> str:

@@ -64,10 +64,9 @@ def _announced(scene: Scene, progress: Progress, frames: int = 1, *, quiet: bool
     from clacad.prescription.prescribe import prescribe
     from clacad.rendering.picture_cost import picture_seconds, task
     from clacad.rendering.sheet_passage import plan_passage
-    from clacad.sheet.need_window import equal_cells
 
     progress("planning the effects")
-    passage = plan_passage(scene, equal_cells(prescribe(scene.design()), "a picture through the sheet"))
+    passage = plan_passage(scene, prescribe(scene.design()))
     progress("trying some pixels")
     modelled = picture_seconds(scene, passage, frames)
     with forecast(task(scene), modelled, quiet=quiet, measured=True) as span:
@@ -192,10 +191,9 @@ def _seen_coarsely(scene: Scene, progress: Progress) -> CoarseView:
     from clacad.prescription.prescribe import prescribe
     from clacad.rendering.coarse_first import view_coarsely
     from clacad.rendering.sheet_passage import plan_passage
-    from clacad.sheet.need_window import equal_cells
 
     progress("planning the effects")
-    passage = plan_passage(scene, equal_cells(prescribe(scene.design()), "a picture through the sheet"))
+    passage = plan_passage(scene, prescribe(scene.design()))
     return view_coarsely(scene, passage, progress=lambda _, share: progress("drawing it coarsely", share))
 
 

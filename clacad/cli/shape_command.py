@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import say, show_json, show_text
-from clacad.cli.option_values import BadOption, parse_angle, parse_cells, parse_distance
+from clacad.cli.option_values import BadOption, design_file, parse_angle, parse_cells, parse_distance
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -37,6 +37,7 @@ class ShapeRequest:
 
 def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quiet: bool) -> int:
     """Write the design, its table and the picture of what it does; print the forecast and what rays found."""
+    design_file(request.out)
     design = _base(request, overrides)
     distance = parse_distance("--distance", request.distance, design.unit)
     source = 0.0 if request.source is None else parse_angle("--source", request.source)

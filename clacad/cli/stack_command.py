@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 from clacad.cli.announce_cost import WORTH_SAYING, forecast
@@ -64,6 +65,10 @@ def _sheets_and_places(
     from clacad.cli.export_scene import is_scene
 
     if not any(is_scene(path) for path in paths):
+        if len(paths) == 1:
+            raise BadOption(
+                f"{paths[0]}: a stack is of two sheets or more; name one twice to stack two alike"
+            )
         designs = load_sheets(paths, overrides)
         texts = [text for text in gap.split(",") if text.strip()]
         return (
@@ -100,10 +105,9 @@ def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]
     DesignError, BadOption
     """
     from clacad.cli.design_commands import load_counted
-    from clacad.sheet.stack import MOST
 
-    if len(paths) > MOST:
-        raise BadOption(f"{len(paths)} sheets: a stack has at most {MOST}")
+    if len(paths) > len(ascii_lowercase):  # each goes by a letter
+        raise BadOption(f"{len(paths)} sheets: a stack has at most {len(ascii_lowercase)}")
     own: list[list[str]] = [[] for _ in paths]
     for text in overrides:
         key = text.partition("=")[0].strip()

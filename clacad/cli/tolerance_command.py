@@ -110,6 +110,11 @@ def tolerance_text(study: Study) -> str:
     lines = [["parameter", sides, "unit"]]
     lines += [[p.name, f"{p.half:.4g}", p.unit] for p in study.parameters]
     blocks = [study.name, table(lines)]
+    if study.cell is not None:
+        blocks.append(
+            f"every cell of this sheet differs: the study is of a sheet of equal cells like cell ({study.cell[0]}, "
+            f"{study.cell[1]}), the worst of {study.tried} tried"
+        )
     for measure in RANKED:
         title, factor = WORDS[measure]
         low, middle, high = (f"{factor * v:.4g}" for v in study.percentiles(measure))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, show_json, show_text, size, table
 from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import BadOption, parse_two_angles, parse_wavelength
+from clacad.cli.option_values import parse_two_angles, parse_wavelength, picture_kind
 
 if TYPE_CHECKING:
     from clacad.waves import WaveReport
@@ -32,7 +32,7 @@ class WaveRequest:
 def wave_design(path: Path, overrides: list[str], request: WaveRequest, *, json: bool, quiet: bool) -> int:
     """Print far field, Strehl ratio and share beside the rays', draw them with -o; --dry-run says what it would take."""
     field, wavelength = parse_two_angles("--field", request.field), parse_wavelength(request.wavelength)
-    kind = _kind(request.out)
+    kind = picture_kind(request.out)
     design = load_counted(path, overrides)
     from clacad.storage.atomic import require_writable, write_content
     from clacad.waves.lit_cell import situation
@@ -61,16 +61,6 @@ def wave_design(path: Path, overrides: list[str], request: WaveRequest, *, json:
     else:
         show_text(wave_text(found) + ("" if request.out is None else f"\nwrote {request.out}"), quiet=quiet)
     return 0
-
-
-def _kind(out: Path | None) -> Literal["png", "svg"]:
-    """Kind of picture that a file's name asks for."""
-    ending = "png" if out is None else out.suffix.lower().removeprefix(".")
-    if ending == "svg":
-        return "svg"
-    if ending != "png":
-        raise BadOption(f"-o {out}: the picture's name ends in .png or .svg")
-    return "png"
 
 
 def _show_forecast(ahead: dict[str, float], *, json: bool, quiet: bool) -> int:

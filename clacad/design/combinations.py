@@ -170,8 +170,6 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
     (PITCH_2, "traced vertices"): "its lenses stand in the middle of their own cells",
     (PITCH_2, "confocal best"): "its radii are for light along the axis alone",
     (PITCH_2, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (PITCH_2, "tolerances"): "a study of tolerances samples sheets of equal cells",
-    (VARYING, "tolerances"): "a study of tolerances samples sheets of equal cells",
 }
 """Sheet and feature → why they are not built together; what is not here is built."""
 

@@ -43,7 +43,9 @@ class Points:
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
         if not self.least <= len(value) <= self.most:
-            raise Refusal("CL108", f"has {len(value)} points", f"{len(value)} points", self.allowed(unit))
+            count = f"has {len(value)} point{'s' * (len(value) != 1)}"
+            shown = value if len(value) < self.least else [*value[:2], "…"]
+            raise Refusal("CL108", count, shown, self.allowed(unit))
         return tuple(each(((n, _Point(self.bulges), item) for n, item in enumerate(value)), unit))
 
     def allowed(self, unit: Unit) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 from clacad.base import units
 from clacad.base.text import DEEPEST, did_you_mean, plain
@@ -19,7 +20,7 @@ from clacad.design.cell_table import TableSpec, digest, table_path
 from clacad.design.drawn_outline import with_points
 from clacad.design.filled_outline import filling_count
 from clacad.design.given_faces import faces_read
-from clacad.design.keys import REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, known_in, suggestion
+from clacad.design.keys import OPTIONAL, REQUIRED, ROOT, SCENE_SECTIONS, SECTIONS, Key, known_in, suggestion
 from clacad.design.plate_keys import box_about_origin, corners_read, holes_read, pins_read
 from clacad.design.rules import Asked, broken
 from clacad.design.search_record import search_read
@@ -38,9 +39,6 @@ from clacad.design.sections import (
     TolerancesSpec,
 )
 from clacad.design.varying import Conjugates, VaryingSpec, varying_read
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
 
 
 def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[str, Any]:
@@ -90,24 +88,9 @@ def _read(data: dict[str, Any], texts: tuple[str, ...], source: str | None, path
 
 def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     """Return converted values by dotted key, and every mistake."""
-    from pydantic import ValidationError
-
-    from clacad.design.schema import Document
-
     word = data.get("unit")
     unit = units.design_unit(word) if isinstance(word, str) else None
-    context = unit or Unit("1", units.LENGTHS["m"])
-    mistakes: list[Mistake] = []
-    try:
-        document = Document.model_validate(data, context=context)
-    except ValidationError as problem:
-        mistakes = _structural(problem)
-        values = _readable(data, context)
-    else:
-        values = {name: getattr(document, name) for name in ROOT}
-        for section, keys in SECTIONS.items():
-            part = getattr(document, section)
-            values |= {f"{section}.{name}": getattr(part, name) for name in keys}
+    values, mistakes = _converted(data, unit or Unit("1", units.LENGTHS["m"]))
     written = {f"{section}.{name}": value for section in SECTIONS if isinstance(data.get(section), dict)
                for name, value in data[section].items()}  # fmt: skip
     whole = {section for section in SECTIONS if section in data and not isinstance(data[section], dict)}
@@ -122,43 +105,64 @@ def _checked(data: dict[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     return values, mistakes
 
 
-def _readable(data: dict[str, Any], unit: Unit) -> dict[str, Any]:
-    """Convert what can be converted of a faulty design, so that the rules can still speak about the rest."""
-    values: dict[str, Any] = {}
+def _converted(data: dict[str, Any], unit: Unit) -> tuple[dict[str, Any], list[Mistake]]:
+    """Values by dotted key, and what is wrong with the shape of the data: keys unknown or missing, values of the wrong kind.
+
+    Of a faulty design what can be converted of its sections, so that the rules can still speak about the rest. Key by key, not
+    by the models of `clacad.design.schema`: loading what makes them takes longer than all that is read here.
+    """
+    table = _Table(unit, {}, [], [])
+    table.read((), ROOT, data)
     for section, keys in SECTIONS.items():
-        written = data.get(section, {})
-        for name, key in keys.items():
-            if not isinstance(written, dict):
+        given = data.get(section, {})
+        if not isinstance(given, dict):
+            table.mistakes.append(Mistake("CL104", f"{section} {not_this(given, 'a table')}", section, found=shown(given),
+                                          allowed=f"a table [{section}] with the keys {known_in(section)}"))  # fmt: skip
+        elif section not in data and section not in OPTIONAL:
+            table.missing.append(_missing(section))
+            table.values.update(
+                {
+                    f"{section}.{name}": key.default
+                    for name, key in keys.items()
+                    if key.default is not REQUIRED
+                }
+            )
+        else:
+            table.read((section,), keys, given)
+    table.mistakes.extend(_unknown((name,)) for name in data if name not in ROOT and name not in SECTIONS)
+    # a misspelt key is one mistake, not two: what it was meant to be is not missing as well
+    meant = {mistake.hint for mistake in table.mistakes if mistake.code == "CL102"}
+    mistakes = table.mistakes + [mistake for mistake in table.missing if mistake.key not in meant]
+    if mistakes:
+        return {key: value for key, value in table.values.items() if key not in ROOT}, mistakes
+    return table.values, []
+
+
+@dataclass(frozen=True)
+class _Table:
+    """What was read so far: values by dotted key, mistakes, and among them keys that are missing."""
+
+    unit: Unit
+    values: dict[str, Any]
+    mistakes: list[Mistake]
+    missing: list[Mistake]
+
+    def read(self, where: KeyPath, known: Mapping[str, Key], given: Mapping[str, Any]) -> None:
+        """Read the known keys of a table; of a section also name those that it does not know."""
+        for name, key in known.items():
+            dotted = ".".join((*map(str, where), name))
+            if name not in given:
+                if key.default is REQUIRED:
+                    self.missing.append(_missing(dotted))
+                else:
+                    self.values[dotted] = key.default
                 continue
             try:
-                value = key.kind.read(written[name], unit) if name in written else key.default
-            except Refusal:
-                continue
-            if value is not REQUIRED:
-                values[f"{section}.{name}"] = value
-    return values
-
-
-def _structural(problem: ValidationError) -> list[Mistake]:
-    """What is wrong with the shape of the data: keys unknown or missing, values of the wrong kind."""
-    mistakes: list[Mistake] = []
-    missing: list[Mistake] = []
-    for error in problem.errors(include_url=False, include_input=True):
-        where, kind = tuple(error["loc"]), error["type"]
-        key = ".".join(map(str, where))
-        if kind == "extra_forbidden":
-            mistakes.append(_unknown(where))
-        elif kind == "missing":
-            missing.append(_missing(key))
-        elif kind == "value_error":
-            refusal = error["ctx"]["error"]
-            mistakes += [_refused(key, one) for one in (refusal, *refusal.others)]
-        else:  # a section that is not a table
-            mistakes.append(Mistake("CL104", f"{key} {not_this(error['input'], 'a table')}", key, found=shown(error["input"]),
-                                    allowed=f"a table [{key}] with the keys {known_in(key)}"))  # fmt: skip
-    # a misspelt key is one mistake, not two: what it was meant to be is not missing as well
-    meant = {mistake.hint for mistake in mistakes if mistake.code == "CL102"}
-    return mistakes + [mistake for mistake in missing if mistake.key not in meant]
+                self.values[dotted] = key.kind.read(given[name], self.unit)
+            except Refusal as refusal:
+                self.mistakes.extend(_refused(dotted, one) for one in (refusal, *refusal.others))
+        if where:
+            self.mistakes.extend(_unknown((*where, name)) for name in given if name not in known)
 
 
 def _unknown(where: KeyPath) -> Mistake:

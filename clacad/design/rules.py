@@ -256,11 +256,13 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
         if euler[1] != 0.0 and form == "biconvex":
             yield Mistake("CL127", f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
                           "would fall into steps", "law.euler.1", allowed="theta = 0", hint="eta_x = eta_y, or theta = 0")  # fmt: skip
+        if a("body.baffle") and form != "slab":
+            yield Mistake("CL127", "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
+                          "inside the glass of their plate, where no wall of a baffle can stand", "body.baffle", allowed="false",
+                          hint="eta_x = eta_y, or no baffle")  # fmt: skip
     if has_plate(a):
         yield Mistake("CL127", "a field lens in a plate of holes, corners, pins or a polygon is not made", "pair.field_lens",
                       allowed="false, or plain edges", hint="a circle or a rectangle is made")  # fmt: skip
-    if a("body.baffle"):
-        yield Mistake("CL127", "a baffle beside a field lens is not made", "body.baffle", allowed="false")
     if has_point(a("lattice.aperture")):
         yield Mistake("CL127", "cells aimed at a point beside a field lens are not made: its cells are all alike",
                       "lattice.aperture", allowed="a slope, or pair.field_lens = false")  # fmt: skip

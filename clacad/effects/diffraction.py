@@ -25,7 +25,15 @@ from clacad.effects.engine.passes import Effect, When
 from clacad.effects.engine.repeatable_draws import uniform
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate
-from clacad.sheet.vignetting import ThinCells, arrivals, lit_zone, thin_cells
+from clacad.sheet.vignetting import (
+    ThinCells,
+    arrivals,
+    lit_zone,
+    off_partner,
+    partner_step,
+    partner_zone,
+    thin_cells,
+)
 from clacad.sheet.window import Window
 
 NAME = "diffraction"
@@ -45,7 +53,8 @@ def effect(window: Window, setting: Setting) -> Effect:
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         wave = block.air_wavelength / window.unit
         rows = np.flatnonzero(block.emerging())
-        widths = lit_widths(cells, block.rays.direction[rows], block.result.order[rows])
+        result = block.result
+        widths = lit_widths(cells, block.rays.direction[rows], result.order[rows], result.cell[rows])
         u = uniform(block.rays, 2, setting.seed, SALT)[rows]
         turned = block.result.direction[rows] @ window.thin.rotation
         lateral = turned[:, :2] + wave / (np.pi * np.maximum(widths, wave)) * sinc_squared(u)
@@ -60,17 +69,24 @@ def effect(window: Window, setting: Setting) -> Effect:
     return Effect(NAME, When.EXIT, apply=apply)
 
 
-def lit_widths(cells: ThinCells, direction: Floats, order: NDArray[np.int32]) -> Floats:
-    """Width (m, 2) along the lens axes of what is lit of lens 2, lengths.
+def lit_widths(
+    cells: ThinCells, direction: Floats, order: NDArray[np.int32], cell: NDArray[np.int32] | None = None
+) -> Floats:
+    """Width (m, 2) along the lens axes of what is lit of lens 2, lengths; `cell` (m, 2): of light through which cells.
 
     In the middle of the field the equivalent width of what is lit (`clacad.optics.aperture`); off it, and for ghosts, as much
     less as the overlap of the boxes round lens 1's image and the lenslet met is narrower. Exact for cells along the axes.
     """
-    image, zone = cells.image, cells.zone
+    image, zone = cells.image, partner_zone(cells)
     known = (order != NO_CELL).all(axis=1)
-    steps = np.array([cells.neighbour((1, 0)), cells.neighbour((0, 1))]) - cells.centre
-    middle = cells.centre + np.where(known[:, None], order, 0).astype(np.float64) @ steps
-    shift = arrivals(cells, cells.slopes(direction)) - middle
+    steps = np.array([partner_step(cells, (1, 0)), partner_step(cells, (0, 1))])
+    beside = np.where(known[:, None], order, 0).astype(np.float64) @ steps
+    slopes = cells.slopes(direction)
+    if cell is None or cells.pair.pitch is None:
+        shift = arrivals(cells, slopes) - (cells.centre + beside)
+    else:
+        index = np.where(known[:, None], cell, 0).astype(np.int64)
+        shift = off_partner(cells, index, slopes) - beside
     near = np.maximum(zone.min(axis=0), image.min(axis=0) + shift)
     far = np.minimum(zone.max(axis=0), image.max(axis=0) + shift)
     whole = np.minimum(np.ptp(zone, axis=0), np.ptp(image, axis=0))
@@ -110,7 +126,8 @@ def bound(situation: Situation) -> Bound:
     if not passing.any():
         return Bound(0.0, 0.0, "no light passes the sheet", COST)
     cells = thin_cells(window)
-    widths = lit_widths(cells, situation.rays.direction[passing], situation.probe.order[passing])
+    probe = situation.probe
+    widths = lit_widths(cells, situation.rays.direction[passing], probe.order[passing], probe.cell[passing])
     mean = widths.mean(axis=0)
     wave = max(lines)
     angle = hypot(*(wave / (mean * window.unit)))

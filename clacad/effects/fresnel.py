@@ -79,13 +79,20 @@ def losses(situation: Situation) -> Floats:
     return np.asarray(1.0 - result.flux[result.fate <= Fate.LAND])
 
 
+def mean_loss(situation: Situation) -> float:
+    """Mean share that the probe rays lose by reflection at all faces; kept with the situation."""
+    if NAME not in situation.kept:
+        lost = losses(situation)
+        situation.kept[NAME] = float(lost.mean()) if len(lost) else 0.0
+    return situation.kept[NAME]
+
+
 def bound(situation: Situation) -> Bound:
     """Light lost at the faces: 1 − (1 − r0)^N, or the mean measured on the probe where that is more."""
     whole = 1.0
     for body in situation.window.bodies:
         whole *= (1.0 - normal_loss(body.index)) ** 2
-    lost = losses(situation)
-    measured = float(lost.mean()) if len(lost) else 0.0
+    measured = mean_loss(situation)
     coated = situation.setting.coating != "none"
     radiance = measured if coated else max(1.0 - whole, measured)
     kind = "coated" if coated else "bare"

@@ -15,7 +15,7 @@ from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import Effect
 from clacad.effects.fresnel import effect as straight
-from clacad.effects.fresnel import losses
+from clacad.effects.fresnel import mean_loss
 from clacad.optics.surface.fresnel_coefficients import normal_loss
 from clacad.sheet.window import Window
 
@@ -43,9 +43,3 @@ def bound(situation: Situation) -> Bound:
         f"(contrast {situation.contrast:.2g}), one sends {n * r:.2g} of the camera's side back"
     )
     return Bound(0.0, forward + front, why, COST * n * n)
-
-
-def mean_loss(situation: Situation) -> float:
-    """Mean share that the probe rays lose by reflection at all faces."""
-    lost = losses(situation)
-    return float(lost.mean()) if len(lost) else 0.0

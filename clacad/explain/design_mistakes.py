@@ -99,7 +99,7 @@ MISTAKES: dict[str, Text] = {
     ),
     "CL127": (
         "A field lens in a form, tilt or lattice that it is not made for: tilted slabs and plano pairs; where eta_x and eta_y differ, "
-        "hexagonal cells, lenses turned against the cells, tilts; given faces; baffles.",
+        "hexagonal cells, lenses turned against the cells, tilts, baffles; plates with holes, corners, pins or a polygon.",
         "Where eta_x and eta_y differ the field lens is two arrays of cylinders, which run along the cells or are cut to pieces.",
         "", "Change one of the two as the message says; a biconvex pair with eta_x = eta_y takes any tilt.",
     ),

@@ -120,6 +120,8 @@ const closedForms = (function () {
   function noFieldLens(made) {
     const e = made.state.eta, quarter = made.turn[0][0] * made.turn[0][1] === 0;
     if (e[0] >= 0 || e[1] >= 0) return "its common focus is virtual unless \u03b7 < 0 in x and y";
+    if (made.facts.baffle !== null) return "not made beside a baffle";
+    if (made.facts.plate) return "not made in a plate with holes, corners, pins or a polygon";
     if (made.state.euler[1] !== 0) return "shown for lenses that are not tilted (\u03b8 = 0)";
     if (e[0] !== e[1] && (made.hexagonal || !quarter)) return "\u03b7x \u2260 \u03b7y: two crossed cylinders, which must run along the cells";
     return "";

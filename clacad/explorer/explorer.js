@@ -64,13 +64,17 @@
     const ids = { eta: ["eta_x", "eta_y"], delta: ["delta_x", "delta_y"], euler: ["phi", "theta", "psi"], count: ["pitch"], viewer: ["eye"] };
     const lines = [], wrong = closedForms.unbuildable(made);
     if (wrong) lines.push("# cannot be made: " + wrong);
-    const on = Boolean(closedForms.fieldLens(made));
+    const on = Boolean(closedForms.fieldLens(made)), start = started();
+    const anew = facts.given && ["eta_x", "eta_y", "delta_x", "delta_y", "separation", "field"].some(function (id) { return state[id] !== start[id]; });
+    if (anew) lines.push("# the faces that were given were for another law or separation: they are derived here");
     let section = "";
     for (const line of facts.toml) {
       if (typeof line === "string") {
         if (line === "" && section === "[pair]" && on && !facts.field) lines.push("field_lens = true");
         if (line.startsWith("[")) section = line;
-        if (on || !line.startsWith("field_lens = ") && !line.startsWith("field = ")) lines.push(line);
+        const key = section === "[pair]" ? line.split(" = ")[0] : "";
+        if (!on && ["field_lens", "field"].includes(key) || anew && ["prescription", "face", "search", "vertex"].includes(key)) continue;
+        lines.push(line);
         continue;
       }
       const touched = (ids[line.key] || [line.key]).some(function (id) { return state[id] !== sliders[id].start; })
@@ -131,10 +135,10 @@
     "power1", "power2", "apex2", "wholeSteps", "residual", "span", "margin", "opaque", "baffle", "fieldFocus",
     "fieldPower", "fieldCentre", "objectAt", "card", "ghosts", "part"];
   const programs = {};
-  function program(kind) { // "view", "fine" or "debug" for what the sheet has now, compiled when first used
+  function program(kind, wide, tall) { // "view", "fine" or "debug" for what the sheet has now, compiled when first used
     const out = outlines(), has = {
       HEX: made.hexagonal, TILTED: state.theta !== 0, FIELD: closedForms.fieldLens(made), BAFFLE: facts.baffle !== null,
-      OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, DEBUG: kind === "debug",
+      OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, BEHIND: looksAway(camera(wide, tall)), DEBUG: kind === "debug",
     };
     const head = Object.keys(has).filter(function (name) { return has[name]; }).map(function (name) { return "#define " + name + "\n"; }).join("")
       + "#define SAMPLES " + (kind === "fine" ? FINE : 1) + "\n";
@@ -144,6 +148,9 @@
       programs[head] = { program: linked, at: webgl.places(gl, linked, NAMES) };
     }
     return programs[head];
+  }
+  function looksAway(view) { // whether a corner of the picture does; its pixels lie between them
+    return view.ahead[2] - Math.abs(view.right[2]) - Math.abs(view.up[2]) <= 0;
   }
   function camera(wide, tall) { // eye, and directions to the middle and to the borders of the picture, sheet frame
     const eye = closedForms.eyePlace(nested(state)), far = Math.hypot(eye[0], eye[1], eye[2]);
@@ -211,7 +218,7 @@
     };
   }
   function render(kind, wide, tall, part) {
-    const used = program(kind), u = uniforms(wide, tall, part || 0);
+    const used = program(kind, wide, tall), u = uniforms(wide, tall, part || 0);
     gl.useProgram(used.program);
     for (const name of NAMES) {
       const v = u[name], at = used.at[name];

@@ -46,7 +46,7 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
     return {
         "kind": lattice.kind, "form": window.form, "pitch": list(lattice.pitch), "count": list(lattice.count),
         "outline": _outline(design), "seam": window.land.seam, "border": window.land.border, "opaque": window.land.opaque,
-        "baffle": None if window.baffle is None else window.baffle.wall,
+        "given": design.pair.prescription == "given", "plate": isinstance(window.outline, Plate), "baffle": None if window.baffle is None else window.baffle.wall,
         "aperture": aperture if isinstance(aperture, str) else list(aperture), "axes": design.law_spec.euler_axes,
         "field": bool(window.thin.field), "index": window.bodies[0].index, "unitM": window.unit, "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
         "card": CARD * min(sheet_width(window)), "sliders": [asdict(one) for one in moved],
@@ -70,6 +70,11 @@ def not_shown(design: Design, window: Window) -> tuple[str, ...]:
         glass = "slab" if window.form == "slab" else "plano lenses"
         found.append(
             f"the glass of the {glass} between the lenses: light crosses the pair in air that it stands for"
+        )
+    if design.pair.prescription == "given":
+        found.append(
+            "the faces as given: the design file keeps them until the law, the separation or the field lens is moved, then "
+            "they follow from these"
         )
     if design.body.frame is not None:
         found.append("the frame")

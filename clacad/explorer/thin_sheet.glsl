@@ -3,7 +3,10 @@
 Lengths are in pitches along x, and a ray is known by the cell it is in and by where it is from that cell's
 middle, so that nothing far from the middle of the sheet is the difference of two large numbers. Directions have
 z = 1. Whoever compiles this defines SAMPLES, and HEX, TILTED, FIELD, BAFFLE, OUTLINE, SEAM, BODY, DEBUG where there are hexagons,
-tilted lenses, … : what a sheet does not have costs nothing. */
+tilted lenses, rays that look away from the sheet (BEHIND), … : what a sheet does not have costs nothing.
+
+Whether something is so is 0.0 or 1.0, and both answers are worked out and mixed: where there is no graphics card,
+branches and `bool`s cost twice what the optics does (tests/benchmarks/explorer.md). */
 precision highp float;
 
 uniform vec2 size;                        // pixels
@@ -24,13 +27,14 @@ uniform float ghosts;
 uniform float part;                       // which pair of numbers DEBUG writes
 
 const float ALIVE = 0.0, GHOST = 1.0, LAND = 2.0, BACKWARD = 3.0, VIGNETTED = 6.0, MISSED = 7.0; // clacad.Fate
+const float NOWHERE = -32768.0; // a cell that is none
 
 #if defined(SEAM) || defined(BODY) || defined(TILTED)
 #define LANDED
 #endif
 
 struct Ray { vec2 cell; vec2 local; float z; vec3 d; };
-struct Met { bool lens; bool land; bool gap; };
+struct Met { float lens, land, gap, kept; };
 struct Passed { vec2 first; vec2 last; vec2 at; float z; vec3 d; float fate; };
 
 vec2 across(vec2 steps) {
@@ -47,13 +51,12 @@ void relocate(inout vec2 cell, inout vec2 local) {
   k.y = floor(from.y / pitch.y + 0.5);
   k.x = floor(from.x - 0.5 * k.y + 0.5);
   local = from - across(k);
-  for (int n = 0; n < 4; n++) {
-    float b = 0.5 * local.x + pitch.y * local.y, c = b - local.x;
-    vec2 s = local.x >= 0.5 ? vec2(1.0, 0.0) : local.x < -0.5 ? vec2(-1.0, 0.0)
-      : b >= 0.5 ? vec2(0.0, 1.0) : b < -0.5 ? vec2(0.0, -1.0)
-      : c >= 0.5 ? vec2(-1.0, 1.0) : c < -0.5 ? vec2(1.0, -1.0) : vec2(0.0);
-    if (s == vec2(0.0)) break;
-    k += s;
+  for (int n = 0; n < 2; n++) { // one step at most, and another for rounding
+    float b = 0.5 * local.x + pitch.y * local.y;
+    vec3 a = vec3(local.x, b, b - local.x), s = step(0.5, a) - (1.0 - step(-0.5, a)); // over which border
+    s.y *= 1.0 - abs(s.x);
+    s.z *= (1.0 - abs(s.x)) * (1.0 - abs(s.y));
+    k += s.xy + s.z * vec2(-1.0, 1.0);
     local = from - across(k);
   }
   cell += k;
@@ -66,27 +69,28 @@ void relocate(inout vec2 cell, inout vec2 local) {
 
 vec2 middle(vec2 cell) { return firstCentre + across(cell); }
 
-bool within(vec3 outline, vec2 p) {
-  return outline.x < 1.5 ? length(p) <= outline.y : p.x <= outline.y && p.y <= outline.z;
+float both(vec2 so) { return so.x * so.y; }
+
+float within(vec3 outline, vec2 p) {
+  return outline.x < 1.5 ? step(length(p), outline.y) : both(step(p, outline.yz));
 }
 
-bool contains(vec2 cell) {
+float contains(vec2 cell) {
 #ifdef HEX
-  float first = -floor(0.5 * cell.y);
+  vec2 k = cell + vec2(floor(0.5 * cell.y), 0.0);
 #else
-  float first = 0.0;
+  vec2 k = cell;
 #endif
-  if (cell.y < 0.0 || cell.y >= count.y || cell.x < first || cell.x >= first + count.x) return false;
+  float found = both(step(0.0, k) * step(k, count - 1.0));
 #ifdef OUTLINE
   vec2 m = abs(middle(cell)); // the farthest corner is on the middle's own side
 #ifdef HEX
-  return within(kept, m + vec2(0.5, 0.28867513459481287)) && within(kept, m + vec2(0.0, 0.5773502691896258));
+  found *= within(kept, m + vec2(0.5, 0.28867513459481287)) * within(kept, m + vec2(0.0, 0.5773502691896258));
 #else
-  return within(kept, m + 0.5 * pitch);
+  found *= within(kept, m + 0.5 * pitch);
 #endif
-#else
-  return true;
 #endif
+  return found;
 }
 
 #ifdef HEX
@@ -95,50 +99,58 @@ vec2 normalOf(int n) {
   return n == 0 ? vec2(1.0, 0.0) : n == 1 ? vec2(0.5, 0.8660254037844386) : vec2(-0.5, 0.8660254037844386);
 }
 vec2 stepOf(int n) { return n == 0 ? vec2(1.0, 0.0) : n == 1 ? vec2(0.0, 1.0) : vec2(-1.0, 1.0); }
-float halfOf(int n) { return 0.5; }
-#else
-const int BORDERS = 2;
-vec2 normalOf(int n) { return n == 0 ? vec2(1.0, 0.0) : vec2(0.0, 1.0); }
-vec2 stepOf(int n) { return normalOf(n); }
-float halfOf(int n) { return n == 0 ? 0.5 * pitch.x : 0.5 * pitch.y; }
 #endif
 
-bool inZone(vec2 local, float less) {
-  bool inside = true;
-  for (int n = 0; n < BORDERS; n++) inside = inside && abs(dot(normalOf(n), local)) <= halfOf(n) - less;
+float inZone(vec2 local, float less) {
+#ifdef HEX
+  float inside = 1.0;
+  for (int n = 0; n < BORDERS; n++) inside *= step(abs(dot(normalOf(n), local)), 0.5 - less);
   return inside;
+#else
+  return both(step(abs(local), 0.5 * pitch - less));
+#endif
 }
 
 #ifdef TILTED
 /* How far a point may go along d before it leaves its cell, and into which one it then comes. */
 float nextBorder(vec2 local, vec2 d, out vec2 into) {
+#ifdef HEX
   float nearest = 1e30;
   into = vec2(0.0);
   for (int n = 0; n < BORDERS; n++) {
-    float speed = dot(normalOf(n), d);
-    if (speed == 0.0) continue;
-    float way = speed < 0.0 ? -1.0 : 1.0;
-    float t = (way * halfOf(n) - dot(normalOf(n), local)) / speed;
-    if (t < nearest) { nearest = t; into = way * stepOf(n); }
+    float speed = dot(normalOf(n), d), way = 2.0 * step(0.0, speed) - 1.0;
+    float t = (0.5 - way * dot(normalOf(n), local)) / max(way * speed, 1e-20);
+    into = mix(into, way * stepOf(n), step(t, nearest));
+    nearest = min(t, nearest);
   }
   return nearest;
+#else
+  vec2 way = 2.0 * step(0.0, d) - 1.0, t = (0.5 * pitch - way * local) / max(way * d, 1e-20);
+  into = way * (t.x <= t.y ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
+  return min(t.x, t.y);
+#endif
 }
 #endif
 
 /* Find the patch, or the gap between two, that a ray passes on its way up from its array's lowest point. */
 Met meet(inout Ray r, vec2 apex, float high, vec2 centre, vec2 shift) {
+  Met m;
+  m.gap = 0.0;
 #ifdef TILTED
   vec3 n = turn[2];
-  float climb = dot(r.d, n), room = high - r.z, since = 0.0, at = max(room, 0.0);
-  bool found = false, slipped = false;
+  float climb = dot(r.d, n), room = high - r.z, since = 0.0, at = max(room, 0.0), found = 0.0;
   for (int k = 0; k < 24; k++) {
     vec2 into;
     float rise = -(dot(r.local - apex, n.xy) + r.z * n.z);
     float end = nextBorder(r.local, r.d.xy, into);
-    if (contains(r.cell)) {
-      slipped = since > 0.0 && since * climb >= rise; // already over this patch where the column begins
-      found = slipped || (climb > 0.0 && rise <= end * climb);
-      if (found) { at = slipped ? since : rise / climb; break; }
+    if (contains(r.cell) > 0.5) {
+      bool slipped = since > 0.0 && since * climb >= rise; // already over this patch where the column begins
+      if (slipped || (climb > 0.0 && rise <= end * climb)) {
+        found = 1.0;
+        m.gap = slipped ? 1.0 : 0.0;
+        at = slipped ? since : rise / climb;
+        break;
+      }
     }
     if (end >= room) break;
     r.cell += into;
@@ -147,27 +159,32 @@ Met meet(inout Ray r, vec2 apex, float high, vec2 centre, vec2 shift) {
   }
   r.local += at * r.d.xy;
   r.z += at;
+  m.kept = contains(r.cell);
 #else
-  const bool slipped = false;
-  bool found = contains(r.cell);
+  float found = contains(r.cell);
+  m.kept = found;
 #endif
-  Met m;
-  m.lens = found && !slipped;
+  m.lens = found * (1.0 - m.gap);
 #ifdef SEAM
-  m.lens = m.lens && inZone(r.local, margin);
+  m.lens *= inZone(r.local, margin);
 #endif
-  m.gap = slipped;
-  m.land = !m.lens && found;
+  m.land = found * (1.0 - m.lens);
 #ifdef BODY
-  if (!found) m.land = within(solid, abs(middle(r.cell) + shift + r.local - centre));
+  m.land = mix(within(solid, abs(middle(r.cell) + shift + r.local - centre)), m.land, found);
 #endif
   return m;
 }
 
 /* Behind a thin lens with its centre at `apex` of the cell frame. */
 vec3 bend(Ray r, vec2 apex, vec2 power) {
-  vec3 q = vec3(r.local - apex, r.z) * turn, d = r.d * turn; // transposed: sheet to lens
-  return turn * vec3(d.xy - q.xy * power * d.z, d.z);
+#ifdef TILTED
+  vec3 q = vec3(r.local - apex, r.z);
+  vec2 less = vec2(dot(q, turn[0]), dot(q, turn[1])) * power * dot(r.d, turn[2]);
+  return r.d - turn[0] * less.x - turn[1] * less.y;
+#else
+  vec2 q = r.local - apex, x = turn[0].xy, y = turn[1].xy;
+  return vec3(r.d.xy - x * (power.x * dot(q, x)) - y * (power.y * dot(q, y)), r.d.z);
+#endif
 }
 
 #ifdef FIELD
@@ -179,19 +196,22 @@ void fieldFace(inout Ray r, bool x) {
   vec2 cell = vec2(0.0), at = r.local - (x ? fieldCentre.xy : fieldCentre.zw);
   relocate(cell, at);
   vec2 axis = x ? turn[0].xy : turn[1].xy;
-  r.d.xy -= axis * dot(axis, at) * (x ? fieldPower.x : fieldPower.y);
+  float power = (x ? fieldPower.x : fieldPower.y) * contains(r.cell + cell); // beside the sheet there is none
+  r.d.xy -= axis * dot(axis, at) * power;
 }
 #endif
 
 Passed straight(vec2 at, float z, vec3 d, float fate) {
   Passed p;
-  p.first = p.last = vec2(-32768.0);
+  p.first = p.last = vec2(NOWHERE);
   p.at = at; p.z = z; p.d = d; p.fate = fate;
   return p;
 }
 
 Passed through(vec3 d) {
+#ifdef BEHIND
   if (d.z <= 0.0) return straight(eye.xy, eye.z, d, MISSED);
+#endif
   d /= d.z;
   Ray r;
   r.d = d;
@@ -204,26 +224,26 @@ Passed through(vec3 d) {
 #else
   vec2 q = met / pitch + 0.5 * count;
   r.cell = floor(q);
-  r.local = (fract(q) - 0.5) * pitch;
+  r.local = (q - r.cell - 0.5) * pitch;
 #endif
   Met one = meet(r, vec2(0.0), span.y, vec2(0.0), vec2(0.0));
-  if (!one.lens && !one.land) return straight(met, span.x, d, MISSED);
-  Passed p = straight(middle(r.cell) + r.local, r.z, r.d, VIGNETTED);
-  vec2 named = contains(r.cell) ? r.cell : vec2(-32768.0);
-  p.first = named;
+  float entered = max(one.lens, one.land), stopped = 0.0;
+  vec2 named = mix(vec2(NOWHERE), r.cell, one.kept);
+  Ray left = r;
+  vec3 out1 = mix(r.d, bend(r, vec2(0.0), power1), one.lens);
 #ifdef LANDED
-  if (one.land && !one.gap && opaque > 0.5) return p;
+  stopped = one.land * (1.0 - one.gap) * opaque;
 #endif
-  p.fate = BACKWARD;
-  vec3 out1 = one.lens ? bend(r, vec2(0.0), power1) : r.d;
 #ifdef TILTED
-  if (out1.z <= 0.0 || dot(r.d, turn[2]) <= 0.0) return p;
+  if (out1.z <= 0.0 || dot(r.d, turn[2]) <= 0.0) { // it goes no farther, whatever is behind
+    Passed p = straight(mix(met, middle(left.cell) + left.local, entered), mix(span.x, left.z, entered), d,
+      entered < 0.5 ? MISSED : stopped < 0.5 ? BACKWARD : VIGNETTED);
+    p.first = mix(vec2(NOWHERE), named, entered);
+    return p;
+  }
   r.d = out1 / out1.z;
 #else
   r.d = out1; // z stays 1
-#endif
-#ifdef BAFFLE
-  Ray left = r;
 #endif
 #ifdef FIELD
   bool xFirst = fieldFocus.x <= fieldFocus.y;
@@ -237,29 +257,40 @@ Passed through(vec3 d) {
   r.z = span.z;
   vec2 shift = across(wholeSteps) + residual;
   Met two = meet(r, apex2.xy, span.w, solidCentre, shift);
-  p.at = middle(r.cell) + shift + r.local;
-  p.z = apex2.z + r.z;
-  p.d = r.d;
-  p.fate = MISSED;
+  float met2 = max(two.lens, two.land), goes = entered * (1.0 - stopped); // as far as array 2's plane
 #ifdef BAFFLE
-  p.fate = VIGNETTED;
-  if (r.cell != left.cell || !inZone(left.local, baffle) || !inZone(r.local, baffle)) return p;
-  if (!two.lens && !two.land) return p;
-  p.fate = MISSED;
-#endif
-  if (!two.lens && !two.land) return p;
-  p.last = contains(r.cell) ? r.cell : vec2(-32768.0);
-  p.fate = one.land || two.land ? LAND : named != p.last ? GHOST : ALIVE;
-#ifdef LANDED
-  if (two.land && !two.gap && opaque > 0.5) { p.fate = VIGNETTED; return p; }
-#endif
-  vec3 out2 = two.lens ? bend(r, apex2.xy, power2) : r.d;
-#ifdef TILTED
-  if (out2.z <= 0.0 || dot(r.d, turn[2]) <= 0.0) p.fate = BACKWARD;
-  else p.d = out2 / out2.z;
+  vec2 aside = step(0.5, abs(r.cell - left.cell));
+  float clear = (1.0 - max(aside.x, aside.y)) * inZone(left.local, baffle) * inZone(r.local, baffle) * met2;
+  float none = VIGNETTED; // walls, and nothing beside them
 #else
-  p.d = out2;
+  float clear = met2, none = MISSED;
 #endif
+  vec2 last = mix(vec2(NOWHERE), r.cell, two.kept), apart = step(0.5, abs(named - last));
+  float ghost = mix(ALIVE, GHOST, max(apart.x, apart.y)), fate = mix(ghost, LAND, max(one.land, two.land)), left2 = 1.0;
+#ifdef LANDED
+  float dark = two.land * (1.0 - two.gap) * opaque;
+  fate = mix(fate, VIGNETTED, dark);
+  left2 -= dark;
+#endif
+  vec3 out2 = bend(r, apex2.xy, power2);
+#ifdef TILTED
+  out2 = mix(r.d, out2, two.lens);
+  float falls = max(step(out2.z, 0.0), step(dot(r.d, turn[2]), 0.0)) * left2;
+  fate = mix(fate, BACKWARD, falls);
+  left2 *= 1.0 - falls;
+  out2 /= mix(1.0, out2.z, left2);
+  left2 *= two.lens;
+#else
+  left2 *= two.lens;
+#endif
+  Passed p;
+  float whole = goes * clear;
+  p.first = mix(vec2(NOWHERE), named, entered);
+  p.last = mix(vec2(NOWHERE), last, whole);
+  p.fate = mix(mix(MISSED, mix(VIGNETTED, mix(none, fate, clear), goes), entered), fate, whole);
+  p.at = mix(mix(met, middle(left.cell) + left.local, entered), middle(r.cell) + shift + r.local, goes);
+  p.z = mix(mix(span.x, left.z, entered), apex2.z + r.z, goes);
+  p.d = mix(mix(d, r.d, goes), out2, whole * left2);
   return p;
 }
 
@@ -297,11 +328,13 @@ vec3 wall(vec2 q) {
 
 vec3 seen(vec3 d) {
   Passed p = through(d);
+#if defined(BEHIND) || defined(TILTED)
   if (p.d.z <= 0.0) return vec3(0.62, 0.66, 0.70);
+#endif
   vec3 c = wall((p.at + (objectAt - p.z) / p.d.z * p.d.xy) / card);
-  bool dark = p.fate == BACKWARD || p.fate == VIGNETTED || (p.fate == MISSED && p.first.x > -32768.0);
-  if (p.fate == GHOST) c = mix(c, vec3(0.55, 0.10, 0.75), 0.55) * ghosts;
-  return dark ? vec3(0.0) : c;
+  float ghost = step(abs(p.fate - GHOST), 0.5), stopped = step(BACKWARD, p.fate); // of them MISSED is dark behind array 1 only
+  c = mix(c, mix(c, vec3(0.55, 0.10, 0.75), 0.55) * ghosts, ghost);
+  return c * (1.0 - stopped * (1.0 - step(MISSED, p.fate) * step(p.first.x, NOWHERE)));
 }
 
 void main() {

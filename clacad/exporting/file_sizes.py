@@ -49,7 +49,7 @@ def threemf_bytes(meshes: Meshes, quads: int) -> int:
         text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
         # one stream for all bodies, as in the file: a second body that is like the first takes little room
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
-        total += size * part.facet_count / len(corners)
+        total += size * part.facets_about / len(corners)
     return int(total)
 
 
@@ -110,6 +110,7 @@ def png_bytes(window: Window, per_cell: int) -> int:
     for body, face, label in structured_faces(window):
         map_ = height_map(window, body, face, label, per_cell)
         rows = min(map_.height, 8 * per_cell)  # rows of cells repeat: what deflate learns in a few, it knows
+        # of cells that differ it learns nothing, and the first rows are as good as any
         strip = replace(map_, height=rows)
         packer = zlib.compressobj(6)
         size = sum(
@@ -147,7 +148,7 @@ def mask_bytes(window: Window) -> int:
         outline = (aperture(window, body, face) * scale + 0.0).tolist()
         total += sum(len(f"{x!r}{y!r}") for x, y in outline) * 2 + 40 * len(outline) + 1400
         row = window.lattice.row(window.lattice.count[1] // 2)
-        centres = ((window.lattice.centres(row) + np.asarray(window.shifts[face.array])) * scale).tolist()
+        centres = (window.centres(face.array, row) * scale).tolist()
         digits = sum(len(f"{x!r}{y!r}") for x, y in centres) / max(1, len(centres))
         total += window.lattice.cell_count * (2 * digits + 34 + 36)
     return int(total)

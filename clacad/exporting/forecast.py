@@ -144,9 +144,10 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
         return _forecast_marked(meshes, name, quads)
     if name in ("stl", "stl-parts"):
         files = 1 if name == "stl" else len(window.bodies)
-        return _forecast_stl(name, meshes.facets(quads), files, quads, exact=True)
+        row = _forecast_stl(name, meshes.facets(quads), files, quads, exact=window.uniform)
+        return _of_own_cells(window, row, quads)
     if name in WELDED_FORMATS:
-        return _forecast_welded(meshes, name, quads)
+        return _of_own_cells(window, _forecast_welded(meshes, name, quads), quads)
     if name == "step":
         return _forecast_step(window, asked.step, asked.pcurves)
     if name == "drawing":
@@ -159,14 +160,17 @@ def _forecast_one(meshes: Meshes, name: str, quads: int, asked: Request = DEFAUL
 
 
 def _forecast_fixture(window: Window, name: str) -> Forecast:
-    """Price of baffle, frame, coupon and BREP: the first exactly, the modelled ones by size classes."""
+    """Price of baffle, frame, pins, coupon and BREP: the first exactly, the modelled ones by size classes."""
     cells = window.lattice.cell_count
     if name == "baffle":
-        sides = len(window.lattice.steps)
-        row = Forecast(name, 84 + 50 * 6 * sides * cells, False, 6 * sides * cells, None,
-                       costs.stl_seconds(6 * sides * cells), (80_000_000, 400_000_000))  # fmt: skip
+        honeycombs = max(1, len(window.bodies) - 1)
+        facets = 6 * len(window.lattice.steps) * cells * honeycombs
+        row = Forecast(name, 84 * honeycombs + 50 * facets, False, facets, None, costs.stl_seconds(facets),
+                       (80_000_000, 400_000_000))  # fmt: skip
         return row
-    size = {"frame": 400_000, "coupon": 2_000_000}.get(name, 15_000 + 8_000 * cells * len(window.bodies))
+    size = {"frame": 400_000, "pins": 25_000, "coupon": 2_000_000}.get(
+        name, 15_000 + 8_000 * cells * len(window.bodies)
+    )
     return Forecast(name, size, False, None, None, costs.solid_seconds(size), (500_000_000, 2_500_000_000))
 
 
@@ -247,6 +251,15 @@ def own_cells_note(window: Window) -> str:
     if window.uniform:
         return ""
     return f"every cell differs: {window.lattice.cell_count:,} are written out, none can be repeated"
+
+
+def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
+    """The row of a mesh with what it costs that cells differ."""
+    if window.uniform:
+        return row
+    bodies = sum(any(f.change is not None for f in (body.front, body.back)) for body in window.bodies)
+    more = costs.own_mesh_seconds(window.lattice.cell_count * bodies, quads)
+    return replace(row, modelled=row.modelled + more, note=own_cells_note(window))
 
 
 def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 FORMATS = (
     "step", "stl", "stl-parts", "3mf", "ply", "glb", "sag", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "brep",
-    "baffle", "frame", "coupon", "marked", "marked-stl", "marked-3mf", "zmx", "optiland",
+    "baffle", "frame", "pins", "coupon", "marked", "marked-stl", "marked-3mf", "zmx", "optiland",
     "drawing",
 )  # fmt: skip
 """Words by which formats are asked for."""
@@ -36,11 +36,11 @@ MARKED_MESHES = ("marked-stl", "marked-3mf")
 PRESCRIPTIONS = ("zmx", "optiland")
 """One telescopelet as lens-design programs read it."""
 
-SOLIDS = ("baffle", "frame", "coupon", "brep", "marked")
+SOLIDS = ("baffle", "frame", "pins", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""
 
 
-OF_ANY_CELLS = ("step",)
+OF_ANY_CELLS = ("step", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask")
 """Formats that hold sheets whose cells differ; the others repeat, merge or sample one cell."""
 
 

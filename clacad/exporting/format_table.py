@@ -16,6 +16,7 @@ from clacad.exporting.fixtures.fixture_files import (
     coupon_records,
     frame_records,
     marked_records,
+    pins_records,
 )
 from clacad.exporting.fixtures.marked_meshes import engraved, with_marks
 from clacad.exporting.manifest import FileRecord
@@ -415,7 +416,7 @@ def _drawing(job: Job) -> list[FileRecord]:
 WRITERS: dict[str, Callable[[Job], list[FileRecord]]] = {
     "step": _step, "stl": _stl, "stl-parts": _stl_parts, "3mf": _threemf, "ply": _ply, "glb": _glb, "sag": _sag,
     "tiff": _tiff, "png": _png, "xyz": _xyz, "table": _table, "mask": _mask, "gds": _gds, "pov": _pov, "brep": brep_records,
-    "baffle": baffle_records, "frame": frame_records, "coupon": coupon_records, "marked": marked_records,
+    "baffle": baffle_records, "frame": frame_records, "pins": pins_records, "coupon": coupon_records, "marked": marked_records,
     "marked-stl": _marked_stl, "marked-3mf": _marked_threemf, "zmx": _zmx, "optiland": _optiland,
     "drawing": _drawing,
 }  # fmt: skip

@@ -20,7 +20,7 @@ from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import difference_of_laws
 from clacad.optics.rays import Fate
-from clacad.sheet.bundle import bundle, central_cell, field_points
+from clacad.sheet.bundle import bundle, central_cell, field_points, sent_together
 from clacad.sheet.light_against_law import (
     FEWEST,
     change_with_shift,
@@ -30,7 +30,7 @@ from clacad.sheet.light_against_law import (
     rms_error,
     shift_of_array_2,
 )
-from clacad.sheet.like_cell import like_cell
+from clacad.sheet.like_cell import like_cell, outer_cells
 from clacad.sheet.window import WALL, Window
 
 if TYPE_CHECKING:
@@ -154,9 +154,16 @@ class Grader:
 
     def _bodies(self, quads: int) -> tuple[FacetBody, ...]:
         window, made = self.meshes.window, self.meshes.at(quads)
+        if not window.uniform:
+            return telescopelet(self._light.window, self._like.at(quads).mesh, made.saddle_bevel, apart=False)
         if instanceable(window):
             return telescopelet(window, made.cell, made.saddle_bevel)
         return telescopelet(window, made.single, made.saddle_bevel, apart=False)
+
+    @cached_property
+    def _like(self) -> Meshes:
+        """Meshes of the cell by which a sheet is judged whose cells differ."""
+        return Meshes(self._light.window)
 
     def law_rms(self, quads: int) -> float:
         """Rms direction error (radians) that follows from the coarse grids, without a trace of this one."""
@@ -219,12 +226,28 @@ class Grader:
         return self._light.exact
 
 
+def _judged_cell(window: Window, field: float, centre: str) -> Window:
+    """A sheet of one cell, that of the sheet's middle; where cells differ, of those whose lenses stand farthest out the one
+    whose light leaves farthest from the law.
+    """
+    from clacad.tracing.trace import trace
+
+    tried = [np.array(central_cell(window)), *([] if window.uniform else outer_cells(window))]
+    alone = [like_cell(window, cell, widest=False).with_cells((1, 1)) for cell in tried]
+    if len(alone) == 1:
+        return alone[0]
+    rms = []
+    for one in alone:
+        lit = bundle(one, POINT_RAYS, field, centre).rays
+        rms.append(rms_error(law_errors(trace(one, lit, path="numpy"), one.law.refract(lit.direction))))
+    return alone[int(np.argmax(np.where(np.isnan(rms), inf, rms)))]
+
+
 class _Light:
     """Rays of the checks over one cell, and what the law and the exact surfaces do to them."""
 
     def __init__(self, window: Window, field: float, centre: str) -> None:
-        like = like_cell(window, np.array(central_cell(window)), widest=False)
-        self.window, self._field, self._centre = like.with_cells((1, 1)), field, centre
+        self.window, self._field, self._centre = _judged_cell(window, field, centre), field, centre
 
     @cached_property
     def rays(self) -> Rays:
@@ -255,7 +278,7 @@ class _Light:
         """Worst angle (radians) of the mean direction to the law at a point of the field, exact surfaces."""
         from clacad.tracing.trace import trace
 
-        return self._bias(lambda rays: trace(self.window, rays, path="numpy"))
+        return self._bias(lambda lit: trace(self.window, lit.rays, path="numpy"))
 
     def grade(self, quads: int, bodies: tuple[FacetBody, ...]) -> Grade:
         """Send the rays through facets."""
@@ -263,16 +286,19 @@ class _Light:
 
         seen = trace_facets(bodies, self.rays)
         stretch, offset = self._fitted(seen)
-        bias = self._bias(lambda rays: trace_facets(bodies, rays))
+        bias = self._bias(lambda lit: trace_facets(bodies, lit.rays))
         return Grade(quads, self._rms(seen), bias, stretch, offset, self._defocus(seen))
 
     def _rms(self, seen: TraceResult) -> float:
         return rms_error(law_errors(seen, self._asked))
 
-    def _bias(self, send: Callable[[Rays], TraceResult]) -> float:
+    def _bias(self, send: Callable[[Bundle], TraceResult]) -> float:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""
         law = self.window.law
-        found = [mean_error(send(lit.rays), law.refract(lit.rays.direction[:1])[0]) for lit in self._points]
+        found = [
+            mean_error(*seen, law.refract(lit.rays.direction[:1])[0])
+            for lit, seen in zip(self._points, sent_together(self._points, send), strict=True)
+        ]
         return max((error for error in found if not isnan(error)), default=nan)
 
     @cached_property

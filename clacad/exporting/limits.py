@@ -145,7 +145,7 @@ def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> 
     from clacad.mesh import forecast_quads
 
     try:
-        quads = forecast_quads(one_cell(window), slope_error)
+        quads = forecast_quads(one_cell(window) if window.uniform else window, slope_error)
     except ValueError as error:
         short = re.sub(r"\d{16,}", lambda long: f"{Decimal(long[0]):.3g}", str(error))
         raise LimitRefused(f"a slope error of {slope_error:g} rad is out of reach: {short}") from error

@@ -101,11 +101,21 @@ def _gds(window: Window, asked: Request, _worker: Worker) -> None:
         grey_cell(window, body, face, label, asked.grey_levels, millimetres(window.unit))
 
 
+def _mask(window: Window, _asked: Request, _worker: Worker) -> None:
+    """One outline for the lenses of a face."""
+    from clacad.formats.maps.mask import aperture
+    from clacad.formats.maps.sag import structured_faces
+
+    if not window.uniform:
+        for body, face, _ in structured_faces(window):
+            aperture(window, body, face)
+
+
 def _baffle(window: Window, _asked: Request, _worker: Worker) -> None:
     """Walls, and a gap for them."""
-    from clacad.exporting.fixtures import baffle_mesh
+    from clacad.exporting.fixtures import baffle_meshes
 
-    baffle_mesh(window)
+    baffle_meshes(window)
 
 
 def _frame(window: Window, _asked: Request, worker: Worker) -> None:
@@ -115,6 +125,13 @@ def _frame(window: Window, _asked: Request, worker: Worker) -> None:
 
     for width, height in mark_lines(frame_spec(window, window.land.border)):
         _require_room(mark_text(window.name), width, height, worker)
+
+
+def _pins(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Two plates with pin holes, a gap, and land for the shoulders."""
+    from clacad.exporting.fixtures.shoulder_pins import pin_spec
+
+    pin_spec(window)
 
 
 def _marks(window: Window, _asked: Request, worker: Worker) -> None:
@@ -187,7 +204,7 @@ DRAWING_SECONDS = 300.0
 """Time for OCC to draw a line of text."""
 
 _NEEDS: Mapping[str, Callable[[Window, Request, Worker], None]] = {
-    "gds": _gds, "baffle": _baffle, "frame": _frame, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
+    "gds": _gds, "mask": _mask, "baffle": _baffle, "frame": _frame, "pins": _pins, "marked": _marked, "marked-stl": _marks, "marked-3mf": _marks,
     "brep": _brep, "coupon": _coupon, "drawing": _drawing, "optiland": _optiland, "zmx": _zmx,
 }  # fmt: skip
 """Format → what refuses it; formats of a mere shape are refused by their price alone."""

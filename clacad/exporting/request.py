@@ -12,7 +12,7 @@ from typing import Any, Generic, Literal, TypeVar
 from clacad.base.text import did_you_mean, near
 from clacad.exporting.format_names import FORMATS, MESHES
 from clacad.exporting.roles import WORDS, Role, role_of
-from clacad.storage.errors import BadRequest
+from clacad.storage.errors import BadRequest, LimitRefused
 
 Quads = int | Literal["auto"]
 AskedQuads = Quads | Mapping[str, Quads] | None
@@ -72,7 +72,8 @@ class Request:
     ----------
     formats : sequence of str
         step, stl, stl-parts (one file a body), 3mf, ply, glb, sag, tiff, png, xyz, table, mask, gds (needs the extra
-        `gds`), pov, brep, baffle, frame, coupon, marked (bodies with their name and an arrow in the border, STEP),
+        `gds`), pov, brep, baffle, frame, pins (with a shoulder between the bodies), coupon, marked (bodies with their name and an
+        arrow in the border, STEP),
         marked-stl (the same as meshes, one file a body), marked-3mf (in one file), zmx, optiland (one
         telescopelet for lens-design programs; optiland needs the extra `optiland`), drawing
         (DXF and PDF, needs the extras `dxf` and `pdf`).
@@ -251,10 +252,18 @@ def _of_formats(asked: object, formats: Sequence[str], kind: _Asked[T]) -> dict[
     return {name: named[name] for name in dict.fromkeys(formats) if name in named}
 
 
+MOST_QUADS = 8192
+"""Facets along a cell side: one array of its corners is half a gigabyte then, and forecasts hold a few."""
+
+
 def _grid(value: object) -> Quads:
     if value == "auto":
         return "auto"
     if isinstance(value, int) and not isinstance(value, bool) and value >= 1:
+        if value > MOST_QUADS:
+            raise LimitRefused(
+                f"quads = {value}: a cell side is cut into {MOST_QUADS} at most: use auto, or format step for exact faces"
+            )
         return value
     hint = _near(value, ("auto",))
     raise BadRequest(f"quads = {value}: it is a whole number above 0, or auto{hint}")

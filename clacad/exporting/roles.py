@@ -1,7 +1,7 @@
 """What a file is for: parts are made from a master, a preview is looked at, a scan was measured, the rest is other.
 
 Parts are made from an optical master, so light through it must obey the law. A preview is for looking, quoting and fit
-checks. A scan is a measured surface: judged, never called fit for making. Everything else (baffle, frame, coupon,
+checks. A scan is a measured surface: judged, never called fit for making. Everything else (baffle, frame, pins, coupon,
 pictures' scenes) carries no light of the law, or is made into no part (a prescription for a lens-design program, a drawing).
 """
 
@@ -32,6 +32,7 @@ NOT_OPTICAL = frozenset(
     {
         "baffle",
         "frame",
+        "pins",
         "coupon",
         "pov",
         "scene",

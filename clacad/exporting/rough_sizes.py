@@ -67,7 +67,8 @@ class RoughSheet:
         lenses = [face for face in window.faces if face.array is not None]
         tilted = not all(face.untilted for face in lenses)
         return RoughSheet(
-            len(lenses), len(window.bodies), max(1, lattice.cell_count), (n1, n2), lattice.hexagonal, tilted, window.outline is None,
+            len(lenses), len(window.bodies), max(1, lattice.cell_count), (n1, n2), lattice.hexagonal, tilted,
+            window.uniform and window.outline is None,
         )  # fmt: skip
 
     def facets(self, quads: int) -> int:

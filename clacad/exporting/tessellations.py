@@ -15,6 +15,7 @@ from clacad.exporting.compare import Promise
 from clacad.exporting.format_names import REPEATING
 from clacad.formats.mesh.repeated_pieces import Piece, Places
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.window import WALL, Body, Face, Land, Window, lens_height_and_normal
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ class Tessellation:
     @cached_property
     def single(self) -> Mesh:
         """Mesh of a sheet of one cell, border and outline included: one telescopelet where cells are not repeated."""
+        need_equal_cells(self.window, "the mesh of one cell for all")
         from clacad.mesh import tessellate
 
         return tessellate(self.window.with_cells((1, 1)), quads=self.quads, saddle_bevel=self.saddle_bevel)
@@ -115,8 +117,8 @@ class Meshes:
         return self._made.setdefault(quads, Tessellation(self.window, quads, self._bevel))
 
     def facets(self, quads: int) -> int:
-        """Facets of the whole sheet, exactly, without expanding them."""
-        return self.at(quads).mesh.facet_count
+        """Facets of the whole sheet without expanding them: exactly, or of cells that differ from a sample of them."""
+        return sum(body.facets_about for body in self.at(quads).mesh.bodies)
 
     def welded(self, quads: int, format: str) -> int:
         """Facets an indexed format holds in memory: those of one cell where the format repeats cells."""
@@ -141,7 +143,7 @@ def instanceable(window: Window) -> bool:
         len({window.shifts[f.array] for f in (b.front, b.back) if f.array is not None}) == 1
         for b in window.bodies
     )
-    return window.outline is None and in_columns
+    return window.uniform and window.outline is None and in_columns
 
 
 def one_cell(window: Window) -> Window:
@@ -225,11 +227,11 @@ def exact_normals(window: Window, faces: Sequence[Face], corners: Floats) -> Flo
 def _lens_normals(window: Window, face: Face, corners: Floats, flat: Floats) -> Floats:
     """Replace the normals of facets whose three corners lie on the lens of their cell."""
     assert face.array is not None
-    shift = np.asarray(window.shifts[face.array])
     middle = corners.mean(axis=1)
-    index, _, _ = window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])
-    centre = window.lattice.centres(index) + shift
-    local = corners[..., :2] - centre[:, None]
+    index, _, _ = window.locate(face.array, middle[:, 0], middle[:, 1])
+    local = corners[..., :2] - window.centres(face.array, index)[:, None]
+    if face.change is not None:
+        local -= face.change.at(window.lattice, index)[:, None]
     z, normal = lens_height_and_normal(face, local[..., 0].ravel(), local[..., 1].ravel())
     z, normal = z.reshape(-1, 3), normal.reshape(-1, 3, 3) * -face.side
     land = np.full_like(z, np.inf) if face.land is None else np.abs(corners[..., 2] - face.land)

@@ -3,27 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from math import fsum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.unique_rows import unique_rows
 from clacad.mesh.cell_template import Template, TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.land_ring import row_states
+from clacad.mesh.volume import flux
+from clacad.sheet.lattice import Lattice
+from clacad.sheet.like_cell import outer_cells, sampled_cells
 from clacad.sheet.window import Body, Window
+
+if TYPE_CHECKING:
+    from clacad.mesh.own_cells import OwnCells
 
 _CHUNK = 200_000  # triangles an expanded block holds at most, about
 
 
+JUDGED = 16
+"""Cells of a sheet whose cells differ whose facets' errors are measured, besides those whose lenses stand farthest out."""
+
+
 @dataclass(frozen=True, eq=False)
 class Tiled:
-    """One tiling of a body: its templates and its displacement."""
+    """One tiling of a body: its templates and where they stand.
+
+    maker : TemplateMaker
+        Of all cells; where they differ of the first.
+    shift : (2,) lengths
+    lattice : Lattice
+        Pattern of the tiling's cells about their own middle.
+    own : OwnCells or None
+        Where every cell is a piece of its own.
+    """
 
     maker: TemplateMaker
     shift: tuple[float, float]
+    lattice: Lattice
+    own: OwnCells | None = None
+
+    def maker_at(self, i: int, j: int) -> TemplateMaker:
+        """The maker of the kept cell (i, j)."""
+        return self.maker if self.own is None else self.own.at((i, j))
+
+    def judged(self, window: Window, body: Body) -> list[tuple[TemplateMaker, Body]]:
+        """Makers of the cells whose facets' errors stand for all, each with the body as it is there."""
+        if self.own is None:
+            return [(self.maker, body)]
+        cells = np.unique(np.concatenate([outer_cells(window), sampled_cells(window, JUDGED)]), axis=0)
+        return [(self.own.at((i, j)), self.own.body_at((i, j))) for i, j in cells.tolist()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,24 +67,24 @@ class CellBlock:
 
     template : Template
     cells : (n, 2) int64
-    shift : (2,) lengths
+    tiled : Tiled
     """
 
     template: Template
     cells: Ints
-    shift: tuple[float, float]
+    tiled: Tiled
 
-    def corners(self, window: Window, first: int, last: int) -> Floats:
+    def corners(self, first: int, last: int) -> Floats:
         """Triangle corners (k, 3, 3) of cells first … last − 1."""
-        return self.vertices(window, first, last)[:, self.template.triangles].reshape(-1, 3, 3)
+        return self.vertices(first, last)[:, self.template.triangles].reshape(-1, 3, 3)
 
-    def vertices(self, window: Window, first: int, last: int) -> Floats:
+    def vertices(self, first: int, last: int) -> Floats:
         """Vertices (cells, v, 3) of cells first … last − 1: the owner's centre plus its frame's x, y."""
-        t = self.template
-        steps, which = np.unique(t.owner, axis=0, return_inverse=True)
-        centres = window.lattice.centres(self.cells[first:last, None, :] + steps[None]) + np.array(self.shift)
+        t, shift = self.template, np.array(self.tiled.shift)
+        steps, which = t.owners
+        centres = self.tiled.lattice.centres(self.cells[first:last, None, :] + steps[None]) + shift
         out = np.empty((last - first, len(t.z), 3))
-        out[:, :, :2] = centres[:, which.ravel(), :]
+        out[:, :, :2] = centres[:, which, :]
         out[:, :, :2] += t.xy
         out[:, :, 2] = t.z
         return out
@@ -67,6 +102,19 @@ class Plain:
     key: Ints
     triangles: Ints
     kind: NDArray[np.uint8]
+
+    @property
+    def corners(self) -> Floats:
+        """Corners (t, 3, 3) of its triangles."""
+        return np.asarray(self.vertices[self.triangles])
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What is known of all triangles once they have been gone through: how many, and the volume (length³) they enclose."""
+
+    facets: int
+    volume: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +148,21 @@ class BodyMesh:
     step: float
     saddles: int = 0
     bevel_volume: float = 0.0
+    _tallied: list[Tally] = field(default_factory=list, repr=False)
+
+    @property
+    def own(self) -> bool:
+        """Whether cells differ, so that each has triangles of its own."""
+        return any(tiled.own is not None for tiled in self.tiled)
 
     @cached_property
     def _errors(self) -> tuple[float, float]:
         """Slope and sag error of the worst of its prototiles; measured when first asked for."""
-        found = [facet_errors(tiled.maker.tile, self.body) for tiled in self.tiled]
+        found = [
+            facet_errors(maker.tile, body)
+            for tiled in self.tiled
+            for maker, body in tiled.judged(self.window, self.body)
+        ]
         return max(slope for slope, _ in found), max(sag for _, sag in found)
 
     @property
@@ -118,39 +176,77 @@ class BodyMesh:
         return self._errors[1]
 
     def blocks(self) -> Iterator[CellBlock]:
-        """Cells grouped by row and template."""
+        """Cells grouped by row and template; where cells differ, what they come to is tallied on the way."""
         lattice = self.window.lattice
+        count, volumes = len(self.plain.triangles), [fsum(flux(self.plain.corners).tolist())]
         for tiled in self.tiled:
             for j in range(lattice.count[1]):
-                yield from self._row_blocks(tiled, j)
+                for block in self._row_blocks(tiled, j):
+                    yield block
+                    if self.own and not self._tallied:
+                        count += len(block.cells) * len(block.template.triangles)
+                        volumes.append(len(block.cells) * fsum(flux(block.corners(0, 1)).tolist()))
+        if self.own and not self._tallied:
+            self._tallied.append(Tally(count, fsum(volumes)))
 
     def _row_blocks(self, tiled: Tiled, j: int) -> Iterator[CellBlock]:
         row = self.window.lattice.row(j)
         if not len(row):
             return
-        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
-        states = row_states(self.window, row, tiled.maker.offsets, self.ringed, apart)
+        states = self._states(tiled, row)
+        if tiled.own is not None:
+            for n, (i, j) in enumerate(row.tolist()):
+                yield CellBlock(tiled.own.at((i, j)).template(states[n]), row[n : n + 1], tiled)
+            return
         kinds, which = np.unique(states, axis=0, return_inverse=True)
         for n, kind in enumerate(kinds):
-            yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled.shift)
+            yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled)
+
+    def _states(self, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
+        """What stands about each of some kept cells (n, 2) of a row; see `row_states`."""
+        apart = tiled.shift if len(self.tiled) > 1 else (0.0, 0.0)
+        return row_states(self.window, row, tiled.maker.offsets, self.ringed, tiled.lattice, apart)
 
     @cached_property
-    def census(self) -> tuple[tuple[Template, int], ...]:
-        """Templates and how often each occurs, without expanding."""
+    def census(self) -> tuple[tuple[Template, Lattice, int], ...]:
+        """Templates, the pattern they stand in and how often each occurs, without expanding; of cells that are alike."""
         lattice = self.window.lattice
         counts: dict[int, list[int]] = {}
-        templates: dict[int, Template] = {}
-        for tiled in self.tiled:
+        templates: dict[int, tuple[Template, Lattice]] = {}
+        for tiled in (one for one in self.tiled if one.own is None):
             for j, times in _distinct_rows(lattice.count[1], lattice.outline is None):
                 for block in self._row_blocks(tiled, j):
-                    templates[id(block.template)] = block.template
+                    templates[id(block.template)] = block.template, tiled.lattice
                     counts.setdefault(id(block.template), []).append(times * len(block.cells))
-        return tuple((templates[key], sum(number)) for key, number in counts.items())
+        return tuple((*templates[key], sum(number)) for key, number in counts.items())
 
     @property
     def facet_count(self) -> int:
-        """Number of triangles, exactly, without expanding them."""
-        return sum(len(t.triangles) * number for t, number in self.census) + len(self.plain.triangles)
+        """Number of triangles, exactly, without expanding them; where cells differ all of them are made once to know."""
+        if self.own:
+            return self._tally.facets
+        return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.plain.triangles)
+
+    @cached_property
+    def facets_about(self) -> int:
+        """Number of triangles; where cells differ from those of a sample of them."""
+        total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
+        for tiled in (one for one in self.tiled if one.own is not None):
+            cells = sampled_cells(self.window, JUDGED)
+            sampled = 0
+            for i, j in cells.tolist():
+                states = self._states(tiled, np.array([[i, j]]))[0]
+                sampled += len(tiled.maker_at(i, j).template(states).triangles)
+            total += sampled * self.window.lattice.cell_count // len(cells)
+        return total
+
+    @property
+    def _tally(self) -> Tally:
+        """Of all triangles; known after any of the iterators below has come to its end."""
+        if not self._tallied:
+            for _ in self.blocks():
+                pass
+        return self._tallied[0]
 
     def rows(self) -> Iterator[Floats]:
         """Yield all triangles as (k, 3, 3) corner blocks of at most a row (lengths, sheet frame, outward).
@@ -158,9 +254,9 @@ class BodyMesh:
         Memory is that of one block, whatever the number of cells; blocks come in a fixed order.
         """
         for block, first, last in self._portions():
-            yield block.corners(self.window, first, last)
+            yield block.corners(first, last)
         if len(self.plain.triangles):
-            yield self.plain.vertices[self.plain.triangles]
+            yield self.plain.corners
 
     def _portions(self) -> Iterator[tuple[CellBlock, int, int]]:
         """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
@@ -169,10 +265,10 @@ class BodyMesh:
             for first in range(0, len(block.cells), each):
                 yield block, first, min(first + each, len(block.cells))
 
-    def parts(self) -> Iterator[tuple[Template, int]]:
-        """Yield (template, number of cells) of each block of `rows`, the plain land left out."""
+    def parts(self) -> Iterator[tuple[CellBlock, int]]:
+        """Yield (block, number of cells) of each block of `rows`, the plain land left out."""
         for block, first, last in self._portions():
-            yield block.template, last - first
+            yield block, last - first
 
     def tags(self) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
         """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
@@ -196,7 +292,7 @@ class BodyMesh:
             owner = block.cells[:, None, :] + t.owner[None]
             rest = np.broadcast_to(np.stack([t.point, t.level], axis=1), (*owner.shape[:2], 2))
             keys.append(np.concatenate([owner, rest], axis=2).reshape(-1, 4))
-            positions.append(block.vertices(self.window, 0, len(block.cells)).reshape(-1, 3))
+            positions.append(block.vertices(0, len(block.cells)).reshape(-1, 3))
             start = count + len(t.z) * np.arange(len(block.cells))
             triangles.append((t.triangles[None] + start[:, None, None]).reshape(-1, 3))
             count += len(keys[-1])
@@ -219,6 +315,8 @@ class BodyMesh:
 
     def volume(self) -> float:
         """Volume by the divergence sum over the templates (length³), compensated."""
+        if self.own:
+            return self._tally.volume
         from clacad.mesh.volume import mesh_volume
 
         return mesh_volume(self)
@@ -288,11 +386,7 @@ def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
 
 def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Give one number to vertices with one key."""
-    packed = np.zeros(len(key), dtype=np.int64)
-    for column in range(4):
-        _, rank = np.unique(key[:, column], return_inverse=True)
-        packed = packed * (int(rank.max()) + 1) + rank
-        _, packed = np.unique(packed, return_inverse=True)
+    packed = unique_rows(key)[1]
     first = np.zeros(int(packed.max()) + 1, dtype=np.int64)
     first[packed[::-1]] = np.arange(len(packed))[::-1]
     return position[first], packed[triangles]

@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.integer_heights import FAR, CellLevels, cluster, shortest
-from clacad.sheet.window import optical_tile
+from clacad.sheet.lattice import Step
 
 
-def with_borders(make: CellLevels, plan: pl.Planar, quads: int) -> tuple[pl.Planar, list[Floats], list[Ints]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class BorderSamples:
+    """Where the two cells of a border have points, and how high they stand there.
+
+    t : (n,)
+        Parameters of the samples, 0 and 1 included.
+    grid_at : (quads + 1,)
+        Of them, where the points of the regular grid lie.
+    levels : (n, 4)
+        Left front, left back, right front, right back.
+    """
+
+    t: Floats
+    grid_at: Floats
+    levels: Ints
+
+
+def with_borders(
+    make: CellLevels, plan: pl.Planar, quads: int
+) -> tuple[pl.Planar, list[Floats], list[BorderSamples]]:
     """Give the tile's sides the complex's breaks: the same samples on both sides of every border.
 
     Returns
@@ -18,33 +39,52 @@ def with_borders(make: CellLevels, plan: pl.Planar, quads: int) -> tuple[pl.Plan
     plan : Planar
     side_t : m arrays
         Parameters of the samples along each side.
-    levels : m/2 arrays (n, 4)
-        Left front, left back, right front, right back at the samples of each border class.
+    borders : m BorderSamples
+        Of each side: of the first half the cell is the left one, of the others it is the right one.
     """
-    seam = not np.array_equal(make.tiling.tile, optical_tile(make.window))
-    nodes = _node_levels(make)
-    placed: list[tuple[Floats, Floats]] = []
-    levels = []
-    for border in make.tiling.borders:
-        if seam:
-            t = grid_at = np.array([0.0, 1.0])
-            groups: list[Floats] = []
-        else:
-            least = _least(make, border.start, border.end, quads)
-            stops = border.roots
-            if make.bevel > 0.0:
-                length = float(np.hypot(border.end[0] - border.start[0], border.end[1] - border.start[1]))
-                stops = np.concatenate([stops, border_stops(make.bevel, length)])
-            groups = pl.space(stops, least)
-            t, grid_at = pl.place(np.array([0.5 * (g[0] + g[-1]) for g in groups]), quads, least)
-        rows = _border_levels(make, border.index, t, groups, nodes)
-        t, rows = _parted(make, border.index, t, rows, groups, nodes)
-        placed.append((t, grid_at))
-        levels.append(rows)
-    placed += [(1.0 - t[::-1], 1.0 - g[::-1]) for t, g in placed]
-    if not seam:
+    own = [border_samples(make, k, quads) for k in range(len(make.tiling.borders))]
+    there = [make.beside(_back(border.step)) for border in make.tiling.borders]
+    theirs = [border_samples(other, k, quads) for k, other in enumerate(there)]
+    placed = [(b.t, b.grid_at) for b in own] + [(1.0 - b.t[::-1], 1.0 - b.grid_at[::-1]) for b in theirs]
+    if not _seamed(make):
         plan = pl.with_side_samples(plan, make.tiling.tile, placed)
-    return plan, [t for t, _ in placed], levels
+    return plan, [t for t, _ in placed], [*own, *theirs]
+
+
+def border_samples(make: CellLevels, k: int, quads: int) -> BorderSamples:
+    """Samples of border class k between a cell, its left one, and the cell on its right; kept with the cell."""
+    if (k, quads) not in make.known:
+        make.known[k, quads] = _border_samples(make, k, quads)
+    found: BorderSamples = make.known[k, quads]
+    return found
+
+
+def _border_samples(make: CellLevels, k: int, quads: int) -> BorderSamples:
+    border = make.tiling.borders[k]
+    ends = _end_levels(make, k)
+    if _seamed(make):
+        t = grid_at = np.array([0.0, 1.0])
+        groups: list[Floats] = []
+    else:
+        least = _least(make, border.start, border.end, quads)
+        stops = make.roots(k)
+        if make.bevel > 0.0:
+            length = float(np.hypot(border.end[0] - border.start[0], border.end[1] - border.start[1]))
+            stops = np.concatenate([stops, border_stops(make.bevel, length)])
+        groups = pl.space(stops, least)
+        t, grid_at = pl.place(np.array([0.5 * (g[0] + g[-1]) for g in groups]), quads, least)
+    rows = _border_levels(make, k, t, groups, ends)
+    t, rows = _parted(make, k, t, rows, groups, ends)
+    return BorderSamples(t, grid_at, rows)
+
+
+def _seamed(make: CellLevels) -> bool:
+    """Whether land lies between the cells: their borders need no points but corners."""
+    return make.window.land.seam > 0.0
+
+
+def _back(step: Step) -> Step:
+    return -step[0], -step[1]
 
 
 def border_stops(width: float, length: float) -> Floats:
@@ -65,35 +105,33 @@ def settle_inside(make: CellLevels, lens: Ints) -> Ints:
     return cluster(both, held, make.gap)[:, :2]
 
 
-def settle_sides(plan: pl.Planar, lens: Ints, levels: list[Ints]) -> Ints:
+def settle_sides(plan: pl.Planar, lens: Ints, borders: list[BorderSamples]) -> Ints:
     """Write the borders' levels into the points of the tile's sides."""
     lens = lens.copy()
-    half = len(levels)
-    for k, rows in enumerate(levels):
-        lens[plan.sides[k]] = rows[:, :2]
-        lens[plan.sides[k + half][::-1]] = rows[:, 2:]
+    half = len(borders) // 2
+    for k in range(half):
+        lens[plan.sides[k]] = borders[k].levels[:, :2]
+        lens[plan.sides[k + half][::-1]] = borders[k + half].levels[:, 2:]
     return lens
 
 
-def _border_levels(make: CellLevels, k: int, t: Floats, groups: list[Floats], nodes: Ints) -> Ints:
+def _border_levels(
+    make: CellLevels, k: int, t: Floats, groups: list[Floats], ends: tuple[Ints, Ints]
+) -> Ints:
     """Merged levels of both cells along border class k, (n, 4): equal where a break says they are."""
-    m = len(make.tiling.tile)
-    half = m // 2
-    ends = nodes[[k, (k + 1) % m]], nodes[[(k + half + 1) % m, k + half]]
     inner = t[1:-1]
     held = np.array([*make.held, *make.held, True, True])
-    both = np.array([_at(make, k, value) for value in inner.tolist()], dtype=np.int64).reshape(-1, 6)
+    both = _at(make, k, inner)
     for group in groups:
         at = int(np.argmin(np.abs(inner - 0.5 * (group[0] + group[-1]))))
-        for root in group.tolist():
-            _hold_equal(make, both[at], _at(make, k, root), held)
+        for root in _at(make, k, group):
+            _hold_equal(make, both[at], root, held)
     merged = cluster(both, held, make.gap)[:, :4]
-    first, last = (np.concatenate([ends[0][n], ends[1][n]]) for n in (0, 1))
-    return np.concatenate([first[None], merged, last[None]])
+    return np.concatenate([ends[0][None], merged, ends[1][None]])
 
 
 def _parted(
-    make: CellLevels, k: int, t: Floats, rows: Ints, groups: list[Floats], nodes: Ints
+    make: CellLevels, k: int, t: Floats, rows: Ints, groups: list[Floats], ends: tuple[Ints, Ints]
 ) -> tuple[Floats, Ints]:
     """Part two columns that only touch along a stretch of the border, so that no edge has four faces.
 
@@ -105,7 +143,7 @@ def _parted(
     alone[:-1] &= ~touch[2:]
     if alone.any():  # two samples and nothing between them to move
         t = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])[alone]]))
-        rows = _border_levels(make, k, t, groups, nodes)
+        rows = _border_levels(make, k, t, groups, ends)
         touch = _touching(rows)
     inside = np.flatnonzero(touch[1:-1] & touch[:-2] & touch[2:]) + 1
     rows = rows.copy()
@@ -124,14 +162,15 @@ def _touching(rows: Ints) -> Bools:
     return np.asarray(there & (shared == 0))
 
 
-def _at(make: CellLevels, k: int, t: float) -> Ints:
-    """Levels of left front, back, right front, back and land at a parameter of border class k."""
+def _at(make: CellLevels, k: int, t: Floats) -> Ints:
+    """Levels (n, 6) of left front, back, right front, back and land at parameters (n,) of border class k."""
     tile, m = make.tiling.tile, len(make.tiling.tile)
     half = m // 2
-    left = pl.side_points(tile[k], tile[(k + 1) % m], np.array([t]))
-    right = pl.side_points(tile[(k + half + 1) % m], tile[k + half], np.array([t]))
-    levels = make.levels(make.heights(np.concatenate([left, right])))
-    return np.concatenate([levels[0], levels[1], np.array(make.land)])
+    left = make.heights(pl.side_points(tile[k], tile[(k + 1) % m], t))
+    there = make.beside(make.tiling.borders[k].step)
+    right = there.heights(pl.side_points(tile[(k + half + 1) % m], tile[k + half], t))
+    levels = make.levels(np.concatenate([left, right], axis=1).reshape(len(t), 2, 2)).reshape(len(t), 4)
+    return np.concatenate([levels, np.broadcast_to(np.array(make.land), (len(t), 2))], axis=1)
 
 
 def _hold_equal(make: CellLevels, here: Ints, root: Ints, held: Bools) -> None:
@@ -145,12 +184,29 @@ def _hold_equal(make: CellLevels, here: Ints, root: Ints, held: Bools) -> None:
         here[run] = here[fixed[0]] if len(fixed) else int(here[run].min() + here[run].max()) // 2
 
 
-def _node_levels(make: CellLevels) -> Ints:
-    """Merged front and back level at each corner of the tile, (m, 2)."""
-    levels = make.levels(make.heights(make.tiling.tile))
-    for node in make.tiling.nodes:
-        corners = [c for _, c in node.cells]
-        row = np.concatenate([levels[corners].ravel(), np.array(make.land)])
-        held = np.array([*make.held * len(corners), True, True])
-        levels[corners] = cluster(row[None], held, make.gap)[0][:-2].reshape(-1, 2)
-    return levels
+def _end_levels(make: CellLevels, k: int) -> tuple[Ints, Ints]:
+    """Merged left front, left back, right front, right back at both ends of border class k, (4,) each."""
+    m = len(make.tiling.tile)
+    half = m // 2
+    start, end = _node_levels(make, k), _node_levels(make, (k + 1) % m)
+    return (
+        np.concatenate([start[k], start[(k + half + 1) % m]]),
+        np.concatenate([end[(k + 1) % m], end[k + half]]),
+    )
+
+
+def _node_levels(make: CellLevels, corner: int) -> dict[int, Ints]:
+    """Merged front and back level (2,) of every cell about the node at a corner of a cell, by which corner of theirs
+    lies there.
+    """
+    node, here = next((n, s) for n in make.tiling.nodes for s, c in n.cells if c == corner)
+    first = make.beside(_back(here))
+    key = "node", node.cells[0][1]
+    if key not in first.known:
+        rows = [first.beside(step).at_corners[c] for step, c in node.cells]
+        held = np.array([*make.held * len(rows), True, True])
+        row = np.concatenate([*rows, np.array(make.land)])
+        settled = cluster(row[None], held, make.gap)[0][:-2].reshape(-1, 2)
+        first.known[key] = {c: levels for (_, c), levels in zip(node.cells, settled)}
+    found: dict[int, Ints] = first.known[key]
+    return found

@@ -7,8 +7,9 @@ land or nothing, so a sheet of any size has a handful of templates.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,11 @@ class Template:
     triangles: Ints
     kind: NDArray[np.uint8]
 
+    @cached_property
+    def owners(self) -> tuple[Ints, Ints]:
+        """Distinct index steps (k, 2), and which of them each vertex has (v,)."""
+        return unique_rows(self.owner)
+
 
 def neighbour_offsets(lattice: Lattice) -> tuple[Offset, ...]:
     """Index steps to every cell that shares a border or a node with a cell (8 or 6)."""
@@ -62,12 +68,26 @@ def neighbour_offsets(lattice: Lattice) -> tuple[Offset, ...]:
     return tuple(sorted(steps - {(0, 0)}))
 
 
+_ON_SIDE, _AT_NODE, _SIDE = 2**32, 2**36, 2**24
+"""Canonical points on borders and nodes of cells that differ: numbered along them, not as in either cell."""
+
+
 @dataclass(eq=False)
 class TemplateMaker:
-    """Makes and keeps the templates of one prototile."""
+    """Makes and keeps the templates of one prototile.
+
+    Parameters
+    ----------
+    tile : Prototile
+    lattice : Lattice
+        Pattern of the cells.
+    others : callable or None
+        Index step → the maker of that neighbour, where cells differ; None: they are all alike.
+    """
 
     tile: Prototile
     lattice: Lattice
+    others: Callable[[Offset], TemplateMaker] | None = None
     offsets: tuple[Offset, ...] = field(init=False)
     _made: dict[bytes, Template] = field(init=False, default_factory=dict)
 
@@ -76,6 +96,7 @@ class TemplateMaker:
         self._levels = self.tile.corner_levels()
         self._apart = bool((np.abs(self.tile.land) == FAR).any())
         self.places = self._canonical()
+        self.xy = self._in_owner()
         self._caps = self._make_caps()
         self._inner = _inner_walls(self.tile.plan.triangles, self._levels)
         ends = {point for wall in self._inner for point in wall[:2]}
@@ -103,6 +124,10 @@ class TemplateMaker:
         self._third = dict(zip(zip(a, b), third))
         self._after = dict(zip(zip(number, a), (edge % 3).tolist()))
 
+    def beside(self, step: Offset) -> TemplateMaker:
+        """The maker of the cell at an index step, which is kept."""
+        return self if self.others is None or step == (0, 0) else self.others(step)
+
     # -- where points belong ------------------------------------------------------------------
 
     def _canonical(self) -> tuple[Ints, Ints]:
@@ -113,25 +138,42 @@ class TemplateMaker:
         for k in range(half, 2 * half):
             inner = sides[k][1:-1]
             owner[inner] = self.lattice.steps[k]
-            point[inner] = sides[k - half][1:-1][::-1]
+            if self.others is None:
+                point[inner] = sides[k - half][1:-1][::-1]
+        for k in range(2 * half if self.others is not None else 0):
+            inner = sides[k][1:-1][:: 1 if k < half else -1]
+            point[inner] = _ON_SIDE + _SIDE * (k % half) + np.arange(len(inner))
         self._corner_of: dict[int, tuple[int, int]] = {}
         for index, cells in enumerate(node_cells(self.lattice)):
             for place, (step, corner) in enumerate(cells):
                 local = int(sides[corner][0])
                 owner[local] = (-step[0], -step[1])
-                point[local] = sides[cells[0][1]][0]
+                point[local] = sides[cells[0][1]][0] if self.others is None else _AT_NODE + index
                 self._corner_of[local] = (index, place)
+        self._next = {p: q for side in sides for p, q in zip(side[:-1].tolist(), side[1:].tolist())}
         self._side_of = {
             int(p): (k, i + 1) for k, side in enumerate(sides) for i, p in enumerate(side[1:-1])
         }  # fmt: skip
         return owner, point
 
+    def _in_owner(self) -> Floats:
+        """Every footprint point in the frame of the cell that owns it, (n, 2): to the last bit what that cell has."""
+        sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
+        xy = self.tile.plan.xy.copy()
+        for k, points in enumerate(self.tile.on_left):
+            xy[sides[k][1:-1]] = points if k < half else points[::-1]
+        corners = self.tile.plan.xy[[side[0] for side in sides]]
+        for cells in node_cells(self.lattice):
+            for _, corner in cells:
+                xy[sides[corner][0]] = corners[cells[0][1]]
+        return xy
+
     # -- columns and fans ---------------------------------------------------------------------
 
     def _column(self, triangle: int, point: int) -> Column:
         """The column of a triangle at one of its corners."""
-        front, back = self._levels[triangle, self._after[triangle, point]]
-        return None if front == NONE or back == -NONE else (int(front), int(back))
+        front, back = self._levels[triangle, self._after[triangle, point]].tolist()
+        return None if front == NONE or back == -NONE else (front, back)
 
     def _fan(self, point: int, first: int) -> list[int]:
         """Triangles about a point, counter-clockwise from the edge point → first."""
@@ -146,12 +188,8 @@ class TemplateMaker:
 
     def _own_fan(self, point: int) -> list[int]:
         """Triangles about a point of the footprint, in canonical order."""
-        if point in self._corner_of or point in self._side_of:
-            sides = self.tile.plan.sides
-            for side in sides:
-                at = np.flatnonzero(side[:-1] == point)
-                if len(at):
-                    return self._fan(point, int(side[at[0] + 1]))
+        if point in self._next:
+            return self._fan(point, self._next[point])
         start = min(q for p, q in self._spokes[point])
         return self._fan(point, start)
 
@@ -170,27 +208,28 @@ class TemplateMaker:
 
     def _wedges(self, point: int, states: dict[Offset, int]) -> list[tuple[Hashable, Column]]:
         """Columns about a point counter-clockwise, each with its tag: the index step to its cell, and its triangle."""
-        sides, half = self.tile.plan.sides, len(self.tile.plan.sides) // 2
-        around: list[
-            tuple[Offset, int]
-        ] = []  # cells about the point in canonical order, with their local point
+        half = len(self.tile.plan.sides) // 2
+        # cells about the point in canonical order; the point in them: (side, how many points on)
+        around: list[tuple[Offset, tuple[int, int]]] = []
         if point in self._corner_of:
             index, place = self._corner_of[point]
             cells = node_cells(self.lattice)[index]
             here = cells[place][0]
-            around = [((s[0] - here[0], s[1] - here[1]), int(sides[c][0])) for s, c in cells]
+            around = [((s[0] - here[0], s[1] - here[1]), (c, 0)) for s, c in cells]
         elif point in self._side_of:
             k, i = self._side_of[point]
             other = (k + half) % (2 * half)
-            pair = [((0, 0), point), (self.lattice.steps[k], int(sides[other][len(sides[other]) - 1 - i]))]
+            pair = [((0, 0), (k, i)), (self.lattice.steps[k], (other, -1 - i))]
             around = pair if k < half else pair[::-1]
-        else:
-            around = [((0, 0), point)]
         wedges: list[tuple[Hashable, Column]] = []
-        for offset, local in around:
+        if not around:
+            wedges += [(((0, 0), t), self._column(t, point)) for t in self._own_fan(point)]
+        for offset, (side, on) in around:
             state = CELL if offset == (0, 0) else states[offset]
             if state == CELL:
-                wedges += [((offset, t), self._column(t, local)) for t in self._own_fan(local)]
+                there = self.beside(offset)
+                local = int(there.tile.plan.sides[side][on])
+                wedges += [((offset, t), there._column(t, local)) for t in there._own_fan(local)]
             else:
                 wedges.append(((offset, -1), self._absent(state)))
         return wedges
@@ -226,8 +265,12 @@ class TemplateMaker:
     # -- templates ----------------------------------------------------------------------------
 
     def template(self, states: NDArray[np.uint8]) -> Template:
-        """The triangles a cell owns whose neighbours (in the order of `offsets`) are in these states."""
+        """The triangles a cell owns whose neighbours (in the order of `offsets`) are in these states; kept where cells
+        are alike.
+        """
         code = states.astype(np.uint8).tobytes()
+        if self.others is not None:
+            return self._make(dict(zip(self.offsets, states.tolist())), code)
         if code not in self._made:
             self._made[code] = self._make(dict(zip(self.offsets, states.tolist())), code)
         return self._made[code]
@@ -263,7 +306,7 @@ class TemplateMaker:
         point, level = point[used], level[used]
         owner, canonical = self.places[0][point], self.places[1][point]
         heights = np.asarray(level * self.tile.step, dtype=np.float64)
-        return Template(owner, canonical, level, self.tile.plan.xy[canonical], heights,
+        return Template(owner, canonical, level, self.xy[point], heights,
                         renumber[triangles], kind)  # fmt: skip
 
     def _walls(self, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:
@@ -286,15 +329,16 @@ class TemplateMaker:
         """Walls over side k of the tile."""
         sides, m = self.tile.plan.sides, len(self.tile.plan.sides)
         step = self.lattice.steps[k]
-        opposite = sides[(k + m // 2) % m][::-1]
+        there = self.beside(step) if states[step] == CELL else self
+        opposite = there.tile.plan.sides[(k + m // 2) % m][::-1]
         found: list[tuple[tuple[int, int], ...]] = []
         for i, (p, q) in enumerate(zip(sides[k][:-1].tolist(), sides[k][1:].tolist())):
             left = self._left[p, q]
             columns = (self._column(left, p), self._column(left, q))
             if states[step] == CELL:
                 p_there, q_there = int(opposite[i]), int(opposite[i + 1])
-                right = self._left[q_there, p_there]
-                others = (self._column(right, p_there), self._column(right, q_there))
+                right = there._left[q_there, p_there]
+                others = (there._column(right, p_there), there._column(right, q_there))
             else:
                 right = -1
                 others = (self._absent(states[step]),) * 2

@@ -168,7 +168,9 @@ def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, 
     samples : m pairs (samples, grid_at)
         Of `place`, along each side.
     """
-    xy, triangles, zone = planar.xy.copy(), planar.triangles.tolist(), planar.zone.tolist()
+    xy = planar.xy.copy()
+    triangles: list[list[int]] = []
+    zone: list[bool] = []
     sides = []
     new: list[Floats] = []
     m = len(tile)
@@ -182,8 +184,12 @@ def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, 
             new.append(point)
         side = [at[value] for value in t.tolist()]
         sides.append(np.asarray(side))
+        if added and not triangles:
+            triangles, zone = planar.triangles.tolist(), planar.zone.tolist()
         if added:
             _fan_side(triangles, zone, side, set(planar.sides[k].tolist()))
+    if not new:
+        return replace(planar, xy=xy, sides=tuple(sides))
     every = np.concatenate([xy, np.asarray(new).reshape(-1, 2)])
     fixed = np.concatenate([planar.fixed, np.ones(len(new), dtype=bool)])
     return replace(planar, xy=every, triangles=np.asarray(triangles, dtype=np.int64), zone=np.asarray(zone),

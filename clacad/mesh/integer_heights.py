@@ -8,13 +8,19 @@ roots, and only whole numbers are equal there whichever cell asks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import ceil, frexp, ldexp
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.sheet.window import Body, Window, lens_height
+from clacad.optics.surface import Biconic, Quadric, as_quadric, sag
+from clacad.sheet.lattice import Step
+from clacad.sheet.window import Body, Surface, Window, lens_height
+from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling
 from clacad.topology.wall_strips import linked
 
@@ -84,6 +90,12 @@ class CellLevels:
         Merge height in steps.
     bevel : length
         Width of the bevels at saddles; 0: none.
+    index : (i, j)
+        The cell, where each is a piece of its own.
+    others : callable or None
+        Index → heights of that cell; None: all cells are the same piece.
+    known, common : dict
+        What was worked out of this cell, and of all cells of the tiling.
     """
 
     window: Window
@@ -93,6 +105,37 @@ class CellLevels:
     step: float
     gap: int
     bevel: float = 0.0
+    index: Step = (0, 0)
+    others: Callable[[Step], CellLevels] | None = None
+    known: dict[Any, Any] = field(default_factory=dict, repr=False)
+    common: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    def of_cell(self, index: Step, others: Callable[[Step], CellLevels]) -> CellLevels:
+        """The same of the cell at `index`, with its own lenses; `others` gives its neighbours."""
+        at = np.array(index)
+        faces = [self.window.in_cell(face, at) for face in (self.body.front, self.body.back)]
+        front, back = (replace(face, surface=_simplest(face.surface)) for face in faces)
+        body = replace(self.body, front=front, back=back)
+        return replace(self, body=body, index=index, others=others, known={})
+
+    def beside(self, step: Step) -> CellLevels:
+        """The cell at an index step from this one, kept or not."""
+        if self.others is None or step == (0, 0):
+            return self
+        return self.others((self.index[0] + step[0], self.index[1] + step[1]))
+
+    def roots(self, k: int) -> Floats:
+        """`Border.roots` of border class k between this cell, its left, and the one on its right."""
+        border = self.tiling.borders[k]
+        if self.others is None:
+            return border.roots
+        bodies = self.body, self.beside(border.step).body
+        return roots_between(self.window, bodies, self.tiling.array, self.cells.columnar, k)
+
+    @cached_property
+    def at_corners(self) -> Ints:
+        """Front and back level at each corner of the tile, (m, 2), before any are merged."""
+        return self.levels(self.heights(self.tiling.tile))
 
     def meshed(self) -> tuple[bool, bool]:
         """Whether front and back belong to this tiling's mesh."""
@@ -108,6 +151,9 @@ class CellLevels:
                 out[:, n] = (-np.inf, np.inf)[n]
             elif face.array is None:
                 out[:, n] = face.vertex[2]
+            elif self.others is not None and face.untilted and not isinstance(face.surface, Quadric):
+                x, y, z = face.vertex  # upright: its sag needs no ray
+                out[:, n] = z + sag(face.surface, xy[:, 0] - x, xy[:, 1] - y)
             else:
                 out[:, n] = lens_height(face, xy[:, 0], xy[:, 1])
         return out
@@ -118,7 +164,7 @@ class CellLevels:
         back = to_levels(heights[..., 1], self.step, -NONE)
         return np.stack([front, back], axis=-1)
 
-    @property
+    @cached_property
     def land(self) -> tuple[int, int]:
         """Levels of the land, ±NONE where there is none."""
         out = []
@@ -134,8 +180,25 @@ class CellLevels:
         return self.body.front.array is None, self.body.back.array is None
 
 
+def _simplest(surface: Surface) -> Surface:
+    """The quadric with the same points, where there is one: its heights need no iteration."""
+    if not isinstance(surface, Biconic):
+        return surface
+    try:
+        return as_quadric(surface)
+    except ValueError:
+        return surface
+
+
 def shortest(make: CellLevels) -> float:
     """Least distance of two points: 8 float32 spacings at the sheet's rim (length)."""
+    if "shortest" not in make.common:
+        make.common["shortest"] = _shortest(make)
+    return float(make.common["shortest"])
+
+
+def _shortest(make: CellLevels) -> float:
     x0, x1, y0, y1 = make.window.lattice.extent()
-    reach = max(abs(x0), abs(x1), abs(y0), abs(y1)) + max(abs(s) for s in make.tiling.shift)
+    scale = max(make.window.placements[make.tiling.array].scale(make.window.lattice))
+    reach = max(abs(x0), abs(x1), abs(y0), abs(y1)) * scale + max(abs(s) for s in make.tiling.shift)
     return 8.0 * 2.0**-23 * reach

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, pi, sin, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bytes, Floats, Ints
-from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset, TemplateMaker
+from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, Offset
 from clacad.sheet.edge_columns import RADIUS
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
 from clacad.topology.cannot_build import CannotBuild
+
+if TYPE_CHECKING:
+    from clacad.mesh.body_mesh import Tiled
 
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
 
@@ -36,7 +40,8 @@ def outline_polygon(window: Window) -> Floats:
     angle = (2 * np.arange(n) + 1) * (pi / n)
     unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     equal = r * sqrt(2.0 * pi / n / sin(2.0 * pi / n))
-    corners = lattice.centres(lattice.cells())[:, None, :] + lattice.tile()
+    widest = max((place.lattice(lattice) for place in window.placements), key=lambda one: one.pitch)
+    corners = widest.centres(lattice.cells())[:, None, :] + widest.tile()
     # the reach of a corner towards the polygon's side nearest to it
     across = np.hypot(corners[..., 0], corners[..., 1]).max(initial=0.0)
     if across >= equal * np.cos(pi / n) * (1.0 - 1e-6):
@@ -65,12 +70,15 @@ def row_states(
     row: Ints,
     offsets: tuple[Offset, ...],
     ringed: bool,
+    places: Lattice,
     shift: tuple[float, float] = (0.0, 0.0),
 ) -> Bytes:
     """What stands about each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
 
     ringed : bool
         Whether there is land out to the window's outline.
+    places : Lattice
+        Pattern of the cells about their own middle.
     shift : (2,) lengths
         Displacement of the cells against the centre of the outline.
     """
@@ -81,15 +89,17 @@ def row_states(
         states[kept, n] = CELL
         if ringed and not kept.all():
             absent = np.flatnonzero(~kept)
-            states[absent[_reaches_inside(window, there[absent], shift)], n] = PLAIN
+            states[absent[_reaches_inside(window, there[absent], places, shift)], n] = PLAIN
     return states
 
 
-def _reaches_inside(window: Window, index: Ints, shift: tuple[float, float]) -> NDArray[np.bool_]:
+def _reaches_inside(
+    window: Window, index: Ints, places: Lattice, shift: tuple[float, float]
+) -> NDArray[np.bool_]:
     """Whether a cell's footprint overlaps the inside of the outline (neighbours of kept cells only)."""
     if not isinstance(window.outline, Rectangle):
         return np.ones(len(index), dtype=bool)  # a round outline keeps clear of the kept cells
-    corners = window.lattice.centres(index)[:, None, :] + window.lattice.tile() + np.array(shift)
+    corners = places.centres(index)[:, None, :] + places.tile() + np.array(shift)
     half = 0.5 * np.array([window.outline.width, window.outline.height])
     half -= _TOUCH * half.max()
     return np.asarray(((corners.min(axis=1) < half) & (corners.max(axis=1) > -half)).all(axis=1))
@@ -128,17 +138,16 @@ def boundary(lattice: Lattice) -> list[tuple[int, int, int]]:
     return found
 
 
-def make_land(
-    window: Window, maker: TemplateMaker, shift: tuple[float, float], centre: tuple[float, float]
-) -> LandRing:
+def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> LandRing:
     """Triangulate the land between the cells of one tiling and the outline.
 
     Parameters
     ----------
-    window, maker
-        The maker of the tiling's templates gives the points of the cells' sides.
-    shift, centre : (2,) lengths
-        Displacement of the tiling's cells; centre of the outline.
+    window
+    tiled : Tiled
+        Its makers give the points of the cells' sides.
+    centre : (2,) lengths
+        Of the outline.
 
     Raises
     ------
@@ -151,10 +160,14 @@ def make_land(
     position: dict[Key, tuple[float, float]] = {}
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
-    for i, j, k in boundary(window.lattice):
-        keys = _side_keys(maker, i, j, k)
-        for key in (key for key in keys if key not in position):
-            position[key] = _place(window, maker, shift, key)
+    edge = boundary(window.lattice)
+    by_row = (
+        edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])
+    )  # own cells are held for some rows
+    points = {at: _side_points(tiled, *at) for at in by_row}
+    for i, j, k in edge:
+        keys = list(points[i, j, k])
+        position |= {key: at for key, at in points[i, j, k].items() if key not in position}
         ends = np.array([position[keys[0]], position[keys[-1]]])
         if not free and len(_on_side(polygon, ends, scale)):
             for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
@@ -173,19 +186,17 @@ def make_land(
     return LandRing(keys, position, triangulate_loops(rings, number, position), rim)
 
 
-def _place(window: Window, maker: TemplateMaker, shift: tuple[float, float], key: Key) -> tuple[float, float]:
-    """Where a point lies, in the frame of its owner: x, y on the sheet (lengths)."""
-    c = window.lattice.centres(np.array([key[:2]]))[0]
-    x, y = maker.tile.plan.xy[key[2]]
-    return float(c[0] + shift[0] + x), float(c[1] + shift[1] + y)
-
-
-def _side_keys(maker: TemplateMaker, i: int, j: int, k: int) -> list[Key]:
-    """Points of side k of cell i, j, each by the cell that owns it."""
-    owner, point = maker.places
-    return [
-        (i + int(owner[p][0]), j + int(owner[p][1]), int(point[p])) for p in maker.tile.plan.sides[k].tolist()
-    ]
+def _side_points(tiled: Tiled, i: int, j: int, k: int) -> dict[Key, tuple[float, float]]:
+    """Points of side k of cell i, j, each by the cell that owns it: x, y on the sheet (lengths)."""
+    maker, shift = tiled.maker_at(i, j), tiled.shift
+    side = maker.tile.plan.sides[k]
+    owner = maker.places[0][side] + (i, j)
+    point = maker.places[1][side].tolist()
+    centres = tiled.lattice.centres(owner)
+    return {
+        (*step, p): (float(c[0] + shift[0] + x), float(c[1] + shift[1] + y))
+        for step, p, c, (x, y) in zip(owner.tolist(), point, centres, maker.xy[side])
+    }
 
 
 def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:

@@ -53,7 +53,7 @@ def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
     """
     own = len(tiled) == 1 and window.form != "slab" and not isinstance(window.outline, Plate)
     centre = tiled[0].shift if own else (0.0, 0.0)
-    lands = [make_land(window, t.maker, t.shift, centre) for t in tiled]
+    lands = [make_land(window, t, centre) for t in tiled]
     build = _Builder(step)
     if len(tiled) == 1:
         front, back = tiled[0].maker.tile.land
@@ -100,13 +100,12 @@ def _quad(build: _Builder, land: LandRing, p: Key, q: Key, front: int, back: int
 def _chain(build: _Builder, land: LandRing, tiled: Tiled, side: int, face: int) -> list[tuple[float, int]]:
     """The face's edge along one side of the outline: (distance, vertex), jumps between cells included."""
     chain: list[tuple[float, int]] = []
-    maker = tiled.maker
     segments = [s for s in land.rim if s[0] == side]
     origin = np.array(land.position[segments[0][1]])
     for _, p, q, cell in segments:
-        levels = (maker.tile.land[face],) * 2
+        levels = (tiled.maker.tile.land[face],) * 2
         if cell is not None:
-            levels = maker.border_levels(cell[2], cell[3], face)
+            levels = tiled.maker_at(*cell[:2]).border_levels(cell[2], cell[3], face)
         for key, level in zip((p, q), levels):
             at = land.position[key]
             number = build.vertex(_key(key, face), level, at)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
-from clacad.mesh.border_samples import settle_inside, settle_sides, with_borders
+from clacad.mesh.border_samples import BorderSamples, settle_inside, settle_sides, with_borders
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE, VOID, CellLevels
 from clacad.mesh.rim_cut import Curve, cut, land_curve, rim_curve, side_of
 from clacad.mesh.saddle_bevel import added_volume, bevelled, check_width
@@ -42,6 +42,8 @@ class Prototile:
         Parameters of the points of each side of the tile.
     lifted : (m, 2, 3) int64 or None
         Levels of front and back at the corners of triangles that a saddle's bevel raises, NONE elsewhere.
+    on_left : m arrays (n, 2), lengths
+        Points of each side but its ends, in the frame of the border's left cell, in the border's direction.
     """
 
     plan: pl.Planar
@@ -52,6 +54,7 @@ class Prototile:
     step: float
     side_t: tuple[Floats, ...]
     lifted: Ints | None = None
+    on_left: tuple[Floats, ...] = ()
 
     def corner_levels(self) -> Ints:
         """Front and back level at each triangle's corners, (m, 3, 2); NONE, −NONE where void."""
@@ -99,10 +102,8 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
         with no defined edge.
     """
     window = make.window
-    zone = optical_tile(window)
-    plan = pl.grid(window.lattice, make.tiling.tile, zone, quads, _diagonal(make, zone, quads))
-    plan, side_t, levels = with_borders(make, plan, quads)
-    lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), levels)
+    plan, side_t, borders = with_borders(make, _grid(make, quads), quads)
+    lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), borders)
     plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
         raise CannotBuild(
@@ -116,7 +117,29 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
-    return Prototile(plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted)
+    return Prototile(
+        plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted, _on_left(make, borders)
+    )
+
+
+def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ...]:
+    """Points (n, 2) of each side, both ends left out, in the frame of the border's left cell and in its direction."""
+    tile, m = make.tiling.tile, len(make.tiling.tile)
+    half = m // 2
+    return tuple(
+        pl.side_points(tile[k % half], tile[(k % half + 1) % m], border.t)[1:-1]
+        for k, border in enumerate(borders)
+    )
+
+
+def _grid(make: CellLevels, quads: int) -> pl.Planar:
+    """The regular grid over a cell, common to all cells of a tiling: that of the first for which it is asked."""
+    if ("grid", quads) not in make.common:
+        zone = optical_tile(make.window, make.tiling.array)
+        diagonal = _diagonal(make, zone, quads)
+        make.common["grid", quads] = pl.grid(make.window.lattice, make.tiling.tile, zone, quads, diagonal)
+    found: pl.Planar = make.common["grid", quads]
+    return found
 
 
 def _with_rims(make: CellLevels, plan: pl.Planar, lens: Ints) -> tuple[pl.Planar, Ints, NDArray[np.uint8]]:

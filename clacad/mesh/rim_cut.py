@@ -78,6 +78,9 @@ def cut(
     """
     for stage in ("warp", "snap", "cut"):
         now = curve.value(lens)
+        mine = now[plan.triangles[region]]
+        if not mine.size or mine.min() >= 0 or mine.max() <= 0:
+            break  # nothing is crossed
         edges, number = pl.edges_of(plan.triangles)
         wanted = np.zeros(len(edges), dtype=bool)
         wanted[number[region]] = True

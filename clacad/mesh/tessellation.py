@@ -10,7 +10,7 @@ from clacad.mesh.cell_template import TemplateMaker
 from clacad.mesh.facet_error import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_triangles import make_plain
-from clacad.mesh.prototile import Prototile, make_prototile
+from clacad.mesh.prototile import make_prototile
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Body, Window
 from clacad.topology.build_complex import cell_complex, saddle_count
@@ -55,7 +55,10 @@ def tessellate(
         inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
     """
     need_window(window, "tessellate", ", quads=16")
-    need_equal_cells(window, "a mesh", "STEP holds it")
+    if saddle_bevel > 0.0:
+        need_equal_cells(
+            window, "a bevel at saddles", "without them columns that touch keep vertices of their own"
+        )
     if (slope_error is None) == (quads is None):
         raise ValueError("tessellate needs exactly one of slope_error (radians) and quads (per cell side)")
     if quads is None:
@@ -72,11 +75,8 @@ def mesh_body(
 ) -> BodyMesh:
     """Mesh one body; see `tessellate`."""
     parts = _parts(window, body, merge, saddle_bevel)
-    tiles = [parts.tile(n, quads) for n in range(len(parts.cells.tilings))]
-    tiled = tuple(
-        Tiled(TemplateMaker(tile, window.lattice), tiling.shift)
-        for tile, tiling in zip(tiles, parts.cells.tilings)
-    )
+    tiled = tuple(parts.tiled(n, quads) for n in range(len(parts.cells.tilings)))
+    tiles = [one.maker.tile for one in tiled]
     ringed = window.outline is not None and all(abs(level) != NONE for tile in tiles for level in tile.land)
     if len(tiled) > 1 and not ringed:
         raise CannotBuild(
@@ -108,12 +108,22 @@ class _Parts:
     gap: int
     bevel: float
 
-    def tile(self, tiling: int, quads: int) -> Prototile:
-        """The prototile of one tiling."""
-        make = CellLevels(
-            self.window, self.body, self.cells, self.cells.tilings[tiling], self.step, self.gap, self.bevel
-        )
-        return make_prototile(make, quads)
+    def tiled(self, number: int, quads: int) -> Tiled:
+        """One tiling: of one prototile, or of one a cell."""
+        tiling = self.cells.tilings[number]
+        make = CellLevels(self.window, self.body, self.cells, tiling, self.step, self.gap, self.bevel)
+        lattice = self.window.lattice_of(tiling.array)
+        faces = [self.body.front, self.body.back]
+        mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
+        if not mine:
+            return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
+        from clacad.mesh.own_cells import OwnCells  # sheets of equal cells have no use for it
+
+        own = OwnCells(make, quads)
+        i, j = next(
+            row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))
+        ).tolist()
+        return Tiled(own.at((i, j)), tiling.shift, lattice, own)
 
 
 def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) -> _Parts:
@@ -146,9 +156,9 @@ def slope_error_at(window: Window, quads: int) -> float:
     worst = 0.0
     for body in window.bodies:
         parts = _parts(window, body, None)
-        worst = max(
-            worst, *(facet_errors(parts.tile(n, quads), body)[0] for n in range(len(parts.cells.tilings)))
-        )
+        for n in range(len(parts.cells.tilings)):
+            judged = parts.tiled(n, quads).judged(window, body)
+            worst = max(worst, *(facet_errors(maker.tile, one)[0] for maker, one in judged))
     return worst
 
 

@@ -12,6 +12,7 @@ from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats, Ints
 from clacad.mesh.body_mesh import BodyMesh
 from clacad.mesh.cell_template import BACK, FRONT, Template
+from clacad.sheet.lattice import Lattice
 from clacad.sheet.window import Body, Window, lens_height_and_normal
 
 
@@ -49,19 +50,20 @@ def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
         raise ValueError(f"body {body.name!r} has displaced faces: none of its cells is a solid of its own")
     maker = mesh.tiled[0].maker
     template = maker.template(np.zeros(len(maker.offsets), dtype=np.uint8))
-    vertices = np.concatenate([local_xy(window, template), template.z[:, None]], axis=1)
-    return CellSolid(vertices, template.triangles, template.kind, template_normals(window, body, template))
+    vertices = np.concatenate([local_xy(window.lattice, template), template.z[:, None]], axis=1)
+    normals = template_normals(window.lattice, body, template)
+    return CellSolid(vertices, template.triangles, template.kind, normals)
 
 
-def local_xy(window: Window, template: Template) -> Floats:
+def local_xy(lattice: Lattice, template: Template) -> Floats:
     """A template's vertices in its own cell's frame, (v, 2) lengths."""
-    origin = window.lattice.centres(np.zeros(2, dtype=np.int64))
-    return np.asarray(template.xy + (window.lattice.centres(template.owner) - origin))
+    origin = lattice.centres(np.zeros(2, dtype=np.int64))
+    return np.asarray(template.xy + (lattice.centres(template.owner) - origin))
 
 
-def template_normals(window: Window, body: Body, template: Template) -> Floats:
+def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats:
     """Outward unit normals at the corners of a template's triangles, (t, 3, 3)."""
-    corners = np.concatenate([local_xy(window, template), template.z[:, None]], axis=1)[template.triangles]
+    corners = np.concatenate([local_xy(lattice, template), template.z[:, None]], axis=1)[template.triangles]
     facet = doubled_normals(corners)
     facet /= np.linalg.norm(facet, axis=1, keepdims=True)
     normals = np.repeat(facet[:, None, :], 3, axis=1)
@@ -79,12 +81,17 @@ def template_normals(window: Window, body: Body, template: Template) -> Floats:
 def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
     """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
     known: dict[int, Floats] = {}
-    for template, cells in mesh.parts():
+    for block, cells in mesh.parts():
+        template, own = block.template, block.tiled.own
+        if own is not None:
+            i, j = block.cells[0].tolist()
+            yield template_normals(block.tiled.lattice, own.body_at((i, j)), template)
+            continue
         if id(template) not in known:
-            known[id(template)] = template_normals(mesh.window, mesh.body, template)
+            known[id(template)] = template_normals(block.tiled.lattice, mesh.body, template)
         yield np.tile(known[id(template)], (cells, 1, 1))
     if len(mesh.plain.triangles):
-        corners = mesh.plain.vertices[mesh.plain.triangles]
+        corners = mesh.plain.corners
         facet = doubled_normals(corners)
         facet /= np.linalg.norm(facet, axis=1, keepdims=True)
         yield np.repeat(facet[:, None, :], 3, axis=1)

@@ -25,10 +25,9 @@ def flux(corners: Floats) -> Floats:
 def mesh_volume(mesh: BodyMesh) -> float:
     """Sum the flux over the templates, each times its number, and the land (length³)."""
     parts: list[float] = []
-    lattice = mesh.window.lattice
-    for template, number in mesh.census:
+    for template, lattice, number in mesh.census:
         xy = template.xy + (lattice.centres(template.owner) - lattice.centres(np.zeros(2, dtype=np.int64)))
         corners = np.concatenate([xy, template.z[:, None]], axis=1)[template.triangles]
         parts.append(number * fsum(flux(corners).tolist()))
-    parts += flux(mesh.plain.vertices[mesh.plain.triangles]).tolist()
+    parts += flux(mesh.plain.corners).tolist()
     return fsum(parts)

@@ -81,6 +81,15 @@ def sheet(eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0)
     return ChiefRays(np.array([[1.0, separation], [-kappa / eta, 1.0 / eta]]), np.array([0.0, -delta / eta]))
 
 
+def with_field_lens(eta: float, aside: float, delta: float = 0.0) -> ChiefRays:
+    """A sheet whose field lens images lens 1 onto lens 2: chief rays leave in the middle of cell 2 whatever their slope.
+
+    aside : float, length
+        How far off cell 1 its partner's middle stands.
+    """
+    return ChiefRays(np.array([[1.0, 0.0], [0.0, 1.0 / eta]]), np.array([aside, -delta / eta]))
+
+
 def of_beams(eta: float, separation: float, delta: float = 0.0) -> ChiefRays:
     """The same for the middle of the light that gets through, which for |η| > 1 is no chief ray.
 

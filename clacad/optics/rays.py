@@ -132,8 +132,13 @@ class TraceResult:
 
     def counts(self) -> dict[str, int]:
         """Number of rays of each fate, by name; every fate is listed and the numbers add up to n."""
-        number = np.bincount(self.fate, minlength=len(Fate))
-        return {fate.name: int(number[fate]) for fate in Fate}
+        return fate_counts(self.fate)
+
+
+def fate_counts(fates: NDArray[np.uint8]) -> dict[str, int]:
+    """Number of rays of each fate (n,), by name; every fate is listed and the numbers add up to n."""
+    number = np.bincount(fates, minlength=len(Fate))
+    return {fate.name: int(number[fate]) for fate in Fate}
 
 
 def as_rays(rays: Rays | OneRay) -> Rays:

@@ -71,7 +71,7 @@ class Aim:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class AimedRays:
     """An aim at a design: the rays, and what may go wrong.
 
     lights : tuple of (AskedLight, root of its share of the weights)
@@ -85,7 +85,7 @@ class Target:
     few: AskedLight
 
     @staticmethod
-    def of(aim: Aim, design: Design, window: Window) -> Target:
+    def of(aim: Aim, design: Design, window: Window) -> AimedRays:
         """The target of an aim at a design whose window, to start from, is built.
 
         Raises
@@ -107,7 +107,7 @@ class Target:
             rays=Rays(most.rays.position[::step], most.rays.direction[::step]),
             asked=most.asked[::step],
         )
-        return Target(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
+        return AimedRays(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
 
     def residuals(self, trial: Window) -> Floats:
         """Residuals (m,) of a trial, radians: their sum of squares is the expected mean square error."""

@@ -15,7 +15,7 @@ from clacad.config.mistakes import Mistake
 from clacad.design import Design
 from clacad.design.search_record import SearchRecord, faces_digest
 from clacad.optics.fit import minimise
-from clacad.optimising.aim import RAYS, Aim, Target
+from clacad.optimising.aim import RAYS, Aim, AimedRays
 from clacad.optimising.search_walls import Walls, penalties
 from clacad.optimising.trial_faces import given_design, trial_design, with_faces
 from clacad.optimising.unknowns import Unknowns
@@ -67,7 +67,7 @@ class FaceSearch:
         self.design, self.window, self.unknowns, self.aim = design, window, unknowns, aim
         self.progress, self.until = progress, until
         self.walls = Walls.of(design, window)
-        self.target = Target.of(aim, design, window)
+        self.target = AimedRays.of(aim, design, window)
         self.evaluations = 0
         self.best: Best | None = None
         self.nearest = (-inf, "")

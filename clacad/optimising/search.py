@@ -9,7 +9,7 @@ from typing import Any
 
 from clacad.design import Design
 from clacad.design.given_faces import face_table
-from clacad.optimising.aim import RAYS, WHOLE, Aim, Target, Weights
+from clacad.optimising.aim import RAYS, WHOLE, Aim, AimedRays, Weights
 from clacad.optimising.face_search import FaceSearch, Progress
 from clacad.optimising.measured_light import FIELDS, Seen, measured
 from clacad.optimising.unknowns import chosen
@@ -159,5 +159,5 @@ def outlook(
     k = len(unknowns.free)
     evaluations = 10.0 + 0.8 * k * k  # measured: 16, 37, 34 and 379 of 4, 8, 10 and 20 unknowns
     each = (0.005 if unknowns.still else 0.02) * (1.5 if "a4" in free else 1.0) * len(weights)
-    each += 0.008 * len(Target.of(aim, design, window).errors)
+    each += 0.008 * len(AimedRays.of(aim, design, window).errors)
     return {"unknowns": k, "evaluations": evaluations, "seconds": 0.6 + each * evaluations}

@@ -50,7 +50,7 @@ MOST_TRACED = 1_000_000
 
 
 @dataclass(frozen=True)
-class Aim:
+class AimPoint:
     """The point that a sheet is aimed at, sheet frame, lengths."""
 
     point: tuple[float, float, float]
@@ -75,7 +75,7 @@ def aimed(window: Window, design: Design) -> Window:
     NoSuchLens
         CL121: what an aimed sheet cannot have; CL122: the viewer is too near; CL123: lens 2 would be too steep.
     """
-    aim = Aim(design.lattice.aperture.point)  # type: ignore[union-attr]
+    aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
     _refuse_combinations(design)
     _refuse_near(aim, window)
     cells = row_ends(window.lattice)
@@ -127,7 +127,7 @@ def _straight(height: float) -> Landing:
     return lambda slope: (height * slope[0], height * slope[1])
 
 
-def _placed(aim: Aim, lattice: Lattice, cells: Ints, landing: Landing) -> CellPlacement:
+def _placed(aim: AimPoint, lattice: Lattice, cells: Ints, landing: Landing) -> CellPlacement:
     """Where array 2's cells stand: L(a) = L(0) + k a with k of the cell whose light is the most aslant."""
     slopes = aim.slopes(lattice.centres(cells))
     a = slopes[int(np.argmax((slopes**2).sum(axis=1)))]
@@ -161,7 +161,7 @@ def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
     return replace(body, front=faces[0], back=faces[1])
 
 
-def _table(aim: Aim, window: Window) -> Floats:
+def _table(aim: AimPoint, window: Window) -> Floats:
     """Moves (n1, n2, 2) of lens 2 in every cell, lengths; 0 in cells that are not kept."""
     lattice = window.lattice
     cells = lattice.cells()
@@ -201,7 +201,7 @@ def _refuse_combinations(design: Design) -> None:
             raise NoSuchLens(f"a sheet aimed at a point cannot have {what}", key=key, code="CL121", hint=hint)
 
 
-def _refuse_near(aim: Aim, window: Window) -> None:
+def _refuse_near(aim: AimPoint, window: Window) -> None:
     """A point within ten separations, in the sheet or too near; CL122."""
     z, least = aim.point[2], NEAREST * window.thin.separation
     if abs(z) < least:
@@ -212,7 +212,7 @@ def _refuse_near(aim: Aim, window: Window) -> None:
         )  # fmt: skip
 
 
-def _refuse_steep(aim: Aim, window: Window, design: Design, place: CellPlacement, cells: Ints) -> None:
+def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlacement, cells: Ints) -> None:
     """Lens 2 must not be used too far from its vertex; CL123, with the distance that works."""
     cell, far = _farthest(aim, window, place, cells)
     if design.pair.offset != "paraxial":
@@ -227,7 +227,7 @@ def _refuse_steep(aim: Aim, window: Window, design: Design, place: CellPlacement
         )  # fmt: skip
 
 
-def _refuse_stray(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> None:
+def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> None:
     """Cells of array 2 must stand within p/100 of the light they are for; CL123."""
     off, (x, y) = _stray(aim, window, place, cells)
     if off > OFF * min(window.lattice.pitch):
@@ -238,7 +238,7 @@ def _refuse_stray(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -
         )  # fmt: skip
 
 
-def _farthest(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:
+def _farthest(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:
     """The cell (2,) whose lens 2 stands farthest from its middle, and where (2,) from it, by paraxial rays, lengths."""
     vertex = next(face.vertex for face in window.faces if face.array == 1)
     places = _vertex_change(place, window.lattice, None).at(window.lattice, cells) + np.subtract(
@@ -256,7 +256,7 @@ def _least_radius(window: Window) -> float:
     return 1.0 / max(bent)
 
 
-def _stray(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> tuple[float, Floats]:
+def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[float, Floats]:
     """How far light lands from the middle of its cell of array 2 at most, length, and where it comes in (2,)."""
     centres, landing = window.lattice.centres(cells), _landing(window)
     foot = np.array(aim.point[:2])
@@ -268,12 +268,12 @@ def _stray(aim: Aim, window: Window, place: CellPlacement, cells: Ints) -> tuple
     return float(np.max(off)), tried[int(np.argmax(off))]
 
 
-def _way_out(aim: Aim, window: Window, cells: Ints) -> str:
+def _way_out(aim: AimPoint, window: Window, cells: Ints) -> str:
     """The nearest distance of the viewer, at three digits, from which the sheet can be made, and what else helps."""
     half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
 
     def works(z: float) -> bool:
-        trial = Aim((aim.point[0], aim.point[1], z))
+        trial = AimPoint((aim.point[0], aim.point[1], z))
         place = _placed(trial, window.lattice, cells, _landing(window))
         used = float(np.hypot(*_farthest(trial, window, place, cells)[1])) + half
         return used <= STEEPEST * radius and _stray(trial, window, place, cells)[0] <= OFF * 2.0 * half

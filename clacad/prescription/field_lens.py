@@ -28,13 +28,11 @@ from clacad.design.sections import AimedAt
 from clacad.optics.surface import Quadric, Surface
 from clacad.prescription.given import GivenFaces
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
+from clacad.sheet.gap import FIELD as ARRAY
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
 
 if TYPE_CHECKING:
     from clacad.prescription.assemble import Intent
-
-ARRAY = 2
-"""Number of the field lens's array; lens 1 and lens 2 have 0 and 1."""
 
 STEEPEST = 1.05
 """Least radius of a field face over half the width of its cell."""
@@ -160,7 +158,7 @@ def paired_plates(eta: float, separation: float, gap: float) -> Plates:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class FieldBodies:
     """Bodies of a window with a field lens.
 
     moved : (x, y), lengths
@@ -180,7 +178,7 @@ class Placed:
     told: dict[str, object]
 
 
-def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
+def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     """Two plates with the field lens on both inner faces, lens radii times `scale`; separation: length."""
     eta, n = intent.eta[0], intent.index
     plates = paired_plates(eta, separation, air_gap(intent))
@@ -220,7 +218,7 @@ def two_plates(intent: Intent, separation: float, scale: float) -> Placed:
         "R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic, "gap": plates.gap,
         "thickness": thickness, "equal_plates": _equal(first, second),
     }  # fmt: skip
-    return Placed((first, second), _pair(moved), _pair(centre), offset, told)
+    return FieldBodies((first, second), _pair(moved), _pair(centre), offset, told)
 
 
 def _equal(first: Body, second: Body) -> bool:
@@ -247,7 +245,7 @@ def _equal(first: Body, second: Body) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Plate:
+class FieldPlate:
     """The plate with the field lens, and where its faces stand; lengths along the lens axis.
 
     foci : (x, y)
@@ -283,7 +281,7 @@ def _behind_centre(radius: float, thickness: float, index: float) -> float:
     return 0.5 * thickness + (1.0 - shrunk) / power
 
 
-def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, behind: float) -> Plate:
+def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, behind: float) -> FieldPlate:
     """The field plate of a pair whose lens 1 has its foci there, with `behind` of air from the far one to the next body.
 
     focal_length : ((f1x, f1y), (f2x, f2y)), lengths
@@ -330,10 +328,10 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
         "R": radius if crossed else radius[0], "f": power if crossed else power[0],
         "conic": _conic(intent, -(n**2)), "thickness": thickness,
     }  # fmt: skip
-    return Plate(foci, thickness, told)
+    return FieldPlate(foci, thickness, told)
 
 
-def plate_body(intent: Intent, plate: Plate, points: tuple[Floats, Floats]) -> tuple[Body, Pair2]:
+def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats]) -> tuple[Body, Pair2]:
     """The plate's body, and the displacement of its cells (lengths).
 
     points : ((2,), (2,)) lengths, lens frame

@@ -88,7 +88,7 @@ def _with_holes(vertices: tuple[Vertex, ...], size: Pair2, body: BodySpec) -> Pl
     ]
     if body.pins is not None:
         diameter = body.pins.diameter + body.pins.play
-        asked += [(Hole(x, y, diameter, "pin"), "body.pins") for x, y in body.pins.at]
+        asked += [(Hole(x, y, diameter, "pin", body.pins.play), "body.pins") for x, y in body.pins.at]
     holes: list[Hole] = []
     for hole, key in asked:
         holes.append(_fitting(plate, holes, hole, key))

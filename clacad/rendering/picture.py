@@ -22,7 +22,6 @@ from clacad.rendering.pixel_input import SampleRange, Sums, sample
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import Viewing, radiance, set_up
 from clacad.scene import Scene, SceneError, load_scene
-from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 
 Progress = Callable[[str, float | None], None]
@@ -139,7 +138,7 @@ def checked_frames(scene: Scene) -> list[Scene]:
         try:
             still = scene.at(frame)
             for design in still.designs():
-                equal_cells(prescribe(design), "a picture through the sheet")
+                prescribe(design)
             stills.append(still)
         except DesignError as error:
             mistakes += [mistake for mistake in error.mistakes if mistake not in mistakes]
@@ -159,9 +158,7 @@ def view_through(scene: Scene, *, threads: int | None = None, progress: Progress
     from clacad.tracing.compiled.threads import thread_count
 
     still = scene.at(0) if scene.animation is not None else scene
-    window = equal_cells(
-        prescribe(still.design()) if window is None else window, "a picture through the sheet"
-    )
+    window = prescribe(still.design()) if window is None else window
     view = aim(still.camera)
     fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)

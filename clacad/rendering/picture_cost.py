@@ -17,7 +17,6 @@ from clacad.rendering.camera import View, aim
 from clacad.rendering.picture import tile, tried, worth_compiling
 from clacad.rendering.view import Viewing, set_up
 from clacad.scene import Scene
-from clacad.sheet.need_window import equal_cells
 
 if TYPE_CHECKING:
     from clacad.rendering.atlas.make_atlas import AtlasJob
@@ -54,12 +53,7 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
     frames : int
     """
     view = aim(scene.camera)
-    viewing = set_up(
-        scene,
-        equal_cells(prescribe(scene.design()), "a picture through the sheet"),
-        worth_compiling(scene),
-        passage,
-    )
+    viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene), passage)
     each = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
     return frames * (FIXED + each * _again(viewing, scene, view) * view.width * view.height)
 
@@ -128,7 +122,8 @@ LABELLED, PER_ATLAS_RAY, PER_FIGURE, PER_SOLID_RAY = 0.1, 1.7e-7, 2.0, 7e-6
 def atlas_seconds(job: AtlasJob) -> float:
     """Processor seconds of an atlas: its stills, the frames of its movies, and what is measured."""
     frames = [still for movie in job.movies for still in movie.frames]
-    total = _drawn(list(job.stills.values())) + _drawn(frames)
+    twice = [job.stills[stem] for figure in job.figures if figure.ghosts_marked for stem, _ in figure.scenes]
+    total = _drawn([*job.stills.values(), *twice]) + _drawn(frames)
     if job.first is not None:
         total += LABELLED + PER_SOLID_RAY * _rays(job.first[1])
     measured = len(job.figures) + (job.first is not None)

@@ -34,6 +34,8 @@ def pane_of(
     exact = passage.rung == "surfaces" and passage.plain
     if len(lines) != 1 or not lines[0].whole or (present and not (plane or exact)):
         return None
+    if not window.uniform:  # traced a block at a time, by `Passage.light`
+        return None
     from clacad.rendering.compiled import pixels as kernel
     from clacad.rendering.compiled.hole_beside_lens import suits
     from clacad.tracing.compiled.packing import pack

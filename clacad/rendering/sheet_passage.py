@@ -17,6 +17,7 @@ from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.scene import Scene, SheetSpec
 from clacad.sheet.stack import Stack, StackedSheet, standing
 from clacad.sheet.window import Window
+from clacad.storage.errors import BadRequest
 from clacad.tracing.through_stack import entering, leaving
 from clacad.tracing.trace import trace
 
@@ -56,6 +57,8 @@ class Passage:
         The effects; None for geometry alone.
     mesh : Mesh, str or None
         Rung mesh: the triangles.
+    continuous : bool
+        Rung law: by the law at the very point met, not that of the cell hit.
     several : tuple of StackedPassage
         All sheets, where there are more than one; the rest says how rays pass the first.
     """
@@ -65,6 +68,7 @@ class Passage:
     plan: Plan | None = None
     mesh: Mesh | str | None = None
     several: tuple[StackedPassage, ...] = ()
+    continuous: bool = False
 
     @property
     def plain(self) -> bool:
@@ -98,8 +102,11 @@ class Passage:
 
     def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
         """Trace a block of rays through one sheet, in its frame, on this thread alone, and give what shines."""
-        path: Literal["numpy", "numba"] = "numba" if compiled else "numpy"
+        known = window.uniform or self.rung == "surfaces"  # the rungs compiled where cells differ
+        path: Literal["numpy", "numba"] = "numba" if compiled and known else "numpy"
         options: dict[str, Any] = {} if self.mesh is None else {"mesh": self.mesh}
+        if self.continuous:
+            options["continuous"] = True
         if self.plain or self.plan is None:
             result = trace(window, rays, self.rung, threads=1, path=path, **options)
             rows = np.flatnonzero(np.isin(result.fate, self.shining))
@@ -229,10 +236,27 @@ def _passage(scene: Scene, sheet: SheetSpec, plan: Plan, window: Window) -> Pass
 
         mesh = scene.file(sheet.mesh) if sheet.mesh else tessellate(window, quads=sheet.quads)
     ghosts = (int(Fate.GHOST),) if "ghosts" in plan.names else ()
-    return Passage(cast(Rung, plan.rung), (int(Fate.ALIVE), int(Fate.LAND), *ghosts), plan, mesh)
+    shining = (int(Fate.ALIVE), int(Fate.LAND), *ghosts)
+    return Passage(cast(Rung, plan.rung), shining, plan, mesh, continuous=_smooth(sheet, window))
+
+
+def _smooth(sheet: SheetSpec, window: Window) -> bool:
+    """Whether a sheet is shown by the law at the very point met.
+
+    Raises
+    ------
+    BadRequest
+        Its law is a table's, which has no values between its cells.
+    """
+    if sheet.continuous and window.cell_laws is not None and window.cell_laws.smooth is None:
+        raise BadRequest(
+            "sheet.continuous: the law of this sheet is a table's, which has no values between its cells; leave the key out"
+        )
+    return sheet.continuous
 
 
 def geometry_alone(scene: Scene, direct: bool = False) -> Passage:
     """A passage without effects; `direct` shows nothing but light through corresponding lenslets."""
     rung: Rung = "surfaces" if scene.sheet.rung == "auto" else scene.sheet.rung
-    return Passage(rung, (int(Fate.ALIVE),) if direct else (int(Fate.ALIVE), int(Fate.LAND)))
+    shining = (int(Fate.ALIVE),) if direct else (int(Fate.ALIVE), int(Fate.LAND))
+    return Passage(rung, shining, continuous=scene.sheet.continuous)

@@ -146,10 +146,7 @@ def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
 
 def sheet_box(window: Window) -> Floats:
     """Box (low, high) round all bodies, a cell wider on every side, window units."""
-    x0, x1, y0, y1 = window.lattice.extent()
-    boxes = []
-    for shift in window.shifts:
-        boxes.append((x0 + shift[0], x1 + shift[0], y0 + shift[1], y1 + shift[1]))
+    boxes = [place.extent(window.lattice) for place in window.placements]
     outline = getattr(window.outline, "diameter", None)
     half = (outline, outline) if outline else (
         getattr(window.outline, "width", 0.0), getattr(window.outline, "height", 0.0)

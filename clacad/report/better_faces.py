@@ -30,7 +30,7 @@ SECONDS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class GainRow:
     """One number before and after."""
 
     name: str
@@ -96,10 +96,12 @@ def light_rows(found: Optimised) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def shape_rows(shown: BeforeAndAfter) -> list[Row]:
+def shape_rows(shown: BeforeAndAfter) -> list[GainRow]:
     """Thicknesses, heights and slopes of every lens and body, in millimetres and degrees."""
     rows = zip(_shape(shown.before), _shape(shown.after), strict=True)
-    return [Row(one[0], one[1], two[1], one[2]) for one, two in rows if (one[1], two[1]) != ("none", "none")]
+    return [
+        GainRow(one[0], one[1], two[1], one[2]) for one, two in rows if (one[1], two[1]) != ("none", "none")
+    ]
 
 
 def _shape(report: Report) -> Iterator[tuple[str, str, str]]:

@@ -218,7 +218,7 @@ def content(report: Report, progress: Progress, timings: bool = False) -> Conten
 
     shown, words = of_worst_cell(report)
     full = replace(report, window=shown.window, evidence=shown.with_evidence(progress).evidence)
-    seen = look(shown.design, shown.window, progress)
+    seen = look(report.design, report.window, progress)
     progress("meshing the parts to look at", 0.0)
     return Content(full, seen, parts(shown.window), timings, report.window, words)
 

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.reading_budgets import BUDGETS
+from clacad.base.regular_file import read_regular
 from clacad.base.units import millimetres
+from clacad.design.cell_table import table_path
+from clacad.design.sections import AimedAt
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
 
@@ -47,19 +51,24 @@ class Look:
 
 
 def look(design: Design, window: Window, progress: Progress) -> Look:
-    """Render a figure on a chequered floor, seen past and through the sheet."""
+    """Render a figure on a chequered floor, seen past and through the sheet.
+
+    By numpy: so small a picture takes about as long as loading what is compiled, which on a fresh machine takes half a minute to make.
+    """
     from clacad.rendering.picture import view_through
     from clacad.rendering.picture_files import pixels_of
 
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "design.toml").write_text(design.canonical_toml(), encoding="utf-8")
+        _copy_table(design, Path(folder))
         scene = _scene(design, window, folder)
         progress("looking through the sheet", 0.0)
-        without = view_through(scene, sheet=False, window=window)
+        without = view_through(scene, sheet=False, window=window, compiled=False)
         through = view_through(
-            scene, window=window, progress=lambda _, part: progress("looking through the sheet", part or 0.0)
-        )
-    eye, behind, high = _distances(window)
+            scene, window=window, compiled=False,
+            progress=lambda _, part: progress("looking through the sheet", part or 0.0),
+        )  # fmt: skip
+    eye, behind, high, _ = _distances(design, window)
     mm = millimetres(window.unit)
     said = (
         f"a chess knight {high * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind the sheet; the eye is "
@@ -69,13 +78,29 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
     return Look(_png(pixels_of(without)), _png(pixels_of(through)), how, said)
 
 
-def _distances(window: Window) -> tuple[float, float, float]:
-    """Eye before the sheet, figure behind it, height of the figure; lengths."""
-    wide = _width(window)
-    half = min(half_field(thin_cells(window)))
-    eye = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide
+def _copy_table(design: Design, folder: Path) -> None:
+    """Put the table of cells that a design names where the copy of the design names it."""
+    spec = design.law_spec.varying
+    if spec is not None and spec.table is not None:
+        copy = folder / spec.table.file.replace("\\", "/")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(read_regular(table_path(design.path, spec.table.file), BUDGETS["cell-table"].bytes))
+
+
+def _distances(design: Design, window: Window) -> tuple[float, float, float, tuple[float, float]]:
+    """Eye before the sheet, figure behind it, height of the figure, lengths; and the slope from the eye to the sheet's middle.
+
+    The eye is where the sheet is aimed at, else in the middle of the field of view, wherever that is.
+    """
+    wide, aperture = _width(window), design.lattice.aperture
+    if isinstance(aperture, AimedAt) and aperture.point[2] < 0.0:
+        x, y, z = aperture.point
+        eye, slope = -z, (x / z, y / z)
+    else:
+        half = min(half_field(thin_cells(window)))
+        eye, slope = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide, aperture_slope(window)
     behind = 0.2 * eye
-    return eye, behind, 0.75 * wide * (eye + behind) / eye
+    return eye, behind, 0.75 * wide * (eye + behind) / eye, slope
 
 
 def _png(pixels: Any) -> bytes:
@@ -97,9 +122,8 @@ def _scene(design: Design, window: Window, folder: str) -> Scene:
     from clacad.scene import Scene
 
     wide = _width(window)
-    eye, behind, high = _distances(window)
+    eye, behind, high, (ax, ay) = _distances(design, window)
     floor = -0.5 * high
-    ax, ay = aperture_slope(window)  # from the middle of the field of view, wherever that is
     data: dict[str, Any] = {
         "format": 1,
         "name": "look",

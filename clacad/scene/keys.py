@@ -141,6 +141,7 @@ SHEET: Final[dict[str, Key]] = {
     "mesh": Key(_FILE, "rung mesh: triangles as written"),
     "quads": Key(Whole("a whole number from 1 to 256", 1, 256), "rung mesh without a file: quads a cell side", 16),
     "surround": Key(Word(("see-through", "opaque")), "what is seen beside the sheet", "see-through"),
+    "continuous": Key(Flag(), "rung law of a law that varies: by the law at the very point, not of the cell hit", False),
 }  # fmt: skip
 STACKED: Final[dict[str, Key]] = {
     "id": Key(Text("a name of letters, digits, - and _, beginning with a letter", 60, pattern="[A-Za-z][A-Za-z0-9_-]*"),

@@ -86,6 +86,8 @@ def _files(fields: Mapping[str, Any], folder: str) -> Iterator[Mistake]:
         named += [(f"{home}.design", sheet.design, 1), (f"{home}.mesh", sheet.mesh, 2)]
         if sheet.mesh is not None and sheet.rung != "mesh":
             yield Mistake("CL113", f'{home}.mesh needs rung = "mesh"', f"{home}.mesh")
+        if sheet.continuous and sheet.rung != "law":
+            yield Mistake("CL113", f'{home}.continuous needs rung = "law"', f"{home}.continuous")
     for key, thing in _walk(fields["objects"], "object"):
         named.append((f"{key}.file", thing.file, 1))
         needs = thing.kind == "mesh" or (thing.kind == "screen" and thing.pattern == "image")

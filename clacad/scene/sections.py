@@ -31,6 +31,8 @@ class SheetSpec:
         Quads a cell side, for rung mesh without a file.
     surround : {"see-through", "opaque"}
         What is seen beside the sheet.
+    continuous : bool
+        Rung law: by the law at the very point met, where it varies, instead of that of the cell hit.
     id : str
         Name among several; "" for the only one.
     z : float, length
@@ -43,6 +45,7 @@ class SheetSpec:
     mesh: str | None
     quads: int
     surround: Literal["see-through", "opaque"]
+    continuous: bool = False
     id: str = ""
     z: float = 0.0
 

@@ -1,8 +1,11 @@
-"""The gap between the two arrays, and the refusal that every fixture may give."""
+"""The gaps between bodies, and the refusal that every fixture may give."""
 
 from __future__ import annotations
 
 from clacad.sheet.window import Body, Window
+
+FIELD = 2
+"""Number of the array of a field lens; lens 1 and lens 2 have 0 and 1."""
 
 
 class NoFixture(ValueError):
@@ -11,21 +14,22 @@ class NoFixture(ValueError):
     exit_status = 2
 
 
-def two_bodies(window: Window, what: str) -> tuple[Body, Body]:
-    """Bodies of array 1 and array 2.
+def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
+    """Bodies of the arrays, and of the field lens between them, in the order light meets them.
 
     Raises
     ------
     NoFixture
-        The window is one slab, or has a field lens on a plate of its own.
+        The window is one slab.
     """
-    if len(window.bodies) > 2:
-        raise NoFixture(
-            f"a {what} stands between two bodies; {window.name} has three, with the field lens: shim it on either side"
-        )
-    if len(window.bodies) != 2:
+    if len(window.bodies) < 2:
         raise NoFixture(f"a {what} stands between two arrays; {window.name} is one slab")
-    return window.bodies[0], window.bodies[1]
+    return window.bodies
+
+
+def array_of(body: Body) -> int:
+    """Number of the array on a body that has one."""
+    return next(face.array for face in (body.front, body.back) if face.array is not None)
 
 
 def plane_of(body: Body, side: int) -> float:

@@ -8,6 +8,7 @@ and the shift of array 2 are differences: as sent, less through the exact surfac
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats
 from clacad.optics.law import Law, angle_between
@@ -36,12 +37,12 @@ def rms_error(error: Floats) -> float:
     return float(np.sqrt(np.mean(error**2))) if len(error) >= FEWEST else np.nan
 
 
-def mean_error(seen: TraceResult, expected: Floats) -> float:
-    """Angle (radians) of the mean direction of parallel light behind the sheet to the one expected (3,)."""
-    alive = seen.fate == Fate.ALIVE
+def mean_error(direction: Floats, fate: NDArray[np.uint8], expected: Floats) -> float:
+    """Angle (radians) of the mean of directions (n, 3) of parallel light behind the sheet to the one expected (3,)."""
+    alive = fate == Fate.ALIVE
     if alive.sum() < FEWEST or not np.isfinite(expected).all():
         return np.nan
-    return float(angle_between(seen.direction[alive].mean(axis=0), expected))
+    return float(angle_between(direction[alive].mean(axis=0), expected))
 
 
 def fitted_laws(

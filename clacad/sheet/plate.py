@@ -46,12 +46,13 @@ QUARTER = sqrt(2.0) - 1.0
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A round hole through a plate: centre and diameter (lengths), and what it is for."""
+    """A round hole through a plate: centre and diameter (lengths), what it is for, and by how much it is wider than its pin."""
 
     x: float
     y: float
     diameter: float
     purpose: Literal["mount", "pin"] = "mount"
+    play: float = 0.0
 
 
 @dataclass(frozen=True)

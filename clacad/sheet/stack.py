@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
+from string import ascii_lowercase
 
+from clacad.sheet.gap import FIELD
 from clacad.sheet.window import Body, Face, Window
 
-MOST = 26
+MOST = len(ascii_lowercase)
 """Sheets in a stack: as many as there are letters to name them by."""
 
 
@@ -147,12 +149,13 @@ def lens_planes(window: Window) -> tuple[tuple[float, float], tuple[float, float
     """Principal planes at which lens 1 takes light in and lens 2 lets it go, ((x, y), (x, y)), z in the sheet frame.
 
     Between them the sheet acts as its ideal pair of thin lenses does over the separation; what is solid is more or less
-    deep than that. A single face, as a slab has two, bends at its vertex. Meridians are the sheet's: lenses turned about z
+    deep than that. A single face, as a slab has two, and a plate that carries a face of a field lens besides, bends at its
+    vertex. Meridians are the sheet's: lenses turned about z
     by less than 45° count as not turned.
     """
     first, last = window.bodies[0], window.bodies[-1]
-    if first is last:
-        return (first.front.vertex[2],) * 2, (first.back.vertex[2],) * 2
+    if first is last or first.back.array == last.front.array == FIELD:
+        return (first.front.vertex[2],) * 2, (last.back.vertex[2],) * 2
     turn = window.thin.rotation
     swapped = abs(turn[0, 0]) < abs(turn[0, 1])
     axes = ("y", "x") if swapped else ("x", "y")

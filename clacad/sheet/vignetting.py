@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 from clacad.base.unique_rows import distinct
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
-from clacad.sheet.lattice import polygon_area, polygon_areas, relocate
+from clacad.sheet.lattice import Lattice, polygon_area, polygon_areas, relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
 
@@ -117,10 +117,11 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     """
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
-    arrival = arrivals(cells, cells.slopes(directions))
+    slopes = cells.slopes(directions)
     target = cells.zone + cells.neighbour(order)
     whole = polygon_area(cells.image)
-    return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
+    common = _common_areas(cells.image, arrivals(cells, slopes), target)
+    return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
 
 
 def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
@@ -135,19 +136,55 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
     directions : (n, 3) array
         Incident directions, sheet frame, any length.
     """
-    cells, pair = thin_cells(window), window.thin
-    if pair.pitch is None:
+    cells = thin_cells(window)
+    if window.thin.pitch is None:
         return share(cells, directions)
-    place = CellPlacement(pair.shift, pair.pitch)
-    own = place.lattice(window.lattice)
-    apart = own.centres(index) - window.lattice.centres(index)
-    arrival = (
-        cells.separation * cells.slopes(directions) - cells.centre - _in_lens_plane(pair.rotation, apart)
-    )
-    like = replace(window, placements=(CellPlacement(), place))
-    target = _in_lens_plane(pair.rotation, optical_tile(like, 1))
+    arrival = off_partner(cells, index, cells.slopes(directions))
     whole = polygon_area(cells.image)
-    return np.asarray(cells.part * _common_areas(cells.image, arrival, target) / whole)
+    return np.asarray(cells.part * _common_areas(cells.image, arrival, partner_zone(cells)) / whole)
+
+
+def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
+    """Where (n, 2) the middle of the copy of lens 1's zone lies from the middle of its partner, in the plane of lens 2.
+
+    Parameters
+    ----------
+    cells : ThinCells
+        Of a window whose cells may differ.
+    index : (n, 2) ints
+        Cells of array 0 that the light comes through.
+    slopes : (n, 2)
+        Incident slopes, lens frame.
+    """
+    window, pair = cells.window, cells.pair
+    arrival = arrivals(cells, slopes) - cells.centre
+    if pair.pitch is None:
+        return np.asarray(arrival)
+    own = _second_array(window)
+    apart = own.centres(index) - window.lattice.centres(index)
+    return np.asarray(arrival - _in_lens_plane(pair.rotation, apart))
+
+
+def partner_zone(cells: ThinCells) -> Floats:
+    """Outline (m, 2) of the optical zone of lens 2 about its own cell's centre, lens frame, lengths."""
+    window, pair = cells.window, cells.pair
+    if pair.pitch is None:
+        return cells.zone
+    like = replace(window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch)))
+    return _in_lens_plane(pair.rotation, optical_tile(like, 1))
+
+
+def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
+    """How far (2,) the middle of the cell of array 2 `order` index steps from the partner lies from it, lens frame, lengths."""
+    if cells.pair.pitch is None:
+        return np.asarray(cells.neighbour(order) - cells.centre)
+    step = _second_array(cells.window).offset(*order)
+    return np.asarray(_in_lens_plane(cells.pair.rotation, np.array([step]))[0])
+
+
+def _second_array(window: Window) -> Lattice:
+    """Pattern of the cells of array 2 of the thin pair about its own middle."""
+    return CellPlacement(window.thin.shift, window.thin.pitch).lattice(window.lattice)
 
 
 def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
@@ -173,6 +210,21 @@ def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
     return arrival
 
 
+def _in_channels(cells: ThinCells, slopes: Floats) -> Bools:
+    """Whether light of lens-frame slopes (n, 2) meets the field lens between the walls of a baffle, which end there (n,)."""
+    open_to = np.ones(len(slopes), dtype=bool)
+    window, pair = cells.window, cells.pair
+    if window.baffle is None:
+        return open_to
+    for lens in pair.field:
+        aside = lens.depth * slopes - (pair.field_centre(lens) @ pair.rotation)[:2]
+        met = aside @ pair.rotation[:, :2].T
+        for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
+            along = met[:, :2] @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
+            open_to &= along <= half - 0.5 * window.baffle.wall
+    return open_to
+
+
 def lit_zone(cells: ThinCells) -> Floats:
     """What is lit of lens 2 (m, 2), about its own middle, by light along the middle of the field, lens frame, lengths.
 
@@ -181,12 +233,14 @@ def lit_zone(cells: ThinCells) -> Floats:
     return clip(cells.image, cells.zone)
 
 
-def fresnel_numbers(cells: ThinCells, wavelength: float) -> tuple[float, float]:
+def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:
     """(w/2)²/(λ|f2|) along lens x and y, w what is lit of lens 2; infinite across an axis without power, where there is no lens.
 
     wavelength : float, length
+    lit : (m, 2) lengths or None
+        What is lit of lens 2 by light along the middle of the field; None: as for equal cells.
     """
-    widths = equivalent_widths(lit_zone(cells))
+    widths = equivalent_widths(lit_zone(cells) if lit is None else lit)
     x, y = (
         (0.5 * float(w)) ** 2 / (wavelength * abs(f)) if np.isfinite(f) else np.inf
         for w, f in zip(widths, cells.pair.focal_length[1], strict=True)
@@ -194,9 +248,17 @@ def fresnel_numbers(cells: ThinCells, wavelength: float) -> tuple[float, float]:
     return x, y
 
 
-def ghost_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
-    """Change (2,) of the exit slope, lens frame, that sets ghost order `order` apart from the image."""
-    moved = cells.neighbour(order) - cells.centre
+def ghost_step(cells: ThinCells, order: tuple[int, int], index: Ints | None = None) -> Floats:
+    """Change (2,) of the exit slope, lens frame, that sets ghost order `order` apart from the image.
+
+    Where cells differ it is (n, 2), of light through the cells `index` (n, 2): how far the lens met stands from the partner's.
+    """
+    moved = partner_step(cells, order)
+    change = cells.pair.change
+    if change is not None and index is not None:
+        lattice = cells.window.lattice
+        beside = change.at(lattice, index + np.array(order)) - change.at(lattice, index)
+        moved = moved + _in_lens_plane(cells.pair.rotation, beside)
     second = np.array(cells.pair.focal_length[1])
     return np.asarray(np.where(np.isinf(second), 0.0, moved / second))
 
@@ -205,6 +267,13 @@ def aperture_slope(window: Window) -> tuple[float, float]:
     """Sheet-frame slope at the middle of the field of view: from cell 1's middle to cell 2's."""
     height = window.thin.offset[2]
     return window.thin.shift[0] / height, window.thin.shift[1] / height
+
+
+def aperture_slopes(window: Window, index: Ints) -> Floats:
+    """Sheet-frame slopes (n, 2) at the middle of the field of view of the cells `index` (n, 2): from cell 1's to cell 2's."""
+    height, pair = window.thin.offset[2], window.thin
+    apart = _second_array(window).centres(index) - window.lattice.centres(index) + np.asarray(pair.shift)
+    return np.asarray(apart / height)
 
 
 def half_field(cells: ThinCells) -> tuple[float, float]:

@@ -496,17 +496,19 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
     return z.reshape(x.shape), normal.reshape((*x.shape, 3))
 
 
-def column(window: Window, body: Body, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def column(
+    window: Window, body: Body, x: Floats, y: Floats, index: Ints | None = None
+) -> tuple[Floats, Floats]:
     """Front and back height of a columnar body's column over cell-frame points, (n,) each, lengths.
 
-    Lens where the lens stands proud of the land inside its optical zone, land elsewhere, NaN in both
+    `index` (n, 2): the points' cells, where they differ. Lens where the lens stands proud of the land inside its optical zone, land elsewhere, NaN in both
     where there is no material (outside the rim of a lens without a web).
     """
-    front, back = face_height(window, body.front, x, y), face_height(window, body.back, x, y)
+    front, back = (face_height(window, face, x, y, index) for face in (body.front, body.back))
     if not body.columnar:
         return front, back
-    lens_front = _in_zone(window, body.front, x, y)
-    lens_back = _in_zone(window, body.back, x, y)
+    lens_front = _in_zone(window, body.front, x, y, index)
+    lens_back = _in_zone(window, body.back, x, y, index)
     with np.errstate(invalid="ignore"):
         rimless = ~(lens_front <= lens_back)  # outside the rim, or no lens at all
     land_front = np.nan if body.front.land is None else body.front.land
@@ -514,19 +516,27 @@ def column(window: Window, body: Body, x: Floats, y: Floats) -> tuple[Floats, Fl
     return np.where(rimless, land_front, front), np.where(rimless, land_back, back)
 
 
-def face_height(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
-    """Height (length) of one face over cell-frame points (n,): the outermost of lens and land, NaN at a hole."""
+def face_height(window: Window, face: Face, x: Floats, y: Floats, index: Ints | None = None) -> Floats:
+    """Height (length) of one face over cell-frame points (n,): the outermost of lens and land, NaN at a hole.
+
+    index : (n, 2) or None
+        The points' cells, where they differ; None: the cell whose lens stands at `Face.vertex`.
+    """
     if face.array is None:
         return np.full(np.shape(x), face.vertex[2])
-    lens = _in_zone(window, face, x, y)
+    lens = _in_zone(window, face, x, y, index)
     if face.land is None:
         return lens
     proud = np.fmin(lens, face.land) if face.side > 0 else np.fmax(lens, face.land)
     return np.asarray(proud)
 
 
-def _in_zone(window: Window, face: Face, x: Floats, y: Floats) -> Floats:
-    lens = lens_height(face, x, y)
+def _in_zone(window: Window, face: Face, x: Floats, y: Floats, index: Ints | None) -> Floats:
+    if face.change is None or index is None:
+        lens = lens_height(face, x, y)
+    else:
+        moved = face.change.at(window.lattice, index)
+        lens = lens_height(face, x - moved[..., 0], y - moved[..., 1])
     if window.land.seam > 0.0:
         zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
         lens = np.where(zone, lens, np.nan)

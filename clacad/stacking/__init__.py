@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from clacad.stacking.make_stack import Stacked, stack
 from clacad.stacking.stack_image import StackImage
-from clacad.stacking.stack_light import Meridian, StackLight
+from clacad.stacking.stack_light import StackLight, StackMeridian
 from clacad.stacking.stack_request import StackRequest
 
-__all__ = ["Meridian", "StackImage", "StackLight", "StackRequest", "Stacked", "stack"]
+__all__ = ["StackMeridian", "StackImage", "StackLight", "StackRequest", "Stacked", "stack"]

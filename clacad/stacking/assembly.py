@@ -34,7 +34,7 @@ NAME = "stack"
 
 
 @dataclass(frozen=True, eq=False)
-class Assembly:
+class StackAssembly:
     """What is to be written, and how.
 
     stack : Stack

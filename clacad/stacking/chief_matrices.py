@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from clacad.base.types import Floats
@@ -25,26 +27,36 @@ def meridian(stack: Stack, axis: int, beams: bool = False) -> ChiefRays | None:
         offset, jacobian = slope_map(one.window.law)
         if one.window.law.theta != 0.0 or np.abs(jacobian[[0, 1], [1, 0]]).max() > COUPLED:
             return None
-        eta = 1.0 / float(jacobian[axis, axis])
-        s = one.scale * one.window.thin.separation
-        made = (chief_rays.of_beams if beams else chief_rays.sheet)(eta, s, -eta * float(offset[axis]))
+        made = _of_sheet(one, axis, beams, 1.0 / float(jacobian[axis, axis]), float(offset[axis]))
         elements += [made] if ahead is None else [chief_rays.space(ahead), made]
     return chief_rays.in_a_row(elements)
 
 
+def _of_sheet(one: StackedSheet, axis: int, beams: bool, eta: float, offset: float) -> ChiefRays:
+    """Chief rays of one sheet of this η along an axis, which sends light along the normal out with slope `offset`."""
+    pair = one.window.thin
+    if (
+        pair.field
+    ):  # the beam fills lens 2, or lens 2's middle is that of what gets through: one is as the other
+        return chief_rays.with_field_lens(eta, one.scale * pair.shift[axis], -eta * offset)
+    s = one.scale * pair.separation
+    return (chief_rays.of_beams if beams else chief_rays.sheet)(eta, s, -eta * offset)
+
+
 def _spaces(stack: Stack, axis: int) -> list[float]:
     """Air between the lens planes of neighbours in a meridian, lengths."""
+    return [_planes(b, axis)[0] - _planes(a, axis)[1] for a, b in pairwise(stack.sheets)]
 
-    def planes(one: StackedSheet) -> tuple[float, float]:
-        first, last = lens_planes(one.window)
-        return one.z + one.scale * first[axis], one.z + one.scale * last[axis]
 
-    return [planes(b)[0] - planes(a)[1] for a, b in zip(stack.sheets, stack.sheets[1:])]
+def _planes(one: StackedSheet, axis: int) -> tuple[float, float]:
+    """First and last lens plane of a sheet in a meridian, z in the stack."""
+    first, last = lens_planes(one.window)
+    return one.z + one.scale * first[axis], one.z + one.scale * last[axis]
 
 
 def length(stack: Stack, axis: int) -> float:
-    """Length of a stack from its first lens plane to its last in a meridian, what is solid reduced to air."""
-    return sum(one.scale * one.window.thin.separation for one in stack.sheets) + sum(_spaces(stack, axis))
+    """Length of a stack along z from its first lens plane to its last in a meridian."""
+    return _planes(stack.sheets[-1], axis)[1] - _planes(stack.sheets[0], axis)[0]
 
 
 def expected_share(stack: Stack, direction: Floats) -> float:

@@ -15,7 +15,7 @@ from clacad.exporting.limits import refuse_uncountable, worker_memory
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
 from clacad.formats.step.step_mode import Mode
 from clacad.sheet.stack import BadStack, Stack, stacked
-from clacad.stacking.assembly import NAME, Assembly, sheet_facts
+from clacad.stacking.assembly import NAME, StackAssembly, sheet_facts
 from clacad.stacking.stack_cost import refuse
 from clacad.stacking.stack_image import StackImage, measure_image
 from clacad.stacking.stack_light import StackLight, measure_light
@@ -200,7 +200,7 @@ def _written(found: Stacked, asked: StackRequest, out: Path, report: Progress) -
         Stage(out, overwrite=asked.overwrite) as stage,
     ):  # fmt: skip
         stage.path(MANIFEST)  # a foreign manifest is refused before any work
-        job = Assembly(found.stack, stage, worker, asked.quads, asked.step, report)
+        job = StackAssembly(found.stack, stage, worker, asked.quads, asked.step, report)
         records = [*job.records(asked.formats), _numbers(found, stage)]
         content = _content(found, records, asked)
         report("publish", 1.0)

@@ -10,6 +10,7 @@ from clacad.exporting.forecast import Forecast, forecast
 from clacad.exporting.limits import refuse_over_limits
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
+from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.stack import Stack
 from clacad.stacking.stack_request import StackRequest
 
@@ -21,10 +22,18 @@ TASK = "stack light"
 
 
 def rows_by_sheet(standing: Stack, asked: StackRequest) -> dict[str, list[Forecast]]:
-    """What each sheet adds to the files, by its id; none for one that stands there already."""
+    """What each sheet adds to the files, by its id; none for one that stands there already.
+
+    Raises
+    ------
+    CellsDiffer
+        GLB is asked for of a sheet whose cells differ.
+    """
     wanted, seen = Request(formats=asked.formats, step=asked.step), set()
     found: dict[str, list[Forecast]] = {}
     for one in standing.sheets:
+        if "glb" in asked.formats:
+            need_equal_cells(one.window, f"sheet {one.id} in GLB", "the stack's STEP holds it: --format step")
         found[one.id] = []
         if id(one.window) not in seen:
             seen.add(id(one.window))

@@ -30,7 +30,7 @@ SHARE_RAYS = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class Meridian:
+class StackMeridian:
     """What a stack does in one meridian.
 
     Attributes
@@ -39,7 +39,7 @@ class Meridian:
         Of chief rays, from array 1 of the first sheet to array 2 of the last; lengths of the stack.
     determinant : float
     length : float, length
-        From the first of these arrays to the last, what is solid reduced to air.
+        From the first of these arrays to the last, along z.
     acts_as_space : float or None, length
         Where slopes leave as they came: the length of empty space the stack stands for, B.
     moves_image : float or None, length
@@ -103,7 +103,7 @@ class StackLight:
     expected_share: float
     fates: dict[str, int]
     sheets: tuple[float, ...]
-    meridians: tuple[Meridian, Meridian]
+    meridians: tuple[StackMeridian, StackMeridian]
     error: float
     strays: float
     seconds: float = 0.0
@@ -228,7 +228,7 @@ def _meridian(
     left: Floats,
     found: StackTrace,
     strayed: Bools | None,
-) -> Meridian:
+) -> StackMeridian:
     """One meridian: in closed form, and fitted to the rays that kept to it; ghosts that strayed across it alone are among them.
 
     entered : place and slope (n,) on the first lens plane; left : place (n,) on the last
@@ -247,7 +247,7 @@ def _meridian(
         out = found.direction[kept, axis] / found.direction[kept, 2]
         (space, slope), rest = _fitted(way, np.column_stack([left[kept] - place, out]))
         scatter = rest / stack.sheets[0].window.lattice.pitch[axis]
-    return Meridian(
+    return StackMeridian(
         None if chief is None else _pairs(chief.matrix), None if chief is None else chief.determinant, long, acts,
         None if acts is None else long - acts, None if middle is None else float(middle.matrix[0, 1]),
         share, space, slope, scatter,

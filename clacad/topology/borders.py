@@ -94,29 +94,51 @@ def make_border(
     spacing : length
         Crossings closer than this to a node or to one another are dropped.
     """
-    lattice = window.lattice
-    tile, m = lattice.tile(), len(lattice.steps)
-    a, b = tile[k], tile[(k + 1) % m]
-    # the same border in the right cell's frame, met in the same direction
-    c, d = tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m]
-    zone = window.land.seam == 0.0
-    left = column_line(body, a, b, zone)
-    right = column_line(body, c, d, zone)
-    length = float(np.hypot(*(b - a)))
-    if columnar:
-        sides: tuple[Side, ...] = SIDES
-    else:
-        sides = ("front",) if body.front.array == array else ("back",)
-        left, right = _alone(left, sides[0]), _alone(right, sides[0])
-    sides = tuple(s for s in sides if getattr(left, s).face.array is not None)
-    candidates = _candidates(left, right, sides, columnar)
-    roots = distinct(np.concatenate(candidates)) if candidates else np.empty(0)
-    breaks = _spaced(roots, spacing / length)
+    left, right, sides = _border_lines(window, (body, body), array, columnar, k)
+    a, b = np.array(left.front.start), np.array(left.front.end)
+    roots = _roots(left, right, sides, columnar)
+    breaks = _spaced(roots, spacing / float(np.hypot(*(b - a))))
     on = _stretches(left, right, breaks)
     steps = {side: _step(on, SIDES.index(side), merge) for side in sides}
     joints = _joints(on) if columnar else None
     kept = _kept_breaks(steps, joints, breaks)
-    return Border(k, lattice.steps[k], tuple(a), tuple(b), steps, joints, kept, roots)
+    return Border(k, window.lattice.steps[k], tuple(a), tuple(b), steps, joints, kept, roots)
+
+
+def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int) -> Floats:
+    """`Border.roots` (n,) between two cells that differ, of border class k.
+
+    Parameters
+    ----------
+    bodies : (left, right)
+        The body as it is in either cell.
+    window, array, columnar, k
+        As in `make_border`.
+    """
+    return _roots(*_border_lines(window, bodies, array, columnar, k), columnar)
+
+
+def _border_lines(
+    window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int
+) -> tuple[ColumnLine, ColumnLine, tuple[Side, ...]]:
+    """The columns of the left and the right cell over their border, and the faces that repeat on the tiling."""
+    lattice = window.lattice_of(array)
+    tile, m = lattice.tile(), len(lattice.steps)
+    zone = window.land.seam == 0.0
+    left = column_line(bodies[0], tile[k], tile[(k + 1) % m], zone)
+    # the same border in the right cell's frame, met in the same direction
+    right = column_line(bodies[1], tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m], zone)
+    if columnar:
+        sides: tuple[Side, ...] = SIDES
+    else:
+        sides = ("front",) if bodies[0].front.array == array else ("back",)
+        left, right = _alone(left, sides[0]), _alone(right, sides[0])
+    return left, right, tuple(s for s in sides if getattr(left, s).face.array is not None)
+
+
+def _roots(left: ColumnLine, right: ColumnLine, sides: tuple[Side, ...], columnar: bool) -> Floats:
+    candidates = _candidates(left, right, sides, columnar)
+    return distinct(np.concatenate(candidates)) if candidates else np.empty(0)
 
 
 def _alone(line: ColumnLine, side: Side) -> ColumnLine:

@@ -61,8 +61,9 @@ def _make_tiling(
         make_border(window, body, array, columnar, k, merge, spacing)
         for k in range(len(window.lattice.steps) // 2)
     )
-    nodes = make_nodes(window, body, names, merge)
-    return Tiling(array, window.shifts[array], window.lattice.tile(), borders, nodes)
+    nodes = make_nodes(window, body, array, names, merge)
+    tile = window.lattice_of(array).tile()
+    return Tiling(array, window.shifts[array], tile, borders, nodes)
 
 
 def one_tiling(window: Window, body: Body) -> tuple[int, ...]:

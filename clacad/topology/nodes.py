@@ -12,9 +12,11 @@ from clacad.topology.complex_parts import SIDES, Node, Side
 from clacad.topology.wall_strips import linked
 
 
-def make_nodes(window: Window, body: Body, faces: tuple[Side, ...], merge: float) -> tuple[Node, ...]:
-    """Build the node classes of a body's tiling; `faces` names those that repeat on it, `merge` is a length."""
-    tile = window.lattice.tile()
+def make_nodes(
+    window: Window, body: Body, array: int, faces: tuple[Side, ...], merge: float
+) -> tuple[Node, ...]:
+    """Build the node classes of a body's tiling on `array`; `faces` names those that repeat on it, `merge` is a length."""
+    tile = window.lattice_of(array).tile()
     zone = window.land.seam == 0.0
     nodes = []
     for cells in node_cells(window.lattice):

@@ -74,8 +74,6 @@ class Tracer:
         self._refuse_words()
         if self.rung == "mesh":
             need_equal_cells(self.window, 'rung "mesh"', 'rungs "law", "thin" and "surfaces" trace it')
-        if self.effects:
-            need_equal_cells(self.window, "a trace with effects", "without them it is traced")
         if self.precision == "float32" or (self.path == "numba" and self.rung != "surfaces"):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":

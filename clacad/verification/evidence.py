@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import plain
 from clacad.base.types import Progress
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.report_ladder import Ladder, climb
 from clacad.verification.light.caustic import MeridianFocus, foci
 from clacad.verification.light.error_attribution import (
@@ -16,7 +17,6 @@ from clacad.verification.light.error_attribution import (
     attribute,
 )
 from clacad.verification.light.ghost_map import GhostMap, ghost_map
-from clacad.verification.light.through_window import worst_cell
 
 if TYPE_CHECKING:
     from clacad.effects import Plan

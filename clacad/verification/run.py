@@ -12,6 +12,7 @@ from clacad.base.types import Progress, silent
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification import checks as judging
 from clacad.verification.checks import Check
 from clacad.verification.design.design_rules import design_checks
@@ -21,7 +22,7 @@ from clacad.verification.judge_files import judge_files
 from clacad.verification.light.direction_curves import meridians
 from clacad.verification.light.facet_convergence import Convergence, converge, convergence_check
 from clacad.verification.light.law_checks import Optics
-from clacad.verification.light.through_window import judge_light, worst_cell
+from clacad.verification.light.through_window import judge_light
 from clacad.verification.verification_report import Report
 
 if TYPE_CHECKING:

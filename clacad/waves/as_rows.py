@@ -47,18 +47,24 @@ def rows(found: WaveReport) -> list[tuple[str, str, str, str, str, str]]:
 
 
 def head(found: WaveReport) -> str:
-    """Wavelength, direction, Fresnel number, and which way holds."""
+    """Which cell where cells differ, wavelength, direction, Fresnel number, and which way holds."""
     x, y = found.slope
+    one = (
+        ""
+        if found.cell is None
+        else f"cell ({found.cell[0]}, {found.cell[1]}), the worst of {found.tried} tried, "
+    )
     return (
-        f"{1e9 * found.wavelength:.4g} nm, slope {x:.4g}, {y:.4g} along lens x, y; Fresnel number "
+        f"{one}{1e9 * found.wavelength:.4g} nm, slope {x:.4g}, {y:.4g} along lens x, y; Fresnel number "
         f"{digits(min(found.fresnel), count=4)}; holds here: {found.far_field.way}"
     )
 
 
 def sentences(found: WaveReport) -> list[str]:
     """What goes beside the rows: the slit, the rays' error, orders, and what was not computed."""
+    cells = "equal" if found.cell is None else "neighbouring"
     return [
         f"λ/w of what is lit of lens 2: {mrad(found.slit)} mrad; rays alone miss the law by {mrad([found.rays.rms])} mrad rms",
-        f"in coherent light equal cells send orders λ/p = {mrad(found.order)} mrad apart: the law is met to ± half of that",
+        f"in coherent light {cells} cells send orders λ/p = {mrad(found.order)} mrad apart: the law is met to ± half of that",
         *(f"not computed, {way}: {why}" for way, why in found.refused.items()),
     ]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Pair2
+from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle, central_cell, launched
 from clacad.sheet.window import Window, in_optical_tile
@@ -120,7 +120,7 @@ class RaySpread:
         }
 
 
-def pupil(window: Window, direction: Floats, wavelength: float, side: int) -> Pupil:
+def pupil(window: Window, direction: Floats, wavelength: float, side: int, cell: Ints | None = None) -> Pupil:
     """Trace a plane wave through one telescopelet.
 
     Parameters
@@ -131,14 +131,16 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int) -> Pu
     wavelength : float, metres
     side : int
         Rays along each side of the box round the cell.
+    cell : (2,) ints or None
+        Which one, of a sheet whose cells differ; None: all are alike.
 
     Raises
     ------
     ValueError
         The law sends light of this direction nowhere, or a wavelength lies outside a material's data.
     """
-    sheet = window.with_cells((3, 3))
-    asked = sheet.law.refract(direction[None, :])[0]
+    sheet, lit = _lit_cell(window, cell)
+    asked = sheet.law_at(np.array(lit)).refract(direction[None, :])[0]
     if not np.isfinite(asked).all():
         raise ValueError("the law has no answer for light of this direction")
     across = _axes_across(sheet, asked)
@@ -147,7 +149,7 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int) -> Pu
     middle = np.array([(k + 0.5) / side for k in range(side)])
     grid = low + np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2) * size
     parts = [
-        _traced(sheet, grid[k : k + BLOCK], direction, asked, across, wavelength)
+        _traced(sheet, lit, grid[k : k + BLOCK], direction, asked, across, wavelength)
         for k in range(0, len(grid), BLOCK)
     ]
     place, path, off, alive = (np.concatenate(one) for one in zip(*parts, strict=True))
@@ -156,6 +158,15 @@ def pupil(window: Window, direction: Floats, wavelength: float, side: int) -> Pu
         place, path = place - place[alive].mean(axis=0), path - path[alive].mean()
     phase = 2.0 * pi * sheet.unit / wavelength * path
     return Pupil(place, phase, off, alive, side, size / side)
+
+
+def _lit_cell(window: Window, cell: Ints | None) -> tuple[Window, tuple[int, int]]:
+    """The sheet that is traced, and which cell of it is lit: of equal cells a few suffice."""
+    if cell is None:
+        few = window.with_cells((3, 3))
+        return few, central_cell(few)
+    i, j = cell.tolist()
+    return window, (i, j)
 
 
 def _axes_across(window: Window, direction: Floats) -> Floats:
@@ -167,10 +178,10 @@ def _axes_across(window: Window, direction: Floats) -> Floats:
 
 
 def _traced(
-    window: Window, points: Floats, direction: Floats, asked: Floats, across: Floats, wavelength: float
-) -> tuple[Floats, Floats, Floats, Bools]:
+    window: Window, cell: tuple[int, int], points: Floats, direction: Floats, asked: Floats, across: Floats,
+    wavelength: float,
+) -> tuple[Floats, Floats, Floats, Bools]:  # fmt: skip
     """Places (n, 2), optical paths (n,), direction cosines off the law (n, 2), and which rays (n,) obey it."""
-    cell = central_cell(window)
     ways = np.broadcast_to(direction, (len(points), 3)).copy()
     lit = launched(window, points, ways, cell, direction).rays
     seen = trace(
@@ -186,10 +197,12 @@ def _traced(
     return at @ across.T, path, seen.direction @ across.T, alive
 
 
-def rays_of(found: Pupil, window: Window, direction: Floats, wavelength: float) -> RaySpread:
+def rays_of(
+    found: Pupil, window: Window, direction: Floats, wavelength: float, cell: Ints | None = None
+) -> RaySpread:
     """The same light without waves; its share by points that keep to no grid, whose rows a rim would cut whole."""
-    sheet = window.with_cells((3, 3))
-    lit = bundle(sheet, SHARE_RAYS, 0.0, middle=direction)
+    sheet, chosen = _lit_cell(window, cell)
+    lit = bundle(sheet, SHARE_RAYS, 0.0, middle=direction, cell=chosen)
     seen = trace(sheet, _at_wavelength(sheet, lit.rays, wavelength), path="numpy")
     zone = in_optical_tile(sheet, lit.points[:, 0], lit.points[:, 1])
     share = float((seen.fate[zone] == Fate.ALIVE).mean())
@@ -201,7 +214,7 @@ def _at_wavelength(window: Window, rays: Rays, wavelength: float) -> Rays:
     return rays if window.wavelength is None else Rays(rays.position, rays.direction, wavelength)
 
 
-def rays_needed(window: Window, direction: Floats, wavelength: float) -> int:
+def rays_needed(window: Window, direction: Floats, wavelength: float, cell: Ints | None = None) -> int:
     """Rays a side with phase steps of a quarter turn at most, a power of two.
 
     Raises
@@ -211,7 +224,7 @@ def rays_needed(window: Window, direction: Floats, wavelength: float) -> int:
     ValueError
         As `pupil`.
     """
-    step = pupil(window, direction, wavelength, TRIAL).largest_step
+    step = pupil(window, direction, wavelength, TRIAL, cell).largest_step
     least = 1 << max(0, ceil(log2(max(1.0, TRIAL * step / STEP))))
     if least > MOST:
         raise LimitRefused(

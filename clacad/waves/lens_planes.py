@@ -73,7 +73,7 @@ class Emerging:
 
 def telescope(
     focal: tuple[Sequence[float], Sequence[float]], centre: Sequence[float], vertex: Sequence[float],
-    separation: float, zone: Floats, *, field_lens: bool = False,
+    separation: float, zone: Floats, rim: Floats | None = None, *, field_lens: bool = False,
 ) -> list[LensPlane]:  # fmt: skip
     """The planes of a confocal pair, along one axis or two.
 
@@ -84,7 +84,9 @@ def telescope(
         Middle of the partner cell, and centre of lens 2, from the axis of lens 1.
     separation : float, length
     zone : (m, dims) lengths
-        Rim of either lens about the middle of its own cell.
+        Rim of lens 1, and of a field lens, about the middle of its own cell.
+    rim : (m, dims) lengths or None
+        Of lens 2; None: the same.
     field_lens : bool
         Whether a lens at the common focus, in cells of its own on the lines from cell to partner, images lens 1 onto
         lens 2: 1/f = 1/f1 + 1/f2.
@@ -98,7 +100,8 @@ def telescope(
     power = [tuple(0.0 if not isfinite(f) else 1.0 / f for f in one) for one in focal]
     first = LensPlane(0.0, power[0], (0.0,) * dims, zone)
     middle, apex = tuple(map(float, centre)), tuple(map(float, vertex))
-    last = LensPlane(separation, power[1], apex, zone + np.asarray(middle))
+    second = (zone if rim is None else rim) + np.asarray(middle)
+    last = LensPlane(separation, power[1], apex, second)
     if not field_lens:
         return [first, last]
     depth = focal[0][0]
@@ -112,7 +115,7 @@ def telescope(
         )
     own = tuple(depth / separation * c for c in middle)
     between = LensPlane(depth, tuple(a + b for a, b in zip(*power, strict=True)), own, zone + np.asarray(own))
-    return [first, between, LensPlane(separation - depth, power[1], apex, zone + np.asarray(middle))]
+    return [first, between, LensPlane(separation - depth, power[1], apex, second)]
 
 
 def chief_ray(planes: Sequence[LensPlane], slope: Sequence[float]) -> tuple[list[Floats], Floats]:

@@ -1,4 +1,8 @@
-"""A sheet's telescopelet in light of one direction, before waves are sent through it."""
+"""A sheet's telescopelet in light of one direction, before waves are sent through it.
+
+Where cells differ it is the cell that the whole sheet is judged by (`tracing/worst_cell.py`), lit along the middle of its own
+field; rays of it go through the whole sheet, and its lens 2 has the rim of its own array.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats, Pair2
+from clacad.base.types import Floats, Ints, Pair2
+from clacad.sheet.asked_focus import asked_power
 from clacad.sheet.lattice import polygon_area
 from clacad.sheet.vignetting import (
     ThinCells,
@@ -18,11 +23,12 @@ from clacad.sheet.vignetting import (
     focal_ratio,
     fresnel_numbers,
     half_field,
-    share,
+    partner_zone,
     thin_cells,
 )
 from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest
+from clacad.tracing.worst_cell import SeenCell, worst_cell
 from clacad.waves.lens_planes import LensPlane, telescope
 
 if TYPE_CHECKING:
@@ -36,29 +42,46 @@ ALONG = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class LitSheet:
     """A window lit from one direction, before anything is computed.
 
+    seen : SeenCell
+        The cell, in its sheet.
     direction : (3,) unit, sheet frame
     wavelength : float, metres
     field_lens : bool
         Whether a lens at the common focus images lens 1 onto lens 2, built or imagined.
     """
 
-    window: Window
+    seen: SeenCell
     direction: Floats
     wavelength: float
     field_lens: bool = False
+
+    @property
+    def window(self) -> Window:
+        """The sheet of equal cells like this one; the sheet itself where its cells are alike."""
+        return self.seen.like
+
+    @property
+    def own_cell(self) -> Ints | None:
+        """Which cell (2,) of the sheet, where cells differ."""
+        return self.seen.cell if self.seen.tried else None
 
     @cached_property
     def cells(self) -> ThinCells:
         """One telescopelet as thin lenses with cells."""
         return thin_cells(self.window)
 
+    @cached_property
+    def rim(self) -> Floats:
+        """Optical zone of lens 2 (m, 2) about the middle of its own cell, lengths."""
+        return partner_zone(thin_cells(self.seen.window))
+
     @property
     def built(self) -> bool:
         """Whether the window itself has lenses at the common focus."""
-        return bool(getattr(self.window.thin, "field", ()))
+        return bool(self.window.thin.field)
 
     @property
     def wave(self) -> float:
@@ -74,7 +97,7 @@ class Situation:
     @cached_property
     def fresnel(self) -> Pair2:
         """Fresnel numbers."""
-        return fresnel_numbers(self.cells, self.wave)
+        return fresnel_numbers(self.cells, self.wave, clip(self.cells.image, self.rim))
 
     @property
     def pupil_suits(self) -> bool:
@@ -93,7 +116,7 @@ class Situation:
     @property
     def along_axes(self) -> bool:
         """Whether cells stand along the lens axes, so that these are independent."""
-        zone = self.cells.zone
+        zone = self.cells.zone  # array 2's has the same directions
         half = 0.5 * np.ptp(zone, axis=0)
         return len(zone) == 4 and bool((np.abs(np.abs(zone) - half) <= ALONG * half).all())
 
@@ -102,7 +125,9 @@ class Situation:
         cells, pair = self.cells, self.window.thin
         rows = list(axes)
         vertex = (np.asarray(pair.offset) @ pair.rotation)[rows].tolist()
-        zone = cells.zone[:, rows] if len(rows) == 2 else _ends(cells.zone[:, rows])
+        zone, rim = (
+            one[:, rows] if len(rows) == 2 else _ends(one[:, rows]) for one in (cells.zone, self.rim)
+        )
         first, second = (tuple(one[k] for k in rows) for one in pair.focal_length)
         return telescope(
             (first, second),
@@ -110,6 +135,7 @@ class Situation:
             vertex,
             cells.separation,
             zone,
+            rim,
             field_lens=self.field_lens,
         )
 
@@ -125,9 +151,7 @@ class Situation:
     @property
     def share(self) -> float:
         """Share of the light on lens 1's optical zone that meets the partner, for rays through ideal lenses."""
-        if self.field_lens:
-            return area(self.lit) / area(self.cells.image)
-        return float(share(self.cells, self.direction[None, :])[0]) / self.cells.part
+        return area(self.lit) / area(self.cells.image) if len(self.lit) else 0.0
 
     @cached_property
     def lit(self) -> Floats:
@@ -138,11 +162,11 @@ class Situation:
             focus = np.array([f / self.cells.separation for f in self.window.thin.focal_length[0]])
             met = focus * moved
             return (
-                clip(image, self.cells.zone)
+                clip(image, self.rim)
                 if (np.abs(met) <= 0.5 * np.ptp(self.cells.zone, axis=0)).all()
                 else image[:0]
             )
-        return clip(image + moved, self.cells.zone)
+        return clip(image + moved, self.rim)
 
 
 def _ends(points: Floats) -> Floats:
@@ -151,14 +175,14 @@ def _ends(points: Floats) -> Floats:
 
 def situation(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
-) -> Situation:
-    """A design's window lit from one direction; what cannot be is refused.
+) -> LitSheet:
+    """A cell of a design's window lit from one direction; what cannot be is refused.
 
     Parameters
     ----------
     design : Design
     field : (x, y), radians
-        Angles off the middle of the field along the sheet's x and y.
+        Angles off the middle of the cell's field along the sheet's x and y.
     wavelength : float or None, metres
         None: the design's.
     field_lens : bool
@@ -175,11 +199,18 @@ def situation(
     from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 
     refuse_uncountable(design)
-    window = prescribe(design)
+    sheet = prescribe(design)
+    if asked_power(sheet).any():
+        raise BadRequest(
+            "pair.focus: light of such pairs meets at the image, not far away; clacad image says how sharply, and waves are computed "
+            "of afocal pairs"
+        )
+    seen = worst_cell(sheet, design.check.field)
+    window = seen.like
     wave = wavelength or window.wavelength or DEFAULT_WAVELENGTH
     slope = [middle + tan(angle) for middle, angle in zip(aperture_slope(window), field, strict=True)]
     direction = np.array([*slope, 1.0]) / hypot(*slope, 1.0)
-    found = Situation(window, direction, wave, field_lens)
+    found = LitSheet(seen, direction, wave, field_lens)
     if found.built:
         found = replace(found, field_lens=True)
     if len(found.lit) == 0:

@@ -36,8 +36,9 @@ def draw(figure: Figure, found: WaveReport) -> None:
     """Draw on a figure that is given."""
     for k, axes in enumerate(figure.subplots(1, 2)):
         axis(axes, found, k)
+    one = "one telescopelet" if found.cell is None else f"cell ({found.cell[0]}, {found.cell[1]})"
     figure.suptitle(
-        no_formula(f"{found.design}: one telescopelet's far field at {1e9 * found.wavelength:.4g} nm, Fresnel number {min(found.fresnel):.3g}"),
+        no_formula(f"{found.design}: {one}'s far field at {1e9 * found.wavelength:.4g} nm, Fresnel number {min(found.fresnel):.3g}"),
         fontsize=10,
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.waves import exit_pupil
 from clacad.waves.far_field import FarField, marginal, peak
 from clacad.waves.lens_planes import grid_for, propagate
-from clacad.waves.lit_cell import Situation, area, situation
+from clacad.waves.lit_cell import LitSheet, area, situation
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -54,6 +54,10 @@ class WaveReport:
     thin_share, thin_share_of_rays : float
         Light to the partner through ideal lenses as waves (NaN where not computed), and as rays.
     refused : mapping of way to sentence
+    cell : (i, j) or None
+        Whose light it is, where cells differ: that which the sheet is judged by.
+    tried : int
+        Of how many cells it is the worst.
     """
 
     design: str
@@ -69,6 +73,8 @@ class WaveReport:
     thin_share: float
     thin_share_of_rays: float
     refused: dict[str, str]
+    cell: tuple[int, int] | None = None
+    tried: int = 0
 
     @property
     def far_field(self) -> FarField:
@@ -100,6 +106,7 @@ class WaveReport:
             "way": self.far_field.way, "exact": None if self.exact is None else self.exact.to_dict(),
             "thin": None if self.thin is None else self.thin.to_dict() | {"share": self.thin_share},
             "rays": self.rays.to_dict(), "thin_share_of_rays": self.thin_share_of_rays, "refused": dict(self.refused),
+            "cell": None if self.cell is None else list(self.cell), "tried": self.tried,
         }  # fmt: skip
 
 
@@ -112,7 +119,8 @@ def wave(
     ----------
     design : Design
     field : (x, y), radians
-        Angles of the incident light off the middle of the field, along the sheet's x and y.
+        Angles of the incident light off the middle of the field, along the sheet's x and y; where cells differ, of that of the
+        worst cell.
     wavelength : float or None, metres
         None: the design's, 550 nm where it gives a bare index.
     field_lens : bool
@@ -135,7 +143,7 @@ def wave(
     return look(situation(design, field, wavelength, field_lens=field_lens), design.name)
 
 
-def look(lit: Situation, name: str) -> WaveReport:
+def look(lit: LitSheet, name: str) -> WaveReport:
     """As `wave`, of a window lit from one direction."""
     try:
         return _look(lit, name)
@@ -143,11 +151,12 @@ def look(lit: Situation, name: str) -> WaveReport:
         raise why if isinstance(why, BadRequest) else BadRequest(str(why)) from why
 
 
-def _look(lit: Situation, name: str) -> WaveReport:
+def _look(lit: LitSheet, name: str) -> WaveReport:
     refused: dict[str, str] = {}
     exact, thin, thin_share, side = None, None, np.nan, exit_pupil.FEWEST
+    sheet = lit.seen.window
     if lit.pupil_suits:
-        side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
+        side = exit_pupil.rays_needed(sheet, lit.direction, lit.wavelength, lit.own_cell)
     else:
         refused["pupil"] = lit.unsuited
     try:
@@ -156,7 +165,7 @@ def _look(lit: Situation, name: str) -> WaveReport:
         if not lit.pupil_suits:
             raise
         refused["angular spectrum"] = f"{why}; shares are those of rays"
-    found = exit_pupil.pupil(lit.window, lit.direction, lit.wavelength, side)
+    found = exit_pupil.pupil(sheet, lit.direction, lit.wavelength, side, lit.own_cell)
     if not found.alive.any():
         raise BadRequest("no light of this direction gets through the exact surfaces by the law")
     if lit.pupil_suits:
@@ -164,11 +173,12 @@ def _look(lit: Situation, name: str) -> WaveReport:
     slit = lit.wave / equivalent_widths(lit.lit)
     return WaveReport(
         name, lit.wavelength, lit.slope, lit.fresnel, _pair(slit), order_steps(lit.window.lattice, lit.wave), lit.field_lens, exact, thin,
-        exit_pupil.rays_of(found, lit.window, lit.direction, lit.wavelength), float(thin_share), lit.share, refused,
+        exit_pupil.rays_of(found, sheet, lit.direction, lit.wavelength, lit.own_cell), float(thin_share), lit.share, refused,
+        None if lit.own_cell is None else (int(lit.seen.cell[0]), int(lit.seen.cell[1])), lit.seen.tried,
     )  # fmt: skip
 
 
-def outlook(lit: Situation) -> dict[str, float]:
+def outlook(lit: LitSheet) -> dict[str, float]:
     """What `look` would take: rays and points along a side, processor seconds, bytes.
 
     Raises
@@ -180,7 +190,7 @@ def outlook(lit: Situation) -> dict[str, float]:
     try:
         side = exit_pupil.FEWEST
         if lit.pupil_suits:
-            side = exit_pupil.rays_needed(lit.window, lit.direction, lit.wavelength)
+            side = exit_pupil.rays_needed(lit.seen.window, lit.direction, lit.wavelength, lit.own_cell)
         axes = [(0,), (1,)] if lit.along_axes else [(0, 1)]
         points = []
         try:
@@ -200,7 +210,7 @@ def outlook(lit: Situation) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _thin(lit: Situation) -> tuple[FarField, float]:
+def _thin(lit: LitSheet) -> tuple[FarField, float]:
     """Far field and share of the ideal pair: axis by axis where cells allow, else on a square grid."""
     scale = abs(float(np.prod(focal_ratio(lit.window.thin))))
     ideal = area(lit.lit) ** 2 / scale

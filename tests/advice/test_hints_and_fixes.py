@@ -179,7 +179,7 @@ def test_another_pitch_keeps_the_size_of_the_sheet():
 @pytest.mark.slow
 def test_check_ends_with_the_verdict_of_verify_and_tells_json_the_same(too_close, capsys):
     assert main(["check", str(too_close), "--set", "pair.separation=10"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "verify will pass"
+    assert capsys.readouterr().out.splitlines()[-1] == "verify will pass, warning of viewed"
     assert main(["check", str(too_close), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert document["passed"] is False

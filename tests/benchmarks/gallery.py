@@ -1,17 +1,20 @@
-"""The pictures of README.md: views through the paper's sheets, 480 pixels across, 32 rays a pixel.
+"""The pictures of README.md: views through the paper's sheets, 480 pixels across, 32 rays a pixel; the page with sliders.
 
     python tests/benchmarks/gallery.py
+    python tests/benchmarks/gallery.py --no-views    the page and the far field alone
 
 Right-handed, as through a part made from the design. WebP of quality 82: a tenth of the bytes of PNG.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
 from pathlib import Path
 
 from PIL import Image
 
+import clacad
 from clacad.rendering import view_through
 from clacad.rendering.picture_files import pixels_of
 from clacad.scene import load_scene
@@ -25,6 +28,8 @@ SCENES = (
 PIXELS, SAMPLES, QUALITY = 480, 32, 82
 FIRST = ("fig5-phi-45", 640, 64)
 """The picture before the first command: scene, pixels across, rays a pixel."""
+WINDOW = ROOT / "designs/window-100mm.toml"
+PAGE, FAR_FIELD = VIEWS.parent / "explorer.html", VIEWS.parent / "wave.png"
 
 
 def draw(name: str, pixels: int, samples: int, file: Path) -> None:
@@ -37,7 +42,14 @@ def draw(name: str, pixels: int, samples: int, file: Path) -> None:
 
 
 def main() -> None:
-    """Render them all."""
+    """Make them all."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--no-views", action="store_true")
+    window = clacad.load(WINDOW)
+    clacad.explore(window, PAGE, overwrite=True)
+    FAR_FIELD.write_bytes(clacad.wave(window).picture())
+    if parser.parse_args().no_views:
+        return
     VIEWS.mkdir(exist_ok=True)
     draw(*FIRST, VIEWS.parent / "view-phi-45.webp")
     for name in SCENES:

@@ -6,11 +6,12 @@ Each file of tests/golden_designs is one bad design; FILE.txt beside it is what 
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from clacad.design import CODES, DesignError, load
+from clacad.design import CODES, Design, DesignError, load
 
 FOLDER = Path(__file__).parents[1] / "golden_designs"
 BAD = sorted(path.name for path in FOLDER.iterdir() if path.suffix != ".txt")
@@ -56,3 +57,30 @@ def test_nothing_that_steers_a_terminal_is_printed(tmp_path):
     with pytest.raises(DesignError) as caught:
         load(path)
     assert all(line.isprintable() for line in str(caught.value).split("\n"))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d.pop("name"), lambda d: d.pop("law"), lambda d: d["law"].pop("eta"), lambda d: d["law"].update(psi=3),
+        lambda d: d.update(pair=[1]), lambda d: d.update(colour="red"), lambda d: d["law"].update(eta="x"),
+        lambda d: d.update(body={"spin": 1}, check=2), lambda d: d["lattice"].update(pitch=True, kin="square"),
+    ],
+)  # fmt: skip
+def test_keys_are_found_unknown_missing_or_of_the_wrong_kind_as_the_schemas_models_find_them(change):
+    from pydantic import ValidationError
+
+    from clacad.base.units import design_unit
+    from clacad.design.schema import Document
+
+    data = tomllib.loads(
+        (Path(__file__).parents[2] / "designs" / "paper-base.toml").read_text(encoding="utf-8")
+    )
+    change(data)
+    with pytest.raises(ValidationError) as theirs:
+        Document.model_validate(data, context=design_unit("mm"))
+    with pytest.raises(DesignError) as ours:
+        Design.from_dict(data)
+    assert {".".join(map(str, one["loc"])) for one in theirs.value.errors()} <= {
+        m.key for m in ours.value.mistakes
+    }

@@ -55,6 +55,18 @@ def test_what_is_unknown_is_answered_with_what_is_nearest(asked, near, capsys):
     assert near in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["wave", "explore", "stack", "image", "optimise"])
+def test_what_a_command_makes_is_explained_by_the_commands_name(command):
+    assert f"see clacad {command} " in explain(command).do
+
+
+def test_every_word_sends_to_a_key_that_there_is_or_to_a_command():
+    for entry in entries().values():
+        if entry.do.startswith("see ") and entry.do.endswith(" of the design file"):
+            key = entry.do.removeprefix("see ").removesuffix(" of the design file")
+            assert key in explain(key).title, entry.name
+
+
 @pytest.mark.parametrize(
     "key", ["tolerances.rotation", "pair.web", "seam_depth", "check.process", "tolerances", "unit"]
 )

@@ -65,6 +65,14 @@ def test_the_same_design_gives_the_same_bytes_and_an_existing_file_is_kept(tmp_p
     assert page.read_bytes() == first
 
 
+def test_the_page_of_the_showcase_is_the_one_that_is_made_now():
+    """Else: python tests/benchmarks/gallery.py --no-views."""
+    from clacad.explorer.write_page import page
+
+    kept = DESIGN.parents[1] / "exports/showcase/explorer.html"
+    assert page(clacad.load(DESIGN)) == kept.read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(("words", "status", "says"), [
     (["-o", "OUT/page.txt"], 2, "ends in .html"), (["-o", "OUT/p.html", "--set", "law.eta=[0,1]"], 2, "eta_x = 0"),
     (["-o", "OUT/p.html", "--set", "pair.separation=1"], 2, "less than half the diagonal"), ([], 2, "--out"),

@@ -105,6 +105,54 @@ def test_an_untouched_page_hands_out_the_very_design(chromium, tmp_path, name):
     assert Page(chromium, tmp_path, design).design().sha256 == design.sha256
 
 
+@pytest.mark.parametrize("name", everyday("paper-a-covered", others=("window-100mm", "hexagonal", "plano")))
+def test_the_field_lens_is_in_the_design_file_that_check_reads(chromium, tmp_path, capsys, name):
+    from clacad.cli import main
+
+    page, start = Page(chromium, tmp_path, shipped(name)), shipped(name)
+    page.set(field=1, object=page.browser.run("explorer.state().object") / 2)
+    file = tmp_path / "copied.toml"
+    file.write_text(page.browser.run("explorer.toml()"))
+    assert main(["check", str(file), "--json"]) in (0, 1)
+    capsys.readouterr()
+    design = clacad.load(file)
+    window = clacad.prescribe(design)
+    assert window.thin.field
+    assert design.check.field == start.check.field
+    again = Page(chromium, tmp_path, design)
+    assert again.design().sha256 == design.sha256
+    assert again.verdict()["half_field"] == pytest.approx(half_field(thin_cells(window)), rel=1e-12)
+    again.set(field=0)
+    assert again.design().sha256 == design.replace("pair.field_lens", False).sha256
+
+
+def test_given_faces_stay_until_what_they_are_for_is_moved(chromium, tmp_path):
+    """A slab of paraboloids; turned or of other cells they do as well, of another law they do not."""
+    made = shipped("window-100mm").replace(
+        {"pair.prescription": "given", "pair.face": [{"radius": [2.47, 2.47], "conic": [-0.4, -0.4]}] * 2}
+    )
+    page = Page(chromium, tmp_path, made)
+    assert page.design().sha256 == made.sha256
+    page.set(phi=20, pitch=0.4, object=123)
+    assert page.design().pair == made.pair
+    for moved in ({"eta_x": -0.8}, {"delta_y": 0.01}, {"separation": 12}, {"field": 1}):
+        page.set(**moved)
+        design = page.design()
+        assert design.pair.prescription == "derived"
+        clacad.prescribe(design)
+        assert page.browser.run("explorer.toml()").startswith("# the faces that were given")
+
+
+@pytest.mark.parametrize(("name", "changes", "why"), everyday(
+    ("baffled", {}, "baffle"), others=[("window-100mm", {"body.border": 6, "body.corners": {"round": 3}}, "corners")]))  # fmt: skip
+def test_what_no_field_lens_is_made_beside_takes_the_switch_away(chromium, tmp_path, name, changes, why):
+    page = Page(chromium, tmp_path, shipped(name).replace(changes))
+    page.set(field=1)
+    assert page.browser.run("document.querySelector('[name=field]').disabled")
+    assert why in page.browser.run("document.querySelector('[data-why]').textContent")
+    assert page.design().pair.field_lens is False
+
+
 def test_moved_sliders_are_in_the_design_file_that_check_reads(page, tmp_path, capsys):
     from clacad.cli import main
 

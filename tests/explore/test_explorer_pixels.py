@@ -38,6 +38,10 @@ CASES = {
     "round, with border and seams": (shipped("slab", **ROUND), {"delta_x": 0.02, "azimuth": 1.5, "elevation": 0.6, "fov": 0.5}),
     "opaque land": (shipped("slab", **ROUND, **{"lattice.land": "opaque"}), {"theta": 3.0, "fov": 0.45, "azimuth": 0.7}),
     "baffle": (shipped("baffled"), {"azimuth": 1.0, "fov": 1.37}),
+    "field lens": (shipped("window-100mm"), {"field": 1, "delta_x": 0.01, "azimuth": 3.0, "elevation": 1.3}),
+    "field lens of hexagons": (shipped("hexagonal", **{"law.eta": [-0.5, -0.5]}), {"field": 1, "phi": 10.0, "azimuth": 4.0, "fov": 1.0}),
+    "field lens of crossed cylinders": (shipped("paper-a-covered"), {"field": 1, "azimuth": 6.0, "elevation": -7.0}),
+    "field lens, turned": (shipped("paper-a-covered"), {"field": 1, "eta_x": -0.6, "eta_y": -0.6, "phi": 25.0, "azimuth": 6.0}),
 }  # fmt: skip
 
 

@@ -295,9 +295,9 @@ def test_a_declared_preview_of_which_nothing_else_is_said_is_coarse_while_master
 
 
 def test_a_frame_is_neither_master_nor_preview(tmp_path):
-    found = forecast_rows(small(), Request(("frame", "coupon", "baffle", "pov", "brep", "marked")))
+    found = forecast_rows(small(), Request(("frame", "pins", "coupon", "baffle", "pov", "brep", "marked")))
     roles = {row.format: str(row.prospect.role) for row in found}
-    assert roles == dict.fromkeys(("frame", "coupon", "baffle", "pov"), "other") | dict.fromkeys(
+    assert roles == dict.fromkeys(("frame", "pins", "coupon", "baffle", "pov"), "other") | dict.fromkeys(
         ("brep", "marked"), "optical-master"
     )
 

@@ -75,6 +75,57 @@ def test_dimensions_of_the_dxf_are_those_of_the_box_of_the_step_file(tmp_path, d
         assert said == pytest.approx(value, rel=1e-4, abs=1e-9)
 
 
+@pytest.mark.slow
+def test_a_drawn_plate_has_the_box_holes_corners_and_bends_of_its_step_file(tmp_path):
+    from build123d import import_step
+    from OCP.gp import gp_Cylinder
+    from OCP.ShapeAnalysis import ShapeAnalysis_CanonicalRecognition
+
+    polygon = [
+        [-6, -5],
+        [6, -5, 0.41421356237309503],
+        [7, -4],
+        [7, 4],
+        [2, 4],
+        [2, 5],
+        [-6, 5],
+        [-7, 4],
+        [-7, -4],
+    ]
+    design = clacad.Design.from_dict({
+        "format": 1, "name": "plate", "unit": "mm", "law": {"eta": [-1, -1]},
+        "pair": {"form": "plano", "separation": 14, "thickness": 1.5, "material": "PMMA"},
+        "lattice": {"pitch": 1.0, "outline": {"polygon": polygon}},
+        "body": {"holes": [{"diameter": 0.8, "circle": 8, "count": 4}], "pins": {"diameter": 1, "at": [[-5.5, 2.5], [5.5, -2.5]], "play": "20 um"}},
+    })  # fmt: skip
+    export(design, tmp_path / "x", ("drawing", "step"))
+    shape = import_step(str(next((tmp_path / "x").glob("*.step"))))
+    drawn = next((tmp_path / "x").glob("*.dxf"))
+    box = shape.bounding_box().size
+    found = [value for _, value in measured(drawn)]
+    for size in (box.X, box.Y):
+        assert any(value == pytest.approx(size, rel=1e-6) for value in found)
+    round_ones = set()
+    for face in (face for solid in shape.solids() for face in solid.faces()):
+        found_cylinder = (
+            gp_Cylinder()
+        )  # the file holds rational quarters; the kernel says which cylinder they are of
+        if ShapeAnalysis_CanonicalRecognition(face.wrapped).IsCylinder(1e-7, found_cylinder):
+            at = found_cylinder.Location()
+            place = (float(f"{v:.5g}") if abs(v) > 1e-9 else 0.0 for v in (at.X(), at.Y()))
+            round_ones.add((*place, f"{2 * found_cylinder.Radius():.5g}"))
+    said = texts(drawn)
+    first = said.index("hole") + 5
+    rows = [said[first + 5 * k : first + 5 * k + 5] for k in range(6)]
+    holes = {(float(x), float(y), diameter) for _, x, y, diameter, _ in rows}
+    assert [use for *_, use in rows] == ["mounting"] * 4 + ["pin 1, play 0.02"] * 2
+    assert holes == {(x, y, d) for x, y, d in round_ones if float(d) < 1.5}
+    assert round_ones - holes == {(6.0, -4.0, "2")}  # the bend: R 1 about (6, -4)
+    corners = said[said.index("corner") + 4 :]
+    assert [[float(v) for v in corners[4 * k + 1 : 4 * k + 3]] for k in range(9)] == [p[:2] for p in polygon]
+    assert corners[7] == "outwards, R 1"
+
+
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
 def test_the_text_of_the_pdf_holds_sizes_tolerances_radii_conics_and_sags(tmp_path):
     design = part("tilted-biconvex", (3, 2))

@@ -16,6 +16,7 @@ from clacad.mesh.health import check_closed
 from clacad.mesh.tessellation import tessellate
 from clacad.optics.rays import NO_CELL, Fate, Rays
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.feasibility import feasibility
 from clacad.sheet.volume_and_extent import body_volume
 from clacad.tracing.trace import trace
 from clacad.tracing.triangles.triangle_soup import TriangleSoup
@@ -90,6 +91,15 @@ def test_outlines_that_are_not_convex_make_closed_meshes_and_valid_solids(tmp_pa
     fine = tessellate(sheet, quads=12).bodies[0]
     coarse, finer = mesh.volume() - facts["volume"], fine.volume() - facts["volume"]
     assert abs(finer) < 0.08 * abs(coarse)  # chords of lenses alone: 16 times less
+
+
+@pytest.mark.parametrize("base", [SLAB, PLANO])
+def test_gaps_of_the_cells_that_holes_cut_are_land_and_no_pinholes(base):
+    """A hole amid the cells leaves cells out all round; under them lies one plate, of any form."""
+    sheet = window(base, {"outline": {"rectangle": [11, 9]}}, holes=[{"diameter": 1.2, "at": [[0.2, 0.3]]}])
+    assert 0 < sheet.lattice.cell_count < 99
+    for body in feasibility(sheet).bodies:
+        assert (body.pieces, body.holes) == (1, 0)
 
 
 def test_light_straight_down_meets_holes_land_and_air_where_plain_words_say():

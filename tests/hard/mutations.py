@@ -64,7 +64,45 @@ SCALAR, LAUNCH, TRACE = (
     "clacad/optics/sequence.py",
 )
 
+PLACES, LIKE, OWN, MIRROR = (
+    "clacad/sheet/cell_places.py",
+    "clacad/sheet/like_cell.py",
+    "clacad/tracing/compiled/own_cells.py",
+    "clacad/effects/engine/mirrored_window.py",
+)
+DIFFERING = "tests/hard/test_hard_differing.py"
+FAR_OUT, ROWS = (
+    f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")
+)
+ALIKE, ITS_KERNEL = (
+    f"{DIFFERING} -k 'like_one or wide_as or farthest'",
+    f"{DIFFERING} -m '' -k 'numba and not (2e4 or 10.4)'",
+)
+
 MUTATIONS = [
+    # -- sheets whose cells differ
+    Mutation("places: centres rounded", PLACES, "two_product(2.0 * i - (n1 - 1), 0.5 * lattice.pitch[0])", "pair((2.0 * i - (n1 - 1)) * (0.5 * lattice.pitch[0]))", FAR_OUT),
+    Mutation("places: gradient transposed", PLACES, "[xx * x + xy * y, yx * x + yy * y]", "[xx * x + yx * y, xy * x + yy * y]", ROWS),
+    Mutation("places: the table forgotten", PLACES, "return change if self.table is None else", "return change if True else", ROWS),
+    Mutation("places: rows of hexagons as of squares", PLACES, "place = i + j // 2 if lattice.hexagonal else i\n", "place = i\n", ROWS),
+    Mutation("places: the lattice's pitch for every array", PLACES, "replace(base, pitch=self.pitch, outline=None)", "base", ROWS),
+    Mutation("places: farthest lenses in one direction", PLACES, "(2.0 * np.pi / DIRECTIONS)", "0.0", ALIKE),
+    Mutation("places: the first cell of each row alone", PLACES, "row[[0, -1]]", "row[[0, 0]]", ALIKE),
+    Mutation("like a cell: the law of the middle", LIKE, "law=window.law_at(index)", "law=window.law", ALIKE),
+    Mutation("like a cell: thin lens 2 where the middle has it", LIKE, "+= apart - np.asarray(window.thin.shift)", "+= 0.0 * apart", ALIKE),
+    Mutation("like a cell: thin lens 2 not moved in its cell", LIKE, "+= window.thin.change.at(window.lattice, index)", "+= 0.0", ALIKE),
+    Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "shift=_pair(apart), pitch=None", "pitch=None", ALIKE),
+    Mutation("like a cell: lenses where the middle has them", LIKE, "back=window.in_cell(body.back, index)", "back=replace(body.back, change=None)", ALIKE),
+    Mutation("like a cell: partners in the middle's place", LIKE, "_pair(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
+    Mutation("like a cell: never wider", LIKE, "if factor <= 1.0:", "if True:", ALIKE),
+    Mutation("like a cell: always wider", LIKE, "if widest else 1.0", "if True else 1.0", ALIKE),
+    Mutation("like a cell: one direction", LIKE, "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
+    Mutation("kernel: gradient transposed", OWN, "change[f, XX] * x + change[f, XY] * y, change[f, YX] * x + change[f, YY] * y", "change[f, XX] * x + change[f, YX] * y, change[f, XY] * x + change[f, YY] * y", ITS_KERNEL),
+    Mutation("kernel: rows of hexagons as of squares", OWN, "place = int(i) + int(j) // 2 if lat[slot.HEXAGONAL] != 0.0 else int(i)", "place = int(i)", ITS_KERNEL),
+    Mutation("kernel: the table forgotten", OWN, "if which >= 0 and kept", "if which > 99 and kept", ITS_KERNEL),
+    Mutation("kernel: hexagons' centres by columns of squares", OWN, "x, y = lat[slot.X0] + (i + 0.5 * j) * lat[slot.PITCH]", "x, y = lat[slot.X0] + i * lat[slot.PITCH]", ITS_KERNEL),
+    Mutation("kernel: another pitch as if it were the same", OWN, "if here[slot.PITCH] == there[slot.PITCH] and here[slot.ROW] == there[slot.ROW]:", "if True:", ITS_KERNEL),
+    Mutation("kernel: cells of lens 1 in every array", OWN, "i, j, x, y = locate(there, xh, xl, yh, yl)", "_, _, x, y = locate(there, xh, xl, yh, yl)", ITS_KERNEL),
     # -- sag and normal
     Mutation("sag: R - sqrt(R² - r²)", SHAPE, "surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))",
              "surface.side * (1.0 - slope_root(surface, x, y)) * lateral_square(surface, x, y) / (1.0 - slope_root(surface, x, y) ** 2)"),

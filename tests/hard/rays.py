@@ -67,6 +67,9 @@ FAR = 5000.0
 LEAN = 0.349  # a plane leaning by 20 degrees ...
 LEVEL = LEAN + asin(cos(LEAN) / 1.5)  # ... and the direction from which light leaves along the sheet
 RIM = 0.0035266839949164712  # where the faces of lens(40, 40, 40) meet
+# two plates of η = −1 that touch at the common focus, and lens, crossed cylinders at foci 1e-9 apart, lens (K = −n²)
+PLATES = [oq(80, 80, 80), oq(80, 80, 80, -1, vertex=(0, 0, 0.0375), **GLASS), oq(80, 80, 80, vertex=(0, 0, 0.0375)), oq(80, 80, 80, -1, vertex=(0, 0, 0.075), **GLASS)]  # fmt: skip
+CROSSED = [*lens(40, 40, 40), oq(0, 160, -200, vertex=(0, 0, 0.025)), oq(160, 0, -200, -1, vertex=(0, 0, 0.025 + 1.5e-9), **GLASS), *lens(40, 40, 40, z=0.05)]  # fmt: skip
 # a bent pair: own radii and terms on each face (metres)
 BENT = [
     op(52.54, 74.86, -1, -1, (2678.1, 20547.3, 8549.4), vertex=(0, 0, -2.55e-4)),
@@ -195,6 +198,11 @@ HARD = [
     Hard("scale 1e100", "products of three lengths overflow", [oq(4e-101, 3e-101, 3.5e-101)], (-5e99, -1.5e100, -1e101), (0.1, 0.2, 1)),
     Hard("slab, ellipsoid", "one body, glass between the arrays", [oq(75, 120, 94.86832980505137), oq(120, 120, 120, -1, vertex=(0, 0, 0.01875), **GLASS)], (-0.0015, 0.0012, -0.01), (0.05, -0.02, 1)),
     Hard("plano, curved inside", "plane, gap, plane", [oq(0, 0, 0), oq(20, 25, 22, -1, vertex=(0, 0, 1e-3), **GLASS), oq(30, 30, 30, vertex=(0, 0, 0.05)), oq(0, 0, 0, -1, vertex=(0, 0, 0.051), **GLASS)], (1e-3, 5e-4, -0.01), (0.02, -0.01, 1)),
+    Hard("field faces at an exact focus", "light of one direction meets at both vertices", PLATES, (1e-3, -1.4e-3, -0.01), (0, 0, 1)),
+    Hard("field faces at an exact focus, rim of the field", "the same, half a cell aside", PLATES, (1.4e-3, -0.9e-3, -0.01), (0.09, 0.05, 1)),
+    Hard("crossed cylinders, foci 1e-9 apart", "a plate thinner than the heights of its faces: they cross beside the axis", CROSSED, (1e-3, -5e-4, -0.01), (0, 0, 1)),
+    Hard("crossed cylinders, on both axes", "in glass of 1.5e-9", CROSSED, (0, 0, -0.01), (0, 0, 1)),
+    Hard("field face at the limit of its radius", "met where it stands all but upright", [*lens(40, 40, 40), oq(250, 250, 250, vertex=(0, 0, 0.025)), oq(0, 0, 0, -1, vertex=(0, 0, 0.03), **GLASS)], (1e-3, 5e-4, -0.01), (0.148, 0.01, 1)),
     Hard("biconcave lens", "negative curvatures on side +1", lens(-40, -30, -35), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
     Hard("source at 1e15 of R", "the start keeps no digit of the lens", lens(40, 40, 40), (1e-3, -5e-4, -4e13), (0, 0, 1)),
     # faces with terms of order 4 to 8

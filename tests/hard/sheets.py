@@ -50,6 +50,7 @@ def sheet(name, why, start, direction, undecidable=False, facets="", **changes):
 ONTO_BORDER = "lens 1 sends the light onto a border of lens 2, nearer than its facets' slope error carries it"
 MILLION, MILLIARD = [2_000_000, 2_000_000], [2_000_000_000, 2_000_000_000]
 SLAB = {"pair__form": "slab", "pair__thickness": None}
+FIELD = {"pair__field_lens": True}
 TINY = {"lattice__pitch": 5e-7, "pair__separation": 5e-6, "pair__thickness": 1e-7}
 HUGE = {"lattice__pitch": 5e6, "pair__separation": 5e7, "pair__thickness": 1e6}
 SHEETS = [
@@ -82,6 +83,17 @@ SHEETS = [
     sheet("slab", "one body, two grids", (0.0012, 0.0007, -0.01), (0.01, -0.01, 1), **SLAB),
     sheet("slab, biconic", "Newton in every cell", (0.0012, 0.0007, -0.01), (0.01, -0.01, 1), pair__surface="biconic", **SLAB),
     sheet("plano, curved outside", "planes between the lenses", (0.0012, 0.0007, -0.01), (0.01, -0.01, 1), pair__form="plano", pair__thickness=0.002),
+    sheet("field lens, both faces at the focus to 1e-9", "light meets at a vertex where every offset is 0", (0.0012, 0.0007, -0.01), (0.01, -0.01, 1),
+          law__eta=[-1.0, -1.0], pair__field={"gap": 1e-9}, **FIELD, **SLAB),
+    sheet("field lens, along the axis", "every offset and every slope is 0", (0.0025, 0.0025, -0.01), (0, 0, 1), law__eta=[-1.0, -1.0], **FIELD, **SLAB),
+    sheet("field lens, foci nearly in one", "crossed cylinders on a plate as thin as their heights", (0.00012, 0.00007, -0.01), (0.001, -0.002, 1),
+          law__eta=[-0.97, -1.0], lattice__pitch=5e-4, pair__thickness=5e-5, **FIELD),
+    sheet("field lens, radius at its limit", "a field face that all but ends in its cell, met by its border", (0.0005, 0.0007, -0.01), (0.088, 0.0, 1),
+          lattice__pitch=0.0075, pair__thickness=0.0022, **FIELD),
+    sheet("field lens, next cell's", "light beyond the field goes by another field lens to the lens but one", (0.0012, 0.0007, -0.01), (0.13, 0.0, 1),
+          law__eta=[-1.0, -1.0], **FIELD),
+    sheet("field lens, a million pitches out", "p k is rounded to 1e-12 at four faces", (4999.9981, -4999.9972, -0.01), (0.01, 0.02, 1),
+          law__eta=[-1.0, -1.0], lattice__count=MILLION, **FIELD, **SLAB),
     sheet("hexagonal", "skewed axes", (0.0012, 0.0007, -0.01), (0.01, -0.01, 1), lattice__kind="hexagonal"),
     sheet("hexagonal, last cell", "rows of sqrt(3)", (0.4975, 0.4301, -0.01), (0.01, -0.01, 1), lattice__kind="hexagonal"),
     sheet("a pitch of 1 : 100", "cells small beside their distance", (0.0001, 0.0002, -0.01), (0.001, -0.002, 1), lattice__pitch=0.0005, pair__thickness=2e-5),

@@ -120,6 +120,15 @@ def test_best_scales_the_radii_of_slabs_and_plano_pairs_too():
         assert 1.0 < window.recipe["scale"] < 1.01
 
 
+@pytest.mark.parametrize(("name", "scale"), [
+    ("paper-a-covered", 1.000390625), ("tilted-biconvex", 0.99982421875), ("galilean", 0.998876953125),
+])  # fmt: skip
+def test_best_keeps_the_answers_of_the_search_it_was(name, scale):
+    """Bisected over one number before there were least squares; biconvex pairs only."""
+    window = prescribe(load(DESIGNS / f"{name}.toml", ['pair.confocal="best"']))
+    assert window.recipe["scale"] == pytest.approx(scale, abs=1e-4)
+
+
 # -- the traps -----------------------------------------------------------------------------------------------------
 
 
@@ -330,6 +339,17 @@ def test_a_dry_run_writes_nothing_and_tells_the_cost(tmp_path):
     assert ended.status == 0, ended.err
     assert json.loads(ended.out)["forecast"]["unknowns"] == 8
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_better_design_that_verify_will_fail_is_written_and_said_to(tmp_path):
+    """Radii alone are nearest to the law of the paper's sheet where the measured η is not the asked one."""
+    words = ("optimise", DESIGNS / "paper-a-covered.toml", "-o", "better.toml", "--free", "radii", "--json")
+    ended = run(*words, cwd=tmp_path)
+    assert ended.status == 1
+    failed = [sentence.split(":")[0] for sentence in json.loads(ended.out)["failed"]]
+    assert failed == ["eta", "confocality", "residual"]
+    assert run("check", "better.toml", "-q", cwd=tmp_path).status == 1
 
 
 @pytest.mark.parametrize(("words", "complaint"), [

@@ -17,7 +17,7 @@ from trust.running import clacad as run
 from clacad import Design, DesignError, load, optimise, prescribe
 from clacad.optics.surface import EvenPolynomial
 from clacad.optimising import face_search, search
-from clacad.optimising.aim import Aim, Target
+from clacad.optimising.aim import Aim, AimedRays
 from clacad.optimising.gain_as_made import gain_as_made
 from clacad.optimising.measured_light import measured
 from clacad.optimising.optimised_text import design_text
@@ -53,9 +53,9 @@ def test_weights_are_shares_of_the_squares():
     design = load(WINDOW)
     window = prescribe(design)
     alone = [
-        np.sum(Target.of(Aim(part * 0.02), design, window).residuals(window) ** 2) for part in (0.5, 1.0)
+        np.sum(AimedRays.of(Aim(part * 0.02), design, window).residuals(window) ** 2) for part in (0.5, 1.0)
     ]
-    both = Target.of(Aim(0.02, ((0.5, 3.0), (1.0, 1.0))), design, window).residuals(window)
+    both = AimedRays.of(Aim(0.02, ((0.5, 3.0), (1.0, 1.0))), design, window).residuals(window)
     assert np.sum(both**2) == pytest.approx(0.75 * alone[0] + 0.25 * alone[1], rel=1e-12)
 
 
@@ -83,9 +83,11 @@ def test_the_expected_error_is_that_of_parts_drawn_at_random():
     design = load(PAPER, (*ERRORS, "lattice.count=[5, 5]", "pair.separation=0.1"))
     window = prescribe(design)
     expected = float(
-        np.linalg.norm(Target.of(Aim(design.check.field, tolerances=True), design, window).residuals(window))
+        np.linalg.norm(
+            AimedRays.of(Aim(design.check.field, tolerances=True), design, window).residuals(window)
+        )
     )
-    perfect = float(np.linalg.norm(Target.of(Aim(design.check.field), design, window).residuals(window)))
+    perfect = float(np.linalg.norm(AimedRays.of(Aim(design.check.field), design, window).residuals(window)))
     assert expected > 1.3 * perfect
     assert expected == pytest.approx(made_rms(design, 80), rel=0.08)
 

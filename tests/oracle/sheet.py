@@ -85,16 +85,17 @@ def _first(window, face, position, ray, before, after):
     shift = [mpf(float(s)) for s in window.shifts[face.array]]
     level = (mpf(float(face.vertex[2])) - position[2]) / ray[2]
     near = [position[k] + level * ray[k] - shift[k] for k in (0, 1)]
-    middle = _cell(window, near)
+    middle = _cell(window, near, face.array)
     found = []
     for step in product((-1, 0, 1), repeat=2):
         cell = (middle[0] + step[0], middle[1] + step[1])
-        centre = [c + s for c, s in zip(_centre(window, cell), shift)]
-        met = _through(face, centre, position, ray, before, after, cell)
+        centre = [c + s for c, s in zip(_centre(window, cell, face.array), shift)]
+        apex = [c + m for c, m in zip(centre, _moved(window, face, cell))]
+        met = _through(face, apex, position, ray, before, after, cell)
         if met is None or not _kept(window, cell):
             continue
         place = [met[2][k] - shift[k] for k in (0, 1)]
-        if _cell(window, place) == cell:
+        if _cell(window, place, face.array) == cell:
             found.append(met)
     return min(found, key=lambda one: one[1]) if found else None
 
@@ -117,24 +118,40 @@ def _through(face, centre, position, ray, before, after, cell):
     return cell, path.optical_path[0] / mpf(before), path.hits[0], direction, placed
 
 
-def _centre(window, cell):
-    lattice = window.lattice
+def _pitch(window, array):
+    """Pitch of an array: its own, or the lattice's."""
+    return window.placements[array].pitch or window.lattice.pitch
+
+
+def _moved(window, face, cell):
+    """How far the lens of a cell stands from where its face has it: affine in the cell's centre, and a table."""
+    if face.change is None:
+        return [mpf(0), mpf(0)]
+    centre = _centre(window, cell, 0)
+    moved = [sum(mpf(float(g)) * c for g, c in zip(row, centre)) for row in face.change.gradient]
+    if face.change.table is None or not _kept(window, cell):
+        return moved
+    i, j = cell
+    place = i + j // 2 if window.lattice.kind == "hexagonal" else i
+    return [m + mpf(float(t)) for m, t in zip(moved, face.change.table[place, j])]
+
+
+def _centre(window, cell, array):
+    lattice, pitch = window.lattice, _pitch(window, array)
     if lattice.kind == "hexagonal":
-        return lattice_oracle.centre(mpf(lattice.pitch[0]), lattice.count, *cell)
+        return lattice_oracle.centre(mpf(pitch[0]), lattice.count, *cell)
     return [
         mpf(p) * mpf((Fraction(2 * k - (n - 1), 2)).numerator) / (Fraction(2 * k - (n - 1), 2)).denominator
-        for k, p, n in zip(cell, lattice.pitch, lattice.count)
+        for k, p, n in zip(cell, pitch, lattice.count)
     ]
 
 
-def _cell(window, place):
-    """Cell of a point with 60 digits; a wall belongs to the cell above it."""
-    lattice = window.lattice
+def _cell(window, place, array):
+    """Cell of an array with a point of 60 digits, from its middle; a wall belongs to the cell above it."""
+    lattice, pitch = window.lattice, _pitch(window, array)
     if lattice.kind == "hexagonal":
-        return lattice_oracle.locate("hexagonal", lattice.pitch, lattice.count, *place)[0]
-    return tuple(
-        int(mp.floor(u / mpf(p) + mpf(n) / 2)) for u, p, n in zip(place, lattice.pitch, lattice.count)
-    )
+        return lattice_oracle.locate("hexagonal", pitch, lattice.count, *place)[0]
+    return tuple(int(mp.floor(u / mpf(p) + mpf(n) / 2)) for u, p, n in zip(place, pitch, lattice.count))
 
 
 def _kept(window, cell):

@@ -315,7 +315,7 @@ def test_eta_minus_one_is_one_part_twice():
         ("window-100mm", {"law.eta": [-0.5, -1.0], "law.euler": [30.0, 0.0, 0.0]}, "CL127", "turned by 30 deg"),
         ("paper-a-covered", {"law.euler": [0.0, 2.0, 0.0]}, "CL127", "steps"),
         ("hexagonal", {"law.eta": [-0.5, -1.0]}, "CL127", "hexagonal"),
-        ("baffled", {"law.eta": [-1.0, -1.0]}, "CL127", "baffle"),
+        ("baffled", {"law.eta": [-0.5, -1.0]}, "CL127", "baffle"),
         ("paper-a-covered", {"lattice.pitch": 0.008}, "CL128", "the radius 0.0039"),
         ("window-100mm", {"pair.field.gap": 10.0}, "CL129", "too wide"),
         ("window-100mm", {"law.eta": [-0.999, -1.0]}, "CL129", "they need"),

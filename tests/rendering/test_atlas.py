@@ -16,6 +16,7 @@ from PIL import Image
 from viewscenes import ROOT
 
 from clacad.rendering.atlas import paper_figures
+from clacad.rendering.atlas.field_lens_figure import FIELD_LENS, ghosts_marked
 from clacad.rendering.atlas.figure1 import MeasuredLenses, quadrics, section_findings, solid_findings
 from clacad.rendering.atlas.figure1_section import section_svg
 from clacad.rendering.atlas.finding import AtlasFinding
@@ -412,3 +413,22 @@ def test_an_eye_sees_a_photograph_before_and_after(tmp_path):
         inside > 0
     )  # eta = -1 seen from 400 mm with the picture at 200 mm: upright, (1 + 200/400)/(1 - 200/400) as large
     np.testing.assert_allclose(after[:, :3], before[:, :3], atol=6)  # beside the sheet nothing changes
+
+
+@pytest.mark.slow
+def test_a_field_lens_keeps_the_light_that_ghosts_take_without_one():
+    held(FIELD_LENS)
+    for stem, _ in FIELD_LENS.scenes:
+        scene = load(stem)
+        camera = replace(scene.camera, pixels=(56, 56), samples=2)
+        picture = ghosts_marked(replace(scene, camera=camera)).light[10:46, 10:46]
+        pink = np.mean((picture[..., 0] > 3.0 * picture[..., 1]) & (picture[..., 2] > picture[..., 1]))
+        assert (pink > 0.2) == (stem in ("no-field-lens-1.5", "no-field-lens-2.5"))
+
+
+def test_every_scene_of_the_field_lens_figure_is_there_and_differs_by_it_alone():
+    for stem, label in FIELD_LENS.scenes:
+        design = load(stem).design()
+        assert design.pair.field_lens == ("with a" in label)
+        other = load(stem.replace("no-", "")).design()
+        assert design.replace("pair.field_lens", True) == other

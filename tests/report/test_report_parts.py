@@ -116,6 +116,56 @@ def test_orientation_says_what_turning_does_to_the_geometry():
     assert any("may not be turned over" in s for s in orientation(prescribe(round_one)))
 
 
+@pytest.mark.parametrize(("changes", "quarter", "over"), [
+    ({}, True, True),
+    ({"pair.face.0.conic": [-1, 0]}, False, False),
+    ({"pair.face.0.conic": [-1, -1]}, True, False),
+    ({"pair.face.0.a4": [1e-3, 0, 2e-3], "pair.face.1.a4": [1e-3, 0, 2e-3]}, False, True),
+    ({"pair.face.0.a4": [1e-3, 5e-4, 1e-3], "pair.face.1.a4": [1e-3, 6e-4, 1e-3]}, True, False),
+])  # fmt: skip
+def test_given_faces_that_differ_in_more_than_their_radii_are_not_alike(changes, quarter, over):
+    faces = [{"radius": [1.6, 1.6], "conic": [0, 0], "a4": [0, 0, 0]} for _ in range(2)]
+    pair = {
+        "form": "slab",
+        "thickness": 7.5,
+        "index": 1.5,
+        "prescription": "given",
+        "face": faces,
+    }
+    design = Design.from_dict({**TEXT, "law": {"eta": [-1, -1]}, "pair": pair})
+    for key, value in changes.items():
+        design = design.replace(key, value)
+    said = orientation(prescribe(design))
+    assert any("by quarter turns" in s for s in said) == quarter
+    assert any("turned over, too" in s for s in said) == over
+
+
+def test_lenses_of_unlike_thickness_are_not_turned_over():
+    pair = {"form": "biconvex", "separation": 5.0, "index": 1.5}
+    for thickness, over in ((0.4, True), ([0.4, 0.5], False)):
+        design = Design.from_dict({**TEXT, "law": {"eta": [-1, -1]}, "pair": pair | {"thickness": thickness}})
+        assert any("turned over, too" in s for s in orientation(prescribe(design))) == over
+
+
+@pytest.mark.parametrize(("body", "words"), [
+    ({}, ("by quarter turns", "turned over, too")),
+    ({"corners": {"round": 0.5}}, ("by quarter turns", "turned over, too")),
+    ({"holes": [{"diameter": 0.5, "circle": 4.6, "count": 4}]}, ("by quarter turns", "turned over, too")),
+    ({"holes": [{"diameter": 0.5, "circle": 4.6, "count": 2}]}, ("not by a quarter", "turned over, too")),
+    ({"holes": [{"diameter": 0.5, "at": [[2.3, 2.0], [-2.3, -2.0]]}]}, ("not by a quarter", "over: outline or holes")),
+    ({"holes": [{"diameter": 0.5, "at": [[0, 2.3]]}]}, ("may not be turned about z: outline or holes", "turned over, too")),
+    ({"holes": [{"diameter": 0.5, "at": [[1, 2.3]]}]}, ("may not be turned about z: outline or holes", "over: outline or holes")),
+])  # fmt: skip
+def test_outline_and_holes_say_how_a_plate_fits(body, words):
+    """Alike lenses on a square of 4 x 4 cells: what is drawn round them decides."""
+    design = Design.from_dict({
+        **TEXT, "law": {"eta": [-1, -1]}, "pair": FORMS["slab"]["pair"], "lattice": {"pitch": 0.8, "count": [4, 4]},
+        "body": {"border": 1.5} | body,
+    })  # fmt: skip
+    said = orientation(prescribe(design))
+    assert all(any(word in one for one in said) for word in words)
+
+
 # -- drawings -------------------------------------------------------------------------------------
 
 

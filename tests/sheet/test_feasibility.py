@@ -358,6 +358,27 @@ def test_three_pitches_are_printed_and_the_conflict_between_them_is_said():
     assert rows["pitch with diffraction below 1′, lens x, y"].value == "0.00189076, 0.00189076"
 
 
+def test_the_three_pitches_of_the_acrylic_window_by_hand():
+    """η = −1, 550 nm, eye at 1 m, object ten separations behind: √(λz), 1 m · 1′, λ/1′; mm."""
+    design = clacad.load(DESIGNS / "window-100mm.toml")
+    window = prescribe(design)
+    told = {
+        row.name: row
+        for row in describe(window, feasibility(window, *design.viewing_places))
+        if row.about == "view"
+    }
+    minute, green = np.pi / 10800.0, 550e-6
+    asked = {
+        "sharpest pitch": np.sqrt(green * 100.0), "invisible pitch": 1000.0 * minute,
+        "pitch with diffraction below 1′, lens x, y": green / minute,
+    }  # fmt: skip
+    for name, pitch in asked.items():
+        assert [float(v) for v in told[name].value.split(",")] == pytest.approx(
+            [pitch] * (1 + ("lens" in name)), rel=1e-5
+        )
+    assert np.isclose(green / minute, 1.8908, rtol=1e-4)
+
+
 def test_an_eye_in_the_image_sees_nothing_sharp_and_a_law_without_change_asks_for_no_pitch():
     advice = viewing((-1.0, 1.0), (np.inf, 100.0), 0.5, 0.5, 550e-9)
     assert advice.blur == (np.inf, 0.0)

@@ -334,7 +334,10 @@ def test_two_sheets_of_minus_one_are_negative_space():
     )
     for one in thin.meridians:
         assert one.acts_as_space == pytest.approx(-100.0, rel=1e-12)
-        assert one.moves_image == pytest.approx(220.0, rel=1e-12)
+        assert one.length == pytest.approx(
+            2 * 14.9362867285548 + 100.0, rel=1e-12
+        )  # slabs n s thick, and the gap
+        assert one.moves_image == pytest.approx(one.length + 100.0, rel=1e-12)  # as pictures of it show
         assert one.share == pytest.approx(0.65, abs=0.005)
         assert one.measured_space == pytest.approx(-99.0, abs=0.2)
         assert one.scatter == pytest.approx(0.69, abs=0.01)
@@ -345,6 +348,56 @@ def test_two_sheets_of_minus_one_are_negative_space():
     assert exact.share == pytest.approx(thin.share, abs=0.01)
     assert exact.meridians[0].measured_space == pytest.approx(-99.2, abs=0.3)
     assert thin.error < 1e-3
+
+
+@pytest.mark.parametrize("form", ["slab", "biconvex"])
+def test_field_lenses_give_each_sheet_its_light_and_a_stack_all_of_its_space(form):
+    """Prototype: share .649 to 1.000 an axis, B = −100.02: chief rays cross a sheet from a middle to a middle, B = G/η."""
+    keys = {"pair.field_lens": True, "pair.form": form, "lattice.count": [201, 201], "check.process": "none"}
+    window = clacad.prescribe(
+        DESIGN.replace(keys | ({"pair.thickness": "auto"} if form == "biconvex" else {}))
+    )
+    made = stacked([window, window], [100.0])
+    tracers = [StackTracer(made, rung) for rung in ("thin", "surfaces")]
+    thin, exact = measure_light(tracers, 1 << 15, FIELD, silent)
+    first, last = lens_planes(window)
+    space = (
+        100.0 + first[0] - last[0] + (window.z_range[1] - window.z_range[0])
+    )  # from lens planes to lens planes
+    for one, real in zip(thin.meridians, exact.meridians):
+        assert one.acts_as_space == pytest.approx(-space, rel=1e-12)
+        assert one.beams == one.acts_as_space
+        assert one.measured_space == pytest.approx(-space, abs=0.3)
+        assert real.measured_space == pytest.approx(-space, rel=0.005 if form == "slab" else 0.01)
+        assert one.share == pytest.approx(1.0, abs=1e-3)
+        assert real.share > 0.99
+        assert one.moves_image == pytest.approx(one.length + space, rel=1e-12)
+    assert exact.share > 0.99
+
+
+def test_light_off_the_axis_leaves_a_sheet_with_a_field_lens_in_the_middle_of_its_partner():
+    """δ and an aperture put array 2 aside: by ideal rays through the middles of lenses 1."""
+    keys = {
+        "pair.field_lens": True,
+        "law.eta": [-0.5, -0.5],
+        "law.delta": [0.02, -0.01],
+        "check.process": "none",
+    }
+    window = clacad.prescribe(DESIGN.replace(keys | {"lattice.aperture": [0.01, 0.0]}))
+    made = stacked([window], [])
+    centre = np.append(window.lattice.centres(np.array([[100, 100]]))[0], made.sheets[0].lens_planes[0])
+    slope = np.array([[0.0, 0.0], [0.02, 0.01], [0.03, -0.02]])
+    direction = np.column_stack([slope, np.ones(3)])
+    out = clacad.trace_stack(made, Rays(centre - 5.0 * direction, direction), rung="thin")
+    assert (out.fate == Fate.ALIVE).all()
+    gone = (made.sheets[0].lens_planes[1] - out.position[:, 2]) / out.direction[:, 2]
+    left = (out.position + gone[:, None] * out.direction)[:, :2] - centre[:2]
+    for axis in (0, 1):
+        found = meridian(made, axis)
+        for row in range(3):
+            x, t = found.matrix @ [0.0, slope[row, axis]] + found.shift
+            assert left[row, axis] == pytest.approx(x, abs=1e-9)
+            assert out.direction[row, axis] / out.direction[row, 2] == pytest.approx(t, abs=1e-12)
 
 
 def test_a_fifth_and_five_compress_space_as_far_as_the_second_sheet_chooses_rays():

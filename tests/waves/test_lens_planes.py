@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clacad.storage.errors import LimitRefused
 from clacad.waves.far_field import Marginal, marginal
 from clacad.waves.lens_planes import (
-    MOST,
     Emerging,
     Grid,
     LensPlane,
@@ -157,25 +155,3 @@ def test_the_grid_asked_for_is_fine_and_wide_enough(eta):
     usual = propagate(planes, slope, GREEN)
     finer = propagate(planes, slope, GREEN, Grid(8 * grid.points, 0.5 * grid.spacing))
     assert usual.share == pytest.approx(finer.share, abs=5e-4)
-
-
-def test_a_grid_beyond_the_limit_is_refused_with_the_grid_needed():
-    """At the sampling limit: the largest pitch that is computed passes, the next one is refused, at once."""
-
-    def needed(pitch: float) -> int:
-        return grid_for(pair(pitch, -1.0, 0.01), (0.0,), GREEN).points
-
-    low, high = 1e-3, 1.0
-    while high / low > 1.0 + 1e-9:
-        middle = sqrt(low * high)
-        try:
-            needed(middle)
-            low = middle
-        except LimitRefused:
-            high = middle
-    assert 0.8 * MOST**2 < needed(low) <= MOST**2
-    # phase steps of a quarter turn: spacing λ f/(2 p), 16 half pitches of room, rounded up to three binary digits
-    assert needed(low) == pytest.approx(16.0 * low**2 / (GREEN * 0.005), rel=0.25)
-    with pytest.raises(LimitRefused, match=r"grid of \d+ points .*16777216 are computed") as refused:
-        needed(high)
-    assert int(str(refused.value).split("grid of ")[1].split()[0]) > MOST**2

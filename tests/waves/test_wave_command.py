@@ -66,11 +66,3 @@ def test_what_cannot_be_is_refused_in_one_sentence_and_nothing_is_written(
     assert says in told.err
     assert told.out == ""
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_grid_beyond_the_limit_is_status_3_with_the_grid_needed_also_of_a_dry_run(tmp_path, capsys):
-    paper = str(DESIGN.with_name("paper-a-covered.toml"))
-    for more in (["--dry-run"], ["-o", str(tmp_path / "x.png")]):
-        assert main(["wave", paper, "--wavelength", "10 nm", *more]) == 3
-        assert "the pupil needs 16384 x 16384 rays" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from math import pi
 from pathlib import Path
 
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 
 import clacad
+from clacad.cli import main
 from clacad.sheet.bundle import bundle
 from clacad.storage.errors import BadRequest, LimitRefused
+from clacad.tracing.worst_cell import worst_cell
 from clacad.waves import wave
 from clacad.waves.exit_pupil import far_field, pupil, rays_needed
 
@@ -133,6 +136,39 @@ def test_turned_cells_are_done_on_a_square_grid():
     assert turned.slit[0] == pytest.approx(upright.slit[0])  # of the width with the same core
 
 
+@pytest.mark.parametrize(("pitch", "separation", "part"), [
+    (1.0, 10, 0.3), *(pytest.param(*one, marks=pytest.mark.slow) for one in [(0.5, 10, 0.3), (1.0, 10, 0.15)])])  # fmt: skip
+def test_above_fresnel_number_20_the_exact_surfaces_waves_go_on_the_mean_where_their_rays_go(
+    pitch, separation, part
+):
+    """Ehrenfest: the mean direction of a wave is that of its rays, aberration or none; tails beyond 20 λ/w left out."""
+    slope = part * pitch / separation
+    found = wave(
+        shipped("window-100mm", lattice__pitch=pitch, pair__separation=separation), (np.arctan(slope), 0.0)
+    )
+    assert min(found.fresnel) > 20.0
+    for one, slit, rays in zip(found.exact.marginals, found.slit, found.rays.mean, strict=True):
+        core = np.abs(one.off) < 20.0 * slit
+        mean = (one.off * one.density)[core].sum() / one.density[core].sum()
+        assert mean == pytest.approx(rays, abs=0.02 * slit)
+
+
+def test_with_the_field_lens_that_is_built_the_share_to_the_partner_rises_from_966_to_997_an_axis(capsys):
+    """At Fresnel number 22.7; the figures are another program's."""
+    shares = []
+    for more in ([], ["--set", "pair.field_lens=true"]):
+        assert main(["wave", str(DESIGNS / "window-100mm.toml"), *more, "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert min(told["fresnel_number"]) == pytest.approx(22.7, abs=0.05)
+        assert told["field_lens"] == bool(more)
+        shares.append(np.sqrt(told["thin"]["share"]))  # two axes alike
+        assert told["way"] == "pupil"
+        assert told["share"] == pytest.approx(
+            told["rays"]["share"] * told["thin"]["share"] / told["thin_share_of_rays"]
+        )
+    assert shares == pytest.approx([0.966, 0.997], abs=0.001)
+
+
 def test_a_field_lens_keeps_light_of_slopes_that_else_go_to_neighbours():
     angle = (np.arctan(0.02), 0.0)
     without, with_it = (wave(shipped("window-100mm"), angle, field_lens=one) for one in (False, True))
@@ -141,6 +177,54 @@ def test_a_field_lens_keeps_light_of_slopes_that_else_go_to_neighbours():
     assert with_it.far_field.way == "angular spectrum"
     with pytest.raises(BadRequest, match="eta below 0"):
         wave(shipped("galilean"), field_lens=True)
+
+
+def aimed(**changes) -> clacad.Design:
+    return shipped(
+        "window-100mm", lattice__count=[61, 61], lattice__aperture={"point": [0, 0, -400]}, **changes
+    )
+
+
+@pytest.mark.slow
+def test_where_cells_differ_the_light_is_that_of_the_cell_the_sheet_is_judged_by(capsys):
+    """An aimed sheet: its own rays sent through the whole sheet, in the direction in which that cell looks at the eye."""
+    design = aimed()
+    found = wave(design)
+    seen = worst_cell(clacad.prescribe(design), design.check.field)
+    assert (found.cell, found.tried) == (tuple(seen.cell.tolist()), seen.tried)
+    i, j = found.cell
+    place = 0.5 * (np.array([i, j]) - 30.0)
+    assert max(abs(i - 30), abs(j - 30)) >= 25, "the worst stands near the rim"
+    assert found.slope == pytest.approx(place / 400.0, rel=1e-6)  # from the eye to the middle of its cell 1
+    # other points of the same cell, by another path through the tracer
+    points = 0.5 * (np.random.default_rng(5).random((4096, 2)) - 0.5) + place
+    way = np.array([*found.slope, 1.0])
+    rays = clacad.Rays(np.column_stack([points, np.zeros(4096)]) - 3.0 * way, np.broadcast_to(way, (4096, 3)))
+    result = clacad.trace(seen.window, rays)
+    alive = (result.fate == clacad.Fate.ALIVE) & (result.cell == found.cell).all(axis=1)
+    assert alive.mean() == pytest.approx(found.rays.share, abs=0.02)
+    off = (result.direction - design.law.refract(way[None, :]))[alive, :2]
+    assert np.sqrt((off**2).sum(axis=1).mean()) == pytest.approx(found.rays.rms, rel=0.05)
+    assert off.mean(axis=0) == pytest.approx(found.rays.mean, abs=2e-5)
+    assert main(["wave", str(DESIGNS / "window-100mm.toml"), "--set", "lattice.count=[61,61]",
+                 "--set", "lattice.aperture={point=[0,0,-400]}", "-q", "--json"]) == 0  # fmt: skip
+    assert json.loads(capsys.readouterr().out)["cell"] == [i, j]
+
+
+def test_a_narrower_array_2_lets_through_what_its_own_rims_do():
+    """A beam 0.5 wide meets rims 0.4 apart; with η = −1 lens 2 stands in the shadow a slit casts at the separation (Collins)."""
+    from scipy.special import fresnel
+
+    found = wave(shipped("window-100mm", lattice__pitch_2=0.4, lattice__count=[5, 5]))
+    assert found.cell is not None
+    assert found.thin_share_of_rays == pytest.approx(0.8**2, rel=1e-9)
+    scale = np.sqrt(2.0 / (0.55e-3 * 10.0))
+    x = (np.arange(4000) + 0.5) / 4000 * 0.4 - 0.2
+    (s1, c1), (s2, c2) = fresnel(scale * (-0.25 - x)), fresnel(scale * (0.25 - x))
+    shadow = 0.5 * ((c2 - c1) ** 2 + (s2 - s1) ** 2)
+    assert found.thin_share == pytest.approx((shadow.mean() * 0.8) ** 2, rel=2e-3)
+    assert found.slit == pytest.approx([550e-9 / 0.4e-3] * 2)
+    assert found.fresnel == pytest.approx([(0.2e-3) ** 2 / (550e-9 * 5e-3)] * 2)
 
 
 def test_light_that_no_part_of_obeys_the_law_is_refused_with_the_field():

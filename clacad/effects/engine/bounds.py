@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -68,6 +68,10 @@ class Situation:
         From the camera to the sheet; inf for parallel light.
     pixel : float, radians
         Angle of a pixel; 0 without a camera.
+    spread : float
+        Tangent of the half angle of the cone sent about the middle of the field; 0 where a camera sends the rays.
+    stand_ins : tuple of ((i, j), Situation)
+        Where cells differ: sheets of equal cells like some of them, with the light that comes to those; see `stand_ins`.
     """
 
     window: Window
@@ -81,8 +85,9 @@ class Situation:
     far: float = np.inf
     sheet_distance: float = np.inf
     pixel: float = 0.0
+    spread: float = 0.0
+    stand_ins: tuple[tuple[tuple[int, int], Situation], ...] = ()
     notes: tuple[str, ...] = ()
-    memory: dict[str, float] = field(default_factory=dict)
 
     @cached_property
     def probe(self) -> TraceResult:
@@ -95,6 +100,11 @@ class Situation:
     def met(self) -> NDArray[np.intp]:
         """Rows (m,) of the probe rays that meet the sheet."""
         return np.flatnonzero(self.probe.fate < Fate.MISSED)
+
+    @cached_property
+    def kept(self) -> dict[str, float]:
+        """What effects worked out from this very situation; a changed one begins anew."""
+        return {}
 
     def share(self, *fates: Fate) -> float:
         """Share of the rays on the sheet that end in one of the fates, as counted."""

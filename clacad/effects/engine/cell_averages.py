@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.sheet.like_cell import like_cell, sampled_cells
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Body, Face, Window, column, face_height, optical_tile
 
@@ -26,11 +27,13 @@ def cell_points(window: Window) -> Floats:
 
 
 def mean_thickness(window: Window, body: Body) -> float:
-    """Mean extent of a body along z where light near the axis passes it, length.
+    """Mean extent of a body along z where light near the axis passes it, length; of a sample of cells where they differ.
 
     Lens 1's light arrives at lens 2 as a copy scaled by m = −f2/f1 per meridian: of lens 2 only |m| is lit where
     |m| < 1, of lens 1 only 1/|m| is seen where |m| > 1.
     """
+    if not window.uniform:
+        return _over_cells(window, window.bodies.index(body))
     m = np.abs(focal_ratio(window.thin))
     scale = np.ones(2)
     arrays = {face.array for face in (body.front, body.back)}
@@ -44,6 +47,15 @@ def mean_thickness(window: Window, body: Body) -> float:
     points = (cell_points(window) @ turn * scale) @ np.linalg.inv(turn)
     front, back = _heights(window, body, *points.T)
     return float(np.nanmean(np.maximum(back - front, 0.0)))
+
+
+def _over_cells(window: Window, number: int) -> float:
+    """Mean thickness of a body over cells spread over the sheet; kept with the window."""
+    kept: dict[int, float] = window.kept.setdefault("mean_thickness", {})
+    if number not in kept:
+        likes = [like_cell(window, cell, widest=False) for cell in sampled_cells(window)]
+        kept[number] = float(np.mean([mean_thickness(like, like.bodies[number]) for like in likes]))
+    return kept[number]
 
 
 def _heights(window: Window, body: Body, x: Floats, y: Floats) -> tuple[Floats, Floats]:

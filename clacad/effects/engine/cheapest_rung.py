@@ -6,10 +6,11 @@ from typing import cast
 
 import numpy as np
 
-from clacad.base.types import Floats, Rung
+from clacad.base.types import Floats, Ints, Rung
 from clacad.effects.engine.bounds import Situation
-from clacad.optics.rays import Fate
+from clacad.optics.rays import Fate, Rays
 from clacad.sheet.vignetting import focal_ratio, thin_cells
+from clacad.sheet.window import Window
 
 COVERED = 2.0
 """Lenslets across a pixel from which on a picture cannot show them singly."""
@@ -71,8 +72,15 @@ def share_gap(situation: Situation) -> float:
     from clacad.effects.engine.homogeneous_light import shares
 
     cells = thin_cells(situation.window)
-    closed = float(shares(cells, situation.slopes, (0, 0)).mean())
+    index = None if situation.window.uniform else cells_met(situation.window, situation.rays)[situation.met]
+    closed = float(shares(cells, situation.slopes, (0, 0), index).mean())
     return abs(closed - situation.share(Fate.ALIVE))
+
+
+def cells_met(window: Window, rays: Rays) -> Ints:
+    """Cells (n, 2) of array 0 that rays cross in z = 0."""
+    step = rays.position[:, 2:] / rays.direction[:, 2:]
+    return window.lattice.locate(*(rays.position[:, :2] - step * rays.direction[:, :2]).T)[0]
 
 
 def compared(situation: Situation, rung: Rung) -> tuple[float, float]:

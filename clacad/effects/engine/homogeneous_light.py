@@ -12,11 +12,19 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.effects.engine.light_rays import LightRays, join_light
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.lattice import polygon_area
-from clacad.sheet.vignetting import ThinCells, arrivals, ghost_step, thin_cells
+from clacad.sheet.vignetting import (
+    ThinCells,
+    arrivals,
+    ghost_step,
+    off_partner,
+    partner_step,
+    partner_zone,
+    thin_cells,
+)
 from clacad.sheet.window import Window
 
 FAINT = 1e-6
@@ -28,27 +36,31 @@ def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> 
     rows = np.flatnonzero(result.fate == Fate.ALIVE)
     cells = thin_cells(window)
     slopes = cells.slopes(rays.direction[rows])
-    parts = [_order(window, cells, result, rows, slopes, (0, 0))]
+    index = None if window.uniform else result.cell[rows].astype(np.int64)
+    parts = [_order(window, cells, result, (rows, index), slopes, (0, 0))]
     if ghosts and window.baffle is None:
-        parts += [_order(window, cells, result, rows, slopes, order) for order in orders(cells, slopes)]
+        met = orders(cells, slopes, index)
+        parts += [_order(window, cells, result, (rows, index), slopes, order) for order in met]
     return join_light(*parts)
 
 
 def _order(
-    window: Window, cells: ThinCells, result: TraceResult, rows: NDArray[np.intp], slopes: Floats,
+    window: Window, cells: ThinCells, result: TraceResult, chosen: tuple[NDArray[np.intp], Ints | None], slopes: Floats,
     order: tuple[int, int],
 ) -> LightRays:  # fmt: skip
-    """Light of the rays `rows` (k,), of lens-frame slopes (k, 2), that goes into one order."""
-    flux = result.flux[rows] * shares(cells, slopes, order)
+    """Light of rays, their rows (k,) and their cells where these differ, lens-frame slopes (k, 2), that goes into one order."""
+    rows, index = chosen
+    flux = result.flux[rows] * shares(cells, slopes, order, index)
     kept = np.flatnonzero(flux > FAINT)  # most rays reach but a few of the orders that some ray reaches
     rows, flux = rows[kept], flux[kept]
+    index = None if index is None else index[kept]
     direction = result.direction[rows]
     if order != (0, 0):
         rotation = window.thin.rotation
         turned = direction @ rotation
         with np.errstate(divide="ignore", invalid="ignore"):
             out = np.column_stack(
-                [turned[:, :2] / turned[:, 2:] + ghost_step(cells, order), np.ones(len(rows))]
+                [turned[:, :2] / turned[:, 2:] + ghost_step(cells, order, index), np.ones(len(rows))]
             )
         direction = (out / np.sqrt((out * out).sum(axis=1))[:, None]) @ rotation.T
         ahead = direction[:, 2] > 0.0
@@ -56,14 +68,17 @@ def _order(
     return LightRays(rows, result.position[rows], direction, flux)
 
 
-def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
-    """Ghost orders that light of these lens-frame slopes (m, 2) can reach."""
+def orders(cells: ThinCells, slopes: Floats, index: Ints | None = None) -> list[tuple[int, int]]:
+    """Ghost orders that light of these lens-frame slopes (m, 2) can reach; `index` (m, 2): through which cells, where they
+    differ.
+    """
     if not len(slopes):
         return []
-    reach = arrivals(cells, slopes)
-    low = reach.min(axis=0) + cells.image.min(axis=0) + cells.zone.min(axis=0) - cells.centre
-    high = reach.max(axis=0) + cells.image.max(axis=0) + cells.zone.max(axis=0) - cells.centre
-    steps = np.array([cells.neighbour((1, 0)), cells.neighbour((0, 1))]) - cells.centre
+    reach = arrivals(cells, slopes) - cells.centre if index is None else off_partner(cells, index, slopes)
+    zone = partner_zone(cells)
+    low = reach.min(axis=0) + cells.image.min(axis=0) + zone.min(axis=0)
+    high = reach.max(axis=0) + cells.image.max(axis=0) + zone.max(axis=0)
+    steps = np.array([partner_step(cells, (1, 0)), partner_step(cells, (0, 1))])
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     indices = corners @ np.linalg.inv(steps)
     bounds = [(int(np.floor(indices[:, k].min())), ceil(indices[:, k].max())) for k in (0, 1)]
@@ -73,10 +88,16 @@ def orders(cells: ThinCells, slopes: Floats) -> list[tuple[int, int]]:
     return [order for order in listed if order != (0, 0)]
 
 
-def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int]) -> Floats:
-    """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order."""
-    shift = arrivals(cells, slopes) - cells.neighbour(order)
-    return np.asarray(cells.part / polygon_area(cells.image) * overlap(cells.image, cells.zone, shift))
+def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int], index: Ints | None = None) -> Floats:
+    """Share (m,) of the light of lens-frame slopes (m, 2) that goes into an order; `index` as in `orders`."""
+    if index is None:
+        shift = arrivals(cells, slopes) - cells.neighbour(order)
+    else:
+        shift = off_partner(cells, index, slopes) - partner_step(cells, order)
+    found = cells.part / polygon_area(cells.image) * overlap(cells.image, partner_zone(cells), shift)
+    if index is None or order == (0, 0):
+        return np.asarray(found)
+    return np.where(cells.window.lattice.contains(index + np.array(order)), found, 0.0)
 
 
 def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:

@@ -36,4 +36,5 @@ def _face(face: Face) -> Face:
         rotation=turned,
         array=face.array,
         land=None if face.land is None else -face.land,
+        change=face.change,
     )

@@ -19,7 +19,7 @@ from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out, sheet_position
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, apexes, lay_out, sheet_position
 from clacad.tracing.reference import honeycomb
 from clacad.tracing.reference.column import (
     ABOVE,
@@ -399,7 +399,8 @@ def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) ->
     for kind, face in ((FRONT, body.front), (BACK, body.back)):
         on = event.kind == kind
         if face.array is not None and on.any():
-            normal[on] = lens_normals(face, points[face.array][on], z[on])
+            apex = apexes(layout, face, event.cells[face.array][on])
+            normal[on] = lens_normals(face, points[face.array][on], z[on], apex)
     at_wall = event.kind == WALL
     if at_wall.any():
         xy = sheet_xy(layout, packet.beam) + step[:, :2]
@@ -425,9 +426,13 @@ def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bo
     return replace(packet, beam=at, path=path, position=position, gated=gated)
 
 
-def lens_normals(face: FacePlan, local: Floats, z: Floats) -> Floats:
-    """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator."""
-    point = np.column_stack([local, z]) - face.vertex
+def lens_normals(face: FacePlan, local: Floats, z: Floats, apex: Floats | None = None) -> Floats:
+    """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
+
+    apex : (m, 2) lengths or None
+        How far each ray's lens stands from the face's vertex, see `apexes`.
+    """
+    point = np.column_stack([local if apex is None else local - apex, z]) - face.vertex
     if face.rotation is None:
         return face.surface.normal(point[:, 0], point[:, 1])
     turned = point @ face.rotation

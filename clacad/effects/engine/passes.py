@@ -234,7 +234,7 @@ class _BlockRun:
         options: dict[str, Any],
     ) -> _BlockRun:
         """Choose how; `options["path"]` is "numba" or "numpy"."""
-        fast = options["path"] == "numba" and rung == "surfaces"
+        fast = options["path"] == "numba" and rung == "surfaces" and window.uniform
         lossy = [effect for effect in passes if effect.losses is not None]
         others = [effect for effect in passes if effect.losses is None]
         if not fast or record or any("hits" in effect.needs for effect in others):
@@ -275,7 +275,7 @@ def _workers(window: Window, rays: Rays, rung: Rung, options: dict[str, Any]) ->
     from clacad.tracing.which_path import compiled_suits
 
     threads, path = options.pop("threads", None), options.pop("path", None)
-    if rung in ("law", "thin"):
+    if rung in ("law", "thin") or not (window.uniform or rung == "surfaces"):
         return 1, "numpy"
     if not compiled_suits(rung, path, len(rays), 2 * len(window.bodies), lay_out(window)):
         return 1, "numpy"

@@ -19,6 +19,7 @@ from clacad.effects.engine.bounds import Bound, Situation
 from clacad.effects.engine.cheapest_rung import choose_rung
 from clacad.effects.engine.parameters import Setting
 from clacad.effects.engine.passes import FOLLOWED, NAMES, module_of
+from clacad.effects.engine.stand_ins import with_stand_ins, worst_bound
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 
@@ -83,6 +84,8 @@ class Plan:
     angle, radiance : float
         Smallest change that matters.
     setting : Setting
+    tried : int
+        Cells by the worst of which effects are bounded; 0 where all are alike.
     """
 
     rows: tuple[PlanRow, ...]
@@ -91,6 +94,7 @@ class Plan:
     angle: float
     radiance: float
     setting: Setting
+    tried: int = 0
 
     def __repr__(self) -> str:
         return f"Plan(rung {self.rung!r}, {', '.join(self.names) or 'no effects'})"
@@ -146,13 +150,15 @@ class Plan:
         simulated = ", ".join(self.names) or "none"
         unknown = [row.effect for row in self.rows if not (row.known or row.on)]
         note = f"; not bounded: {', '.join(unknown)}" if unknown else ""
+        where = f" in the worst of {self.tried} cells tried" if self.tried else ""
         return (
             f"rung {self.rung}; simulated: {simulated}; left out: at most {radiance:.2%} of the light and "
-            f"{1e3 * angle:.3g} mrad{note}"
+            f"{1e3 * angle:.3g} mrad{where}{note}"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for reports, metadata and --json."""
+        tried = {"cells_tried": self.tried} if self.tried else {}
         return {
             "rung": self.rung,
             "rung_why": self.rung_why,
@@ -160,6 +166,7 @@ class Plan:
             "radiance": self.radiance,
             "cost": self.cost,
             "summary": self.summary(),
+            **tried,
             "effects": [
                 {
                     "effect": row.effect, "state": row.state, "why": row.why, "angle": row.angle,
@@ -243,13 +250,15 @@ def plan_sheets(
 
 def _planned(situation: Situation, wishes: Wishes, asked: str, exact: bool) -> Plan:
     """The plan for a situation, the wishes heard."""
+    situation = with_stand_ins(situation)
     rung, why = choose_rung(situation, asked)
     bounds = _bounds(situation, rung, exact)
     rows = tuple(
         _row(name, bound, _state(name, bound, situation, wishes, rung), exact)
         for name, bound in bounds.items()
     )
-    return Plan(rows, rung, why, situation.angle, situation.radiance, situation.setting)
+    tried = len(situation.stand_ins)
+    return Plan(rows, rung, why, situation.angle, situation.radiance, situation.setting, tried)
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,7 +321,7 @@ def _within(situation: Situation, tolerance: float | tuple[float, float] | None)
 
 def _bounds(situation: Situation, rung: Rung, exact: bool) -> dict[str, Bound]:
     """Bound of every effect on a rung, measured by traces if `exact`."""
-    bounds = {name: module_of(name).bound(situation) for name in NAMES}
+    bounds = {name: worst_bound(situation, name, module_of(name).bound) for name in NAMES}
     if exact:
         for name in NAMES:
             if name != "facets" or rung == "mesh":  # else a mesh would be made to judge what is not simulated

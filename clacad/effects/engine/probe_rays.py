@@ -14,7 +14,8 @@ from clacad.effects.dispersion import LINES
 from clacad.effects.engine.bounds import PROBE, Situation
 from clacad.effects.engine.parameters import Setting
 from clacad.optics.rays import Rays
-from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.like_cell import sampled_cells
+from clacad.sheet.vignetting import aperture_slope, aperture_slopes
 from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def situation_of_window(
     radiance: float = RADIANCE,
     field: float = FIELD,
 ) -> Situation:
-    """A cone of parallel bundles about the middle of the field, over the cells in the middle of the sheet.
+    """A cone of parallel bundles about the middle of the field, over the cells in the middle of the sheet; where cells differ,
+    over a sample of them, each about the middle of its own.
 
     Parameters
     ----------
@@ -48,20 +50,22 @@ def situation_of_window(
     field : float, radians
         Half angle of the cone.
     """
-    return Situation(window, setting or Setting(), cone(window, field), angle, radiance)
+    spread = tan(field)
+    return Situation(window, setting or Setting(), cone(window, field), angle, radiance, spread=spread)
 
 
 def cone(window: Window, field: float, count: int = PROBE) -> Rays:
     """Rays of a cone about the middle of the field, starting below the sheet."""
     u = sobol(count, 4)
-    centres = window.lattice.centres(middle_cells(window))
+    cells = middle_cells(window) if window.uniform else sampled_cells(window)
+    centres = window.lattice.centres(cells)
     cell = np.minimum((u[:, 0] * len(centres)).astype(np.intp), len(centres) - 1)
     # one parallelogram of the lattice a cell: even whatever the cell's outline
     part = np.column_stack([u[:, 0] * len(centres) % 1.0, u[:, 1]]) - 0.5
     within = part @ np.array([window.lattice.a1, window.lattice.a2])
     point = centres[cell] + within
     radius, turn = tan(field) * np.sqrt(u[:, 2]), 2.0 * pi * u[:, 3]
-    middle = np.array(aperture_slope(window))
+    middle = np.array(aperture_slope(window)) if window.uniform else aperture_slopes(window, cells)[cell]
     slope = middle + radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
     depth = 0.25 * min(window.lattice.pitch)
     start = np.column_stack([point - depth * slope, np.full(count, window.z_range[0] - depth)])
@@ -83,9 +87,8 @@ def middle_cells(window: Window) -> NDArray[np.int64]:
 def situation_of_design(design: Design, angle: float | None = None, radiance: float = RADIANCE) -> Situation:
     """The bundle by which the design is judged; angles that matter: its `law_rms`."""
     from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.need_window import equal_cells
 
-    window = equal_cells(prescribe(design), "a plan of effects")
+    window = prescribe(design)
     tolerance = design.check.law_rms if angle is None else angle
     return situation_of_window(window, design_setting(design), tolerance, radiance, design.check.field)
 
@@ -111,10 +114,9 @@ def situation_of_scene(
         What comes to that sheet, in its frame and unit; None: what the camera sends.
     """
     from clacad.prescription.prescribe import prescribe
-    from clacad.sheet.need_window import equal_cells
 
     design = scene.designs()[number]
-    window = equal_cells(prescribe(design), "a plan of effects") if window is None else window
+    window = prescribe(design) if window is None else window
     scale = scene.unit_m / window.unit
     camera, effects = scene.camera, scene.effects
     distance = float(np.linalg.norm(np.array(camera.target) - np.array(camera.position)))

@@ -58,7 +58,7 @@ def reflected_paths(
 
 def known_to_compiled(window: Window, setting: Setting) -> bool:
     """Whether the compiled paths know all that the window has."""
-    plain = all(isinstance(face.surface, Quadric) for face in window.faces)
+    plain = window.uniform and all(isinstance(face.surface, Quadric) for face in window.faces)
     return plain and window.baffle is None and setting.order <= 2
 
 

@@ -144,7 +144,8 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
         use = "mounting" if hole.purpose == "mount" or pins is None else (
             f"pin {mm_text(pins.diameter * mm)}, play {mm_text(pins.play * mm)}"
         )  # fmt: skip
-        rows.append([str(number), *(mm_text(v * mm + 0.0) for v in (hole.x, hole.y, hole.diameter)), use])
+        place = (_coordinate(v, plate, mm) for v in (hole.x, hole.y))
+        rows.append([str(number), *place, mm_text(hole.diameter * mm), use])
     if rows:
         made.append(
             table("holes, through (mm about the sheet's origin)", ["hole", "x", "y", "diameter", "for"], rows)
@@ -152,7 +153,7 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
     edges = plate.loops[0]
     if len(edges) <= MOST_EDGES:
         rows = [
-            [str(n), mm_text(edge[X0] * mm + 0.0), mm_text(edge[Y0] * mm + 0.0),
+            [str(n), _coordinate(edge[X0], plate, mm), _coordinate(edge[Y0], plate, mm),
              "straight" if edge[SENSE] == 0.0 else f"{'out' if edge[SENSE] > 0.0 else 'in'}wards, R {mm_text(edge[RADIUS] * mm)}"]
             for n, edge in enumerate(edges, 1)
         ]  # fmt: skip
@@ -164,6 +165,11 @@ def plate_tables(design: Design, window: Window) -> list[Canvas]:
             )
         )
     return made
+
+
+def _coordinate(value: float, plate: Plate, mm: float) -> str:
+    """Where something lies on a plate; what rounding left of 0 (cos 90°) is 0."""
+    return mm_text(0.0 if abs(value) < 1e-12 * max(plate.reach) else value * mm)
 
 
 def errors_table(

@@ -1,13 +1,22 @@
-"""How the part must be held, told from its geometry alone."""
+"""How the part must be held, told from its geometry alone: light, lenses, outline and holes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
-from clacad.sheet.window import Window
+from clacad.base.types import Floats
+from clacad.optics.surface import sag
+from clacad.sheet.edge_columns import CX, CY, RADIUS, X0, X1, Y0, Y1
+from clacad.sheet.plate import Plate
+from clacad.sheet.window import Face, Window
+
+SAME = 1e-9
+"""Part of the larger within which two lengths are one."""
+
+HALF: tuple[Floats, ...] = (np.diag([-1.0, -1.0]),)
+QUARTER: tuple[Floats, ...] = (np.array([[0.0, -1.0], [1.0, 0.0]]),)
+OVER: tuple[Floats, ...] = (np.diag([1.0, -1.0]), np.diag([-1.0, 1.0]))
+"""Ways to turn a plate, of which any will do."""
 
 
 def orientation(window: Window) -> list[str]:
@@ -21,26 +30,8 @@ def orientation(window: Window) -> list[str]:
             else "; lens 2 is the back of the same body."
         ),
         "The axes are right-handed: with the light at your back and +y up, +x points to the left. No file is mirrored.",
+        *_turning(window),
     ]
-    faces = [f for f in window.faces if f.array is not None]
-    centred = all(f.untilted and f.vertex[:2] == (0.0, 0.0) for f in faces) and all(
-        shift == (0.0, 0.0) for shift in window.shifts
-    )
-    alike = all(f.surface.curvature_x == f.surface.curvature_y for f in faces)
-    square = not window.lattice.hexagonal and window.lattice.pitch[0] == window.lattice.pitch[1]
-    if centred and alike and square:
-        found.append("It may be turned by quarter turns about z: the optics stay the same.")
-    elif centred:
-        found.append("It may be turned by half a turn about z, not by a quarter: the optics stay the same.")
-    else:
-        found.append(
-            "It may not be turned about z: lens axes or offsets point one way. Mark the corner +x, +y."
-        )
-    found.append(
-        "It may be turned over, too: both sides are alike."
-        if centred and _both_sides_alike(faces)
-        else "It may not be turned over: the two sides differ. Mark the side of lens 1."
-    )
     if window.recipe.get("field", {}).get("equal_plates"):
         found.append(
             f"{first} and {last} are the same part: order it twice and put the two back to back, field lenses inside."
@@ -48,10 +39,69 @@ def orientation(window: Window) -> list[str]:
     return found
 
 
-def _both_sides_alike(faces: Sequence[Any]) -> bool:
-    one = [f.surface for f in faces]
-    return all(
-        np.isclose(getattr(a, f"curvature_{k}"), getattr(b, f"curvature_{k}"), rtol=1e-9, atol=0.0)
-        for a, b in zip(one, one[::-1], strict=True)
-        for k in ("x", "y")
+def _turning(window: Window) -> tuple[str, str]:
+    """Whether the part may be turned about z, and whether it may be turned over."""
+    faces = [face for face in window.faces if face.array is not None]
+    centred = all(face.untilted and face.vertex[:2] == (0.0, 0.0) for face in faces)
+    if not (window.uniform and centred and all(shift == (0.0, 0.0) for shift in window.shifts)):
+        why = "lens axes or offsets point one way" if window.uniform else "its cells differ"
+        turned = f"It may not be turned about z: {why}. Mark the corner +x, +y."
+        return turned, "It may not be turned over: the two sides differ. Mark the side of lens 1."
+    square = not window.lattice.hexagonal and window.lattice.pitch[0] == window.lattice.pitch[1]
+    reach = window.lattice.circumradius
+    round_ones = all(_same(_heights(face, reach), _heights(face, reach).T) for face in faces)
+    if not _fits(window, HALF):
+        turned = "It may not be turned about z: outline or holes fit one way round. The optics would stay the same by half a turn."
+    elif square and round_ones and _fits(window, QUARTER):
+        turned = "It may be turned by quarter turns about z: the optics stay the same."
+    else:
+        turned = "It may be turned by half a turn about z, not by a quarter: the optics stay the same."
+    if not _both_sides_alike(window, faces, reach):
+        return turned, "It may not be turned over: the two sides differ. Mark the side of lens 1."
+    if not _fits(window, OVER):
+        return (
+            turned,
+            "It may not be turned over: outline or holes fit one way round. Mark the side of lens 1.",
+        )
+    return turned, "It may be turned over, too: both sides are alike."
+
+
+def _both_sides_alike(window: Window, faces: list[Face], reach: float) -> bool:
+    """Whether light from either side meets the same lenses at the same distances."""
+    heights = [face.vertex[2] for face in window.faces]
+    thick = np.diff(heights)
+    return _same(thick, thick[::-1]) and all(
+        _same(_heights(one, reach), _heights(other, reach))
+        for one, other in zip(faces, faces[::-1], strict=True)
     )
+
+
+def _heights(face: Face, reach: float) -> Floats:
+    """How a face bulges over a quarter of its cell (8, 8), length; all surfaces are even in x and in y."""
+    x = reach * np.arange(1, 9) / 8.0
+    return face.surface.side * sag(face.surface, x[:, None], x[None, :])
+
+
+def _same(one: Floats, other: Floats) -> bool:
+    size = float(np.nanmax(np.abs(one), initial=0.0))
+    return np.allclose(one, other, rtol=0.0, atol=SAME * size, equal_nan=True)
+
+
+def _fits(window: Window, ways: tuple[Floats, ...]) -> bool:
+    """Whether a plate turned in one of these ways lies on itself; what is no plate has nothing that points."""
+    plate = window.outline
+    return not isinstance(plate, Plate) or any(
+        np.array_equal(_marks(plate, np.eye(2)), _marks(plate, way)) for way in ways
+    )
+
+
+def _marks(plate: Plate, way: Floats) -> Floats:
+    """Ends, centre and radius of every edge of a turned plate, in an order of their own, in steps of rounding."""
+    step = 1e-6 * max(plate.reach)
+    ends = [np.rint(plate.edges[:, pair] @ way.T / step) for pair in ([X0, Y0], [X1, Y1], [CX, CY])]
+    later = (ends[0][:, 0] > ends[1][:, 0]) | (
+        (ends[0][:, 0] == ends[1][:, 0]) & (ends[0][:, 1] > ends[1][:, 1])
+    )
+    first, last = np.where(later[:, None], ends[1], ends[0]), np.where(later[:, None], ends[0], ends[1])
+    rows = np.column_stack([first, last, ends[2], np.rint(plate.edges[:, RADIUS] / step)]) + 0.0
+    return rows[np.lexsort(rows.T)]

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.sheet.lattice import Circle
+from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
 from clacad.sheet.plate_edges import bulges
 from clacad.sheet.volume_and_extent import whole_extent
-from clacad.sheet.window import Body, Face, Window, column, lens_height, optical_tile
+from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
 from clacad.storage.archive import Attributes, parse_xml
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 from clacad.storage.spending import Spending
@@ -32,8 +33,17 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
 
     The optical zone's polygon where the lens fills it, else the rim traced in 720 directions from the
     highest point of the lens. Empty where no lens stands proud of its land.
+
+    Raises
+    ------
+    CellsDiffer
+        Cells differ, and there are rims: each would have an outline of its own.
     """
-    zone = optical_tile(window)
+    assert face.array is not None
+    zone = optical_tile(window, face.array)
+    if body.front.change is not None or body.back.change is not None:
+        _refuse_rims(window, body, face, zone)
+        return zone
     edge = np.concatenate([zone[k] + np.linspace(0, 1, 64, endpoint=False)[:, None] * (zone[(k + 1) % len(zone)] - zone[k])
                            for k in range(len(zone))])  # fmt: skip
     if _proud(window, body, face, edge * (1 - 1e-9)).all():
@@ -51,6 +61,28 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
         low, high = np.where(proud, middle, low), np.where(proud, high, middle)
     reach = np.where(whole, _to_border(zone, start, ray), low)
     return np.asarray(start + reach[:, None] * ray)
+
+
+def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
+    """Refuse cells that differ, of which one does not fill its optical zone at its corners, sides or middle."""
+    at = (1.0 - 1e-9) * np.concatenate([zone, 0.5 * (zone + np.roll(zone, 1, axis=0)), [[0.0, 0.0]]])
+    cells = window.lattice.cells()
+    index = np.repeat(cells, len(at), axis=0)
+    x, y = np.tile(at, (len(cells), 1)).T
+    mine = face_height(window, face, x, y, index)
+    with np.errstate(invalid="ignore"):
+        fills = np.isfinite(mine)
+        if face.land is not None:
+            fills &= face.side * (face.land - mine) > 0.0
+        if body.columnar:
+            front, back = column(window, body, x, y, index)
+            fills &= (back > front) & (mine == (front if face is body.front else back))
+    if not fills.all():
+        need_equal_cells(
+            window,
+            "a mask of lenses that end at rims",
+            "height maps (tiff, png) hold rims that differ from cell to cell",
+        )
 
 
 def _proud(window: Window, body: Body, face: Face, points: Floats) -> NDArray[np.bool_]:
@@ -171,10 +203,9 @@ def _dxf_loop(loop: Floats, scale: float) -> list[tuple[int, str]]:
 
 def _centres(window: Window, face: Face, scale: float) -> Iterator[tuple[float, float]]:
     assert face.array is not None
-    shift = np.asarray(window.shifts[face.array])
     for j in range(window.lattice.count[1]):
         row = window.lattice.row(j)
-        for place in ((window.lattice.centres(row) + shift) * scale + 0.0).tolist():
+        for place in (window.centres(face.array, row) * scale + 0.0).tolist():
             yield place[0], place[1]
 
 
@@ -232,7 +263,7 @@ def check_mask(window: Window, face: Face, svg: Path, dxf: Path, scale: float) -
         outlines.append(np.array(outline).reshape(-1, 2))
     if not np.array_equal(outlines[0], outlines[1]):
         raise FileDisagrees(f"{svg.name}: its lens outline is not that of {dxf.name}")
-    zone = np.abs(optical_tile(window)).max(axis=0) * scale
+    zone = np.abs(optical_tile(window, face.array or 0)).max(axis=0) * scale
     if len(outlines[0]) and (np.abs(outlines[0]).max(axis=0) > zone * (1 + 1e-9)).any():
         raise FileDisagrees(f"{svg.name}: the lens outline leaves its cell")
 

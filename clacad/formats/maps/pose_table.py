@@ -60,11 +60,24 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
             for body in window.bodies
         ],
         "faces": [
-            _face(window, body.name, face, label, scale)
+            _face(window, body.name, face, label, scale) | _of_its_own(window, face, scale)
             for body in window.bodies
             for face, label in ((body.front, f"{body.name}-front"), (body.back, f"{body.name}-back"))
         ],
     }  # fmt: skip
+
+
+def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
+    """What a face has besides where cells differ: the pitch of its array, and that the pose table has its apexes."""
+    found: dict[str, Any] = {}
+    if face.array is not None and window.placements[face.array].pitch is not None:
+        found["cells_pitch_mm"] = [p * scale for p in window.lattice_of(face.array).pitch]
+    if face.change is not None:
+        found |= {
+            "apex_in_cell_mm": [None, None, face.vertex[2] * scale],
+            "apex": "cell by cell in the pose table",
+        }
+    return found
 
 
 def _of_polynomials(window: Window) -> dict[str, str]:
@@ -128,11 +141,10 @@ def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[l
     for _, face, label in structured_faces(window):
         assert face.array is not None
         angles = [repr(v) for v in euler_degrees(face)]
-        apex = np.asarray(face.vertex)
-        shift = np.asarray(window.shifts[face.array])
-        z = repr(float(apex[2] * scale))
+        z = repr(float(face.vertex[2] * scale))
         for row in rows:
-            places = (window.lattice.centres(row) + shift + apex[:2]) * scale + 0.0
+            apexes = np.asarray(face.vertex)[:2] if face.change is None else window.vertices(face, row)[:, :2]
+            places = (window.centres(face.array, row) + apexes) * scale + 0.0
             for (i, j), (x, y) in zip(row.tolist(), places.tolist()):
                 yield [label, i, j, repr(x), repr(y), z, *angles]
 
@@ -180,10 +192,10 @@ def _check_pose(window: Window, face: Face, entry: dict[str, Any], row: dict[str
     assert face.array is not None
     apex = np.array([float(row[f"apex_{axis}_mm"]) for axis in "xyz"])
     index = np.array([int(row["i"]), int(row["j"])])
-    centre = window.lattice.centres(index) + np.asarray(window.shifts[face.array])
+    centre = window.centres(face.array, index)
     reach = 0.3 * min(window.lattice.pitch)
     x, y = np.array([0.0, reach, -reach, 0.4 * reach]), np.array([0.0, reach, 0.5 * reach, -reach])
-    z = lens_height(face, x, y)
+    z = lens_height(window.in_cell(face, index), x, y)
     points = np.column_stack([x + centre[0], y + centre[1], z])[np.isfinite(z)] * scale
     a, b, c = (np.radians(float(row[f"{k}_deg"])) for k in ("phi", "theta", "psi"))
     local = (points - apex) @ (_turn_z(c) @ _turn_x(b) @ _turn_z(a))

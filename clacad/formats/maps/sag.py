@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from math import ceil, sqrt
 from pathlib import Path
@@ -94,9 +94,9 @@ class HeightMap:
 def outward_height(window: Window, body: Body, face: Face, x: Floats, y: Floats, reference: float) -> Floats:
     """Height of a face above its reference plane, away from the material, at sheet points (n,)."""
     index, u, v = _located(window, face, x, y)
-    z = face_height(window, face, u, v)
+    z = face_height(window, face, u, v, index)
     if body.columnar:
-        front, back = column(window, body, u, v)
+        front, back = column(window, body, u, v, index)
         z = front if face is body.front else back
     land = np.nan if face.land is None else face.land
     z = np.where(window.lattice.contains(index), z, land)
@@ -105,8 +105,7 @@ def outward_height(window: Window, body: Body, face: Face, x: Floats, y: Floats,
 
 def _located(window: Window, face: Face, x: Floats, y: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
     assert face.array is not None
-    dx, dy = window.shifts[face.array]
-    return window.lattice.locate(x - dx, y - dy)
+    return window.locate(face.array, x, y)
 
 
 def structured_faces(window: Window) -> list[tuple[Body, Face, str]]:
@@ -136,13 +135,14 @@ def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int
     """
     assert face.array is not None
     dx, dy = window.shifts[face.array]
-    x0, x1, y0, y1 = window.lattice.extent()
-    pixel = window.lattice.pitch[0] / per_cell
+    x0, x1, y0, y1 = replace(window.placements[face.array], shift=(0.0, 0.0)).extent(window.lattice)
+    pixel = window.lattice_of(face.array).pitch[0] / per_cell
     width, height = ceil((x1 - x0) / pixel * (1 - 1e-12)), ceil((y1 - y0) / pixel * (1 - 1e-12))
     # A map that is not a whole number of pixels wide is centred on the cells.
     origin = (dx + 0.5 * (x0 + x1 - width * pixel), dy + 0.5 * (y0 + y1 - height * pixel))
     plain = HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], 0.0, 0.0)
-    low, high = _range(window, body, face, per_cell)
+    alike = body.front.change is None and body.back.change is None
+    low, high = _range(window, body, face, per_cell) if alike else _range_of_pixels(plain)
     return (
         HeightMap(window, body, face, label, pixel, width, height, origin, face.vertex[2], low, high)
         if (high >= low)
@@ -156,7 +156,8 @@ def _empty(map_: HeightMap) -> HeightMap:
 
 def _range(window: Window, body: Body, face: Face, per_cell: int) -> tuple[float, float]:
     """Range of heights over one cell, twice as fine as the map, borders and corners included."""
-    tile = window.lattice.tile()
+    assert face.array is not None
+    tile = window.lattice_of(face.array).tile()
     n = 2 * per_cell + 1
     x, y = np.meshgrid(
         np.linspace(tile[:, 0].min(), tile[:, 0].max(), n), np.linspace(tile[:, 1].min(), tile[:, 1].max(), n)
@@ -172,6 +173,17 @@ def _range(window: Window, body: Body, face: Face, per_cell: int) -> tuple[float
     if face.land is not None:
         heights = np.append(heights, -face.side * (face.land - face.vertex[2]))
     return float(np.nanmin(heights, initial=np.inf)), float(np.nanmax(heights, initial=-np.inf))
+
+
+def _range_of_pixels(map_: HeightMap) -> tuple[float, float]:
+    """Range of heights over all pixels of a map whose cells differ."""
+    low, high = np.inf, -np.inf
+    for block in map_.blocks():
+        low, high = (
+            min(low, float(np.nanmin(block, initial=np.inf))),
+            max(high, float(np.nanmax(block, initial=-np.inf))),
+        )
+    return low, high
 
 
 # -- TIFF and PNG --------------------------------------------------------------------------------
@@ -270,9 +282,11 @@ def point_lines(
 ) -> Iterator[str]:
     """Lines of some cells (k, 2) of a face."""
     assert face.array is not None
-    local, z, normal = _cell_points(window, face, per_cell)
-    shift = np.asarray(window.shifts[face.array])
-    for centre in (window.lattice.centres(cells) + shift) * scale if len(cells) else ():
+    if len(cells):
+        local, z, normal = _cell_points(window, face, per_cell)
+    for index, centre in zip(cells, window.centres(face.array, cells) * scale if len(cells) else ()):
+        if face.change is not None:
+            local, z, normal = _cell_points(window, face, per_cell, index)
         table = np.column_stack([local * scale + centre, z * scale, normal])
         yield from map(_LINE.__mod__, map(tuple, table.tolist()))
 
@@ -280,17 +294,24 @@ def point_lines(
 _LINE = "%.9f %.9f %.9f %.12f %.12f %.12f"
 
 
-def _cell_points(window: Window, face: Face, per_cell: int) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n, 3)."""
-    tile = window.lattice.tile()
+def _cell_points(
+    window: Window, face: Face, per_cell: int, index: NDArray[np.int64] | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n, 3).
+
+    index : (2,) or None
+        The cell, where they differ.
+    """
+    face = face if index is None else window.in_cell(face, index)
+    assert face.array is not None
+    lattice = window.lattice_of(face.array)
+    tile = lattice.tile()
     x0, x1, y0, y1 = tile[:, 0].min(), tile[:, 0].max(), tile[:, 1].min(), tile[:, 1].max()
     u = x0 + (x1 - x0) * (np.arange(per_cell) + 0.5) / per_cell
     v = y0 + (y1 - y0) * (np.arange(per_cell) + 0.5) / per_cell
     gx, gy = (g.ravel() for g in np.meshgrid(u, v))
     inside = np.ones(gx.shape, dtype=bool)
-    for (ox, oy), half in zip(
-        (window.lattice.offset(*s) for s in window.lattice.steps), window.lattice.half_widths
-    ):
+    for (ox, oy), half in zip((lattice.offset(*s) for s in lattice.steps), lattice.half_widths):
         inside &= (gx * ox + gy * oy) / (2.0 * half) < half
     gx, gy = gx[inside], gy[inside]
     z = face_height(window, face, gx, gy)
@@ -310,8 +331,8 @@ def check_points(window: Window, face: Face, path: Path, scale: float, count: in
     """
     assert face.array is not None
     table = _six_numbers(path, _picked_lines(path, count))
-    _, u, v = _located(window, face, table[:, 0] / scale, table[:, 1] / scale)
-    z = face_height(window, face, u, v) * scale
+    index, u, v = _located(window, face, table[:, 0] / scale, table[:, 1] / scale)
+    z = face_height(window, face, u, v, index) * scale
     if not (np.abs(table[:, 2] - z) <= 2e-9 + 1e-8 * abs(window.lattice.pitch[0] * scale)).all():
         raise FileDisagrees(f"{path.name}: a point does not lie on the face")
     if (np.abs(np.linalg.norm(table[:, 3:], axis=1) - 1.0) > 1e-9).any() or (

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isnan
 
 import numpy as np
 
 from clacad.formats.pov.pov_text import GAP, NotForPov, matrix, number
 from clacad.optics.surface import Quadric
+from clacad.sheet.gap import array_of
 from clacad.sheet.lattice import Circle, runs
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
@@ -59,7 +61,8 @@ def sheet_lines(window: Window, units: float) -> Iterator[str]:
     for k, body in enumerate(window.bodies):
         yield from _columns(window, body, k, units) if body.columnar else _layers(window, body, k, units)
     if window.baffle is not None:
-        yield from _honeycomb(window, units)
+        for first, second in pairwise(window.bodies):
+            yield from _honeycomb(window, units, first, second)
 
 
 # -- bodies ------------------------------------------------------------------------------------
@@ -349,13 +352,12 @@ def _beside(window: Window, array: int, units: float, span: HeightRange, look: s
     yield "}"
 
 
-def _honeycomb(window: Window, units: float) -> Iterator[str]:
-    """Black walls between the arrays: each cell's border, sheared to its partner's, less the channel."""
+def _honeycomb(window: Window, units: float, first: Body, second: Body) -> Iterator[str]:
+    """Black walls between two bodies: each cell's border, sheared to its partner's, less the channel."""
     assert window.baffle is not None
-    first, second = window.bodies[:2]
     span = HeightRange(_heights(window, first.back).high, _heights(window, second.front).low)
     rise = span.high - span.low
-    run = np.subtract(window.shifts[1], window.shifts[0]) / rise
+    run = np.subtract(window.shifts[array_of(second)], window.shifts[array_of(first)]) / rise
     room = 0.01 * rise
     channel = HeightRange(-room, rise + room)
     wall = _prism(window, units, HeightRange(0.0, rise), spare=0.0)
@@ -365,4 +367,4 @@ def _honeycomb(window: Window, units: float) -> Iterator[str]:
     )
     yield f"#declare Wall = difference {{ {wall} {free} {shear} }}"
     beyond = int(np.ceil(window.land.border / min(window.lattice.pitch)))
-    yield from _all_cells(window, "Wall", 0, units, BLACK, beyond)
+    yield from _all_cells(window, "Wall", array_of(first), units, BLACK, beyond)

@@ -12,8 +12,9 @@ POLICY = "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; base-ur
 """Content security policy: no script, no frame, no font, nothing from anywhere else."""
 
 NOTE = (
-    "Drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows the view "
-    "flipped left-right. Exact refraction at every lens face, ghosts included; lengths in floor tiles."
+    "Figures F and W are drawn left-handed (x to the right), as the paper's renderer draws: the part made from a design shows "
+    "the view flipped left-right. Figures V are drawn as the part shows it. Lengths are floor tiles in F, millimetres elsewhere. "
+    "Exact refraction at every lens face, ghosts included."
 )
 
 STYLE = """
@@ -54,6 +55,7 @@ def page_of(
             f"<h2>{html.escape(figure.row)} &ndash; {html.escape(figure.title)}</h2><p>{html.escape(figure.says)}</p>"
         )
         parts += [_img(f"{stem}.png", label) for stem, label in figure.scenes]
+        parts += [_img(f"{stem}.png", label) for stem, label, _ in figure.drawn]
         parts += [_img(f"{stem}.webp", title) for stem, title in movies if figure.owns(title)]
         if figure.row in findings:
             parts.append(_table(findings[figure.row]))

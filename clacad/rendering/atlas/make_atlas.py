@@ -9,15 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from clacad.base.types import Bytes
+from clacad.design import Design
 from clacad.design.law_in_words import law_words
+from clacad.design.sections import AimedAt
+from clacad.rendering.atlas.differing_figures import DIFFERING
+from clacad.rendering.atlas.field_lens_figure import FIELD_LENS, ghosts_marked
 from clacad.rendering.atlas.figure1 import section_findings, solid_findings
 from clacad.rendering.atlas.finding import AtlasFinding
 from clacad.rendering.atlas.index_page import page_of
-from clacad.rendering.atlas.paper_figures import FIGURES, MOVIES, Figure
+from clacad.rendering.atlas.paper_figures import FIGURES as PAPER
+from clacad.rendering.atlas.paper_figures import MOVIES, Figure
 from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
 from clacad.rendering.picture_files import animate, label_lines, labelled, metadata_of, pixels_of, save
 from clacad.scene import Scene, load_scene
 from clacad.storage.atomic import Stage, canonical_json, file_hash
+
+FIGURES = (*PAPER, *DIFFERING)
+"""The paper's figures, and what goes beyond them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +137,8 @@ def prepare(request: AtlasRequest) -> AtlasJob:
     SceneError
         A scene is missing or wrong.
     """
-    known = ("F1", *(figure.row for figure in FIGURES))
+    figures = (*FIGURES, FIELD_LENS)
+    known = ("F1", *(figure.row for figure in figures))
     for row in request.rows:
         if row not in known:
             raise NoSuchRow(f"there is no row {row}; rows are {', '.join(known)}")
@@ -137,7 +146,7 @@ def prepare(request: AtlasRequest) -> AtlasJob:
     def load(stem: str) -> Scene:
         return load_scene(request.scenes / f"{stem}.toml")
 
-    chosen = tuple(f for f in FIGURES if not request.rows or f.row in request.rows)
+    chosen = tuple(f for f in figures if not request.rows or f.row in request.rows)
     stills = {stem: _sized(load(stem), request.size, request.samples) for f in chosen for stem, _ in f.scenes}
     movies = []
     for stem, title in MOVIES:
@@ -170,9 +179,13 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
         for figure in job.figures:
             for stem, label in figure.scenes:
                 tell(f"{figure.row}: {label}", None)
-                picture = view_through(job.stills[stem], compiled=True)
-                text = f"{figure.row}: {parameters(job.stills[stem])}"
+                still = job.stills[stem]
+                picture = ghosts_marked(still) if figure.ghosts_marked else view_through(still, compiled=True)
+                text = f"{figure.row}: {label if figure.ghosts_marked else parameters(still)}"
                 save(labelled(pixels_of(picture), text), stage.path(f"{stem}.png"), metadata_of(picture))
+            for stem, label, draw in figure.drawn:
+                tell(f"{figure.row}: {label}", None)
+                stage.path(f"{stem}.png").write_bytes(draw())
             if job.request.measured:
                 tell(f"{figure.row}: measuring", None)
                 findings[figure.row] = tuple(figure.check(job.load))
@@ -201,9 +214,22 @@ def parameters(scene: Scene, turned: bool = False) -> str:
     turned : bool
         Name the three angles even where all are 0.
     """
-    said = [law_words(scene.design().law_spec, turned)]
+    said = [law_words(scene.design().law_spec, turned), *_of_cells(scene.design())]
     said += [f"z = {thing.at[2]:.4g}" for thing in scene.objects if thing.id == "knight"]
     return ", ".join(said)
+
+
+def _of_cells(design: Design) -> list[str]:
+    """How the cells of a design differ, in words; none where they are alike."""
+    aperture, pitch, varying = design.lattice.aperture, design.lattice.pitch_2, design.law_spec.varying
+    said = []
+    if isinstance(aperture, AimedAt):
+        said.append("aimed at (" + ", ".join(f"{v:g}" for v in aperture.point) + ")")
+    if pitch is not None:
+        said.append("pitch_2 = " + ", ".join(f"{v:g}" for v in dict.fromkeys(pitch)))
+    if varying is not None and varying.f_image is not None:
+        said.append("f_image = " + ", ".join(f"{v:g}" for v in dict.fromkeys(varying.f_image)))
+    return said
 
 
 def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]) -> None:

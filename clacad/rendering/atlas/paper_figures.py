@@ -40,6 +40,10 @@ class Figure:
     scenes : tuple of (scene file stem, label)
     check : callable(loader) → findings
     movie : bool
+    ghosts_marked : bool
+        Whether ghosts are drawn in one colour, and its pictures labelled with what they show.
+    drawn : tuple of (file stem, label, callable that gives a PNG)
+        Pictures that are no view of a scene.
     """
 
     row: str
@@ -48,6 +52,8 @@ class Figure:
     scenes: tuple[tuple[str, str], ...]
     check: Callable[[Loader], Iterator[AtlasFinding]]
     movie: bool = False
+    ghosts_marked: bool = False
+    drawn: tuple[tuple[str, str, Callable[[], bytes]], ...] = ()
 
     def owns(self, movie: str) -> bool:
         """Whether a movie of this title belongs to the figure: both begin with its number."""

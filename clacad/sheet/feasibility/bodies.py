@@ -110,7 +110,7 @@ def _edge(window: Window, body: Body) -> float:
 
 def connectedness(window: Window, body: Body, borders: tuple[BorderFacts, ...]) -> tuple[int, int]:
     """Count connected pieces of a body and the holes through it."""
-    plate = body.front.land is not None and body.back.land is not None
+    plate = all(face.land is not None or face.array is None for face in (body.front, body.back))
     if plate or not (body.columnar or None in (body.front.array, body.back.array)):
-        return 1, 0  # one plate under all cells
+        return 1, 0  # one plate under all cells, and where cells are left out
     return count_pieces_and_holes(window.lattice, [BorderJoint(b.step, b.joints, b.corners) for b in borders])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import acos, asin, inf, isfinite
+from itertools import pairwise
+from math import acos, asin, inf
 
 import numpy as np
 
@@ -96,8 +97,9 @@ def tallest(window: Window, facts: Feasibility) -> Named:
             (_edge_of_seam(window, f) for _, f in _lens_faces(window) if f.land is not None), default=0.0
         )
         found.append(Named(deepest / window.land.seam, "the depth of the seam over its width"))
-    if window.baffle is not None and isfinite(facts.clearance):
-        found.append(Named(facts.clearance / window.baffle.wall, "the baffle's height over its wall"))
+    if window.baffle is not None and len(facts.bodies) > 1:
+        height = max(above.low - below.high for below, above in pairwise(facts.bodies))
+        found.append(Named(height / window.baffle.wall, "the baffle's height over its wall"))
     return max(found, key=lambda n: n.value)
 
 

@@ -248,14 +248,7 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger,
     two, length = _carried(layout, start, last, second)
     passes = ~two.beside
     if layout.window.baffle is not None:
-        order = two.beam.cell - one.beam.cell
-        share = honeycomb.reach(layout, start.local, two.beam.local, order)
-        stopped = np.isfinite(share) | two.beside
-        run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
-        at = _position(layout, first, start)[stopped] + run[:, None] * start.direction[stopped]
-        stray = start.direction[stopped]
-        _end(layout, ledger, _take(one, stopped), Fate.VIGNETTED, at, stray, path[stopped] + run, 0)
-        passes &= ~stopped
+        passes &= ~_stopped(layout, ledger, gone, last, two, length)
     else:
         _pass_beside(layout, ledger, one, two)
     _leave(layout, ledger, second, gone.take(passes), _take(two, passes), (path + length)[passes])
@@ -271,11 +264,28 @@ def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -
     return met, gap + met.distance
 
 
+def _stopped(
+    layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, met: Met, length: Floats
+) -> Bools:
+    """End the rays that a honeycomb stops between the array they left and the one they meet, `length` (m,) on; tell which (m,)."""
+    start = gone.beam
+    share = honeycomb.reach(layout, start.local, met.beam.local, met.beam.cell - gone.one.beam.cell)
+    stopped = np.isfinite(share) | met.beside
+    run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
+    at = _position(layout, left, start)[stopped] + run[:, None] * start.direction[stopped]
+    stray = start.direction[stopped]
+    _end(layout, ledger, _take(gone.one, stopped), Fate.VIGNETTED, at, stray, gone.path[stopped] + run, 0)
+    return stopped
+
+
 def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch, patch: ThinPatch) -> Passed:
     """Bend rays at a field lens; those that pass beside it are missed."""
     met, length = _carried(layout, gone.beam, left, patch)
-    _pass_beside(layout, ledger, gone.one, met)
-    on = ~met.beside
+    if layout.window.baffle is not None:
+        on = ~_stopped(layout, ledger, gone, left, met, length)
+    else:
+        _pass_beside(layout, ledger, gone.one, met)
+        on = ~met.beside
     gone, met, path = gone.take(on), _take(met, on), (gone.path + length)[on]
     here, out = _go_on(layout, ledger, patch, met, path)
     gone, met = gone.take(here), _take(met, here)

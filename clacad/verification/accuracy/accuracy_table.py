@@ -7,6 +7,7 @@ table has a reference, and the reference has an error of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from clacad.base.types import Progress, silent
@@ -14,6 +15,7 @@ from clacad.verification.accuracy.error_and_seconds import AccuracyRow, Accuracy
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.bundle import Bundle
     from clacad.sheet.window import Window
     from clacad.verification.accuracy.measure_rungs import TracedRays
 
@@ -24,6 +26,9 @@ def accuracy(
     design: Design, rays: int = 100_000, quads: Sequence[int] | None = None, progress: Progress | None = None
 ) -> AccuracyTable:
     """Measure error against seconds over the rungs and their settings.
+
+    Of a sheet whose cells differ the rungs that trace it are measured on its worst cell, and beside them everything on a
+    sheet of equal cells like that one.
 
     Parameters
     ----------
@@ -45,19 +50,32 @@ def accuracy(
     from clacad.exporting.limits import refuse_early
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
-    from clacad.sheet.need_window import equal_cells
-    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays
+    from clacad.tracing.worst_cell import worst_cell
+    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, own_rows
 
     report = progress or silent
     refuse_early(design, (), {})
-    window = equal_cells(prescribe(design), "the table of accuracy")
+    seen = worst_cell(prescribe(design), design.check.field)
+    if seen.tried:  # whole cells, with room for partners that stand aside
+        seen = replace(seen, like=seen.like.with_cells(seen.like.lattice.count))
     report("tracing the truth", 0.0)
 
-    def traced(count: int) -> TracedRays:
-        lit = bundle(window, count, design.check.field, design.check.field_centre)
-        return TracedRays.raised(window, lit.rays)
+    def light(count: int) -> Bundle:
+        return bundle(seen.like, count, design.check.field, design.check.field_centre)
 
-    return _measured(design.name, traced, rays, tuple(quads or QUADS), report)
+    def traced(count: int) -> TracedRays:
+        return TracedRays.raised(seen.like, light(count).rays)
+
+    found = _measured(design.name, traced, rays, tuple(quads or QUADS), report)
+    if not seen.tried:
+        return found
+    i, j = seen.cell.tolist()
+    own = own_rows(TracedRays.raised(seen.window, seen.placed(light(rays)).rays, (i, j)))
+    said = (
+        f'every cell of this sheet differs: rows "cells that differ" are of the sheet itself, its light through cell ({i}, {j}), '
+        f"the worst of {seen.tried} tried; the others, and the floors, of a sheet of equal cells like that one"
+    )
+    return replace(found, rows=(*own, *found.rows), notes=(said, *found.notes))
 
 
 def _measured(
@@ -84,6 +102,9 @@ def _measured(
     return AccuracyTable(name, tuple(rows), checked, tuple(found), _notes(rows, note), rays=rays)
 
 
+OWN_SECONDS, OWN_SECONDS_A_RAY = 10.0, 2.0e-5
+"""Of the rows of a sheet whose cells differ: its worst cell found and 50 digits; each ray, mostly on rungs law and thin in numpy."""
+
 TASK = "accuracy"
 """Name under which the time it takes is noted."""
 
@@ -102,7 +123,8 @@ def accuracy_seconds(rays: int, window: Window, quads: Sequence[int] | None = No
     if window.outline is not None and patterns == len(window.bodies) and not window.lattice.hexagonal:
         rough = 2.2
     facets = 1.25e-4 * sum(q * q for q in grids) + 1.1
-    return 2.0 + patterns * (0.6 + 3.3e-6 * rays * len(grids) + rough * facets)
+    own = 0.0 if window.uniform else OWN_SECONDS + OWN_SECONDS_A_RAY * rays
+    return own + 2.0 + patterns * (0.6 + 3.3e-6 * rays * len(grids) + rough * facets)
 
 
 def _notes(rows: Sequence[AccuracyRow], step_note: str) -> tuple[str, ...]:

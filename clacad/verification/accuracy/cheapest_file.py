@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import Span
 from clacad.base.text import plain
+from clacad.exporting.format_names import OF_ANY_CELLS
 from clacad.exporting.limits import MOST_BYTES, size_text
 from clacad.storage.errors import ExportError
 from clacad.verification.accuracy.choose_setting import MOST_QUADS, SAFE
@@ -106,12 +107,15 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
     from clacad.exporting.quads_and_roles import Sizes
     from clacad.exporting.tessellations import Meshes
 
+    if not window.uniform and not set(WHOLE) & set(OF_ANY_CELLS):
+        return []
     sizes, found = Sizes(Meshes(window)), []
     for floor in floors:
         quads = floor.quads_for(SAFE * target) if floor.normals == "facet" else None
         for name in WHOLE:
             if (
-                name in floor.formats.split(", ")
+                (window.uniform or name in OF_ANY_CELLS)
+                and name in floor.formats.split(", ")
                 and quads is not None
                 and quads <= MOST_QUADS
                 and sizes.fits(name, quads)

@@ -58,6 +58,8 @@ class AccuracyRow:
         Facets per cell side.
     normals : "facet", "vertex" or ""
     float : "f64" or "f32"
+    own_cells : bool
+        Of a sheet whose cells differ: whether the sheet itself was traced, not one of equal cells like its worst cell.
     """
 
     rung: str
@@ -79,6 +81,7 @@ class AccuracyRow:
     quads: int | None = None
     normals: str = ""
     float: str = "f64"
+    own_cells: bool = False
 
     @property
     def rays_per_s(self) -> Any:
@@ -96,7 +99,10 @@ class AccuracyRow:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form; what was not measured is null."""
-        return {**plain(asdict(self)), "rays_per_s": self.rays_per_s}
+        found = {**plain(asdict(self)), "rays_per_s": self.rays_per_s}
+        if not self.own_cells:
+            del found["own_cells"]
+        return found
 
 
 @dataclass(frozen=True)
@@ -128,7 +134,7 @@ class AccuracyTable:
     def cheapest(
         self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
     ) -> AccuracyRow:
-        """Row with the least predicted seconds whose model_rms is within `target` (radians).
+        """Row with the least predicted seconds whose model_rms is within `target` (radians); where cells differ, of the sheet itself.
 
         Parameters
         ----------
@@ -144,7 +150,8 @@ class AccuracyTable:
             With the closest row.
         """
         count = rays or max((row.rays for row in self.rows), default=1)
-        open_to = [row for row in self.rows if rungs is None or row.rung in rungs]
+        own = any(row.own_cells for row in self.rows)
+        open_to = [row for row in self.rows if (rungs is None or row.rung in rungs) and row.own_cells == own]
         good = [row for row in open_to if row.model_rms <= target and row.disagree <= MOST_DISAGREEMENT]
         if good:
             return min(good, key=lambda row: (row.predicted_seconds(count), row.model_rms))

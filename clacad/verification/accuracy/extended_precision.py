@@ -8,7 +8,7 @@ face a ray meets is a question of geometry, not of rounding.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from typing import TypeVar
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
+from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.window import Face, Window
 
 Ints = NDArray[np.integer]
@@ -108,7 +109,10 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
                 index = (
                     cell + order if face.array == 1 else cell
                 )  # light that keeps to its pair meets its own field lens
-                vertex = _added(vertex, _centre(window, int(index[0]), int(index[1]), face.array))
+                i, j = int(index[0]), int(index[1])
+                vertex = _added(vertex, _centre(window, i, j, face.array))
+                if face.change is not None:
+                    vertex = _added(vertex, _moved(window, face.change, i, j))
             turn = None
             if not face.untilted:
                 columns = face.rotation.T
@@ -120,7 +124,7 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
 
 def _centre(window: Window, i: int, j: int, array: int) -> Vector:
     """Centre of a cell of an array, exact in the lattice's own doubles."""
-    lattice, (sx, sy) = window.lattice, window.shifts[array]
+    lattice, (sx, sy) = window.lattice_of(array), window.shifts[array]
     px, py = (Decimal(p) for p in lattice.pitch)
     n1, n2 = lattice.count
     if lattice.hexagonal:
@@ -129,6 +133,17 @@ def _centre(window: Window, i: int, j: int, array: int) -> Vector:
     else:
         x, y = (2 * i - n1 + 1) * px / 2, (2 * j - n2 + 1) * py / 2
     return x + Decimal(sx), y + Decimal(sy), Decimal(0)
+
+
+def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
+    """How far the lens of a cell stands from where its face has it; see `VertexChange.at`."""
+    x, y, _ = _centre(window, i, j, 0)
+    (xx, xy), (yx, yy) = ((Decimal(a), Decimal(b)) for a, b in change.gradient)
+    moved = (xx * x + xy * y, yx * x + yy * y, Decimal(0))
+    if change.table is None:
+        return moved
+    own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
+    return _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0)))
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:

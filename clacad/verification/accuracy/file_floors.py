@@ -69,7 +69,7 @@ FAMILIES = (
     ),
     Family("table, pov", None, "", "the surfaces' own numbers; see row surfaces"),
     Family("sag, xyz", None, "", "exact heights and slopes at points; the reader interpolates"),
-    Family("mask, baffle, frame, drawing", None, "", "no refracting surface"),
+    Family("mask, baffle, frame, pins, drawing", None, "", "no refracting surface"),
 )
 
 

@@ -48,11 +48,12 @@ class TracedRays:
     asked: Floats
 
     @classmethod
-    def raised(cls, window: Window, rays: Rays) -> TracedRays:
-        """Trace the truth, by the compiled kernel: the one whose speed and error the table tells."""
+    def raised(cls, window: Window, rays: Rays, cell: tuple[int, int] | None = None) -> TracedRays:
+        """Trace the truth, by the compiled kernel: the one whose speed and error the table tells; `cell`: whose law is asked."""
         from clacad.tracing.trace import trace
 
-        return cls(window, rays, trace(window, rays, path="numba"), window.law.refract(rays.direction))
+        law = window.law if cell is None else window.law_at(cell)
+        return cls(window, rays, trace(window, rays, path="numba"), law.refract(rays.direction))
 
 
 def timed(run: Callable[[], TraceResult]) -> tuple[TraceResult, float, float]:
@@ -146,6 +147,33 @@ def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRo
         ),
         replace(single, bytes=_surface_bytes(window) // 2, float="f32"),
     ]  # fmt: skip
+
+
+def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
+    """Rungs law, thin and surfaces of a sheet whose cells differ, on the paths that trace it: law and thin in numpy."""
+    from clacad.tracing.trace import trace
+
+    window, rays, checked = ladder.window, ladder.rays, reference(ladder)
+    setting = "cells that differ"
+    surfaces = row(ladder, "surfaces", setting, lambda: trace(window, rays, path="numba"))
+    return [
+        replace(one, own_cells=True)
+        for one in (
+            row(ladder, "law", setting, lambda: trace(window, rays, rung="law", path="numpy")),
+            row(ladder, "thin", setting, lambda: trace(window, rays, rung="thin", path="numpy")),
+            replace(
+                surfaces, model_rms=checked["rms"], model_p95=checked["p95"], model_max=checked["max"],
+                checked=int(checked["rays"]), bytes=_own_bytes(window),
+            ),
+        )
+    ]  # fmt: skip
+
+
+def _own_bytes(window: Window) -> int:
+    """Numbers that describe a sheet whose cells differ: one telescopelet, and where each lens stands."""
+    changes = [face.change for face in window.faces if face.change is not None]
+    tables = sum(one.table.nbytes for one in changes if one.table is not None)
+    return _surface_bytes(window) + 8 * 4 * len(changes) + tables
 
 
 def _surface_bytes(window: Window) -> int:

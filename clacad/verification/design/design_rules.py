@@ -16,6 +16,7 @@ from clacad.design.process_profiles import profile
 from clacad.sheet.coherent_orders import order_steps
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell, outer_cells
+from clacad.sheet.own_steps import OwnStep, highest_step
 from clacad.sheet.window import Window
 from clacad.verification.checks import NEAR, Check, State, accepted, judge, not_run
 from clacad.verification.design.process_rules import making_checks, process_limit
@@ -56,13 +57,17 @@ def design_checks(
 def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
     """The checks of a sheet whose cells differ: each in the worst of those cells whose lenses stand farthest out."""
     worst: dict[tuple[str, str], Check] = {}
+    steps = {body.name: highest_step(window, body) for body in window.bodies}
     for cell in outer_cells(window):
         like = like_cell(window, cell)
-        for check in design_checks(design, like, feasibility(like, *design.viewing_places), solved=False):
+        facts = feasibility(like, *design.viewing_places)
+        bodies = tuple(replace(body, step=steps[body.name].height) for body in facts.bodies)
+        for check in design_checks(design, like, replace(facts, bodies=bodies), solved=False):
             key, known = (check.id, check.subject), worst.get((check.id, check.subject))
             if known is None or _worse(check, known):
-                named = f"in cell ({cell[0]}, {cell[1]}): {check.sentence}"
-                worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": cell.tolist()})
+                at = cell.tolist() if check.id != "wall" else list(_highest(steps).cell)
+                named = f"in cell ({at[0]}, {at[1]}): {check.sentence}"
+                worst[key] = replace(check, sentence=named, detail={**check.detail, "cell": at})
     found = [_priced(check) for check in worst.values() if check.id not in ("field", "allowance")]
     reach, half = tan(design.check.field), min(feasibility(window).half_field)
     sentence = "each cell is for the light of its own place; the cone of test rays about it"
@@ -76,13 +81,18 @@ def _in_outer_cells(design: Design, window: Window) -> tuple[Check, ...]:
     return accepted(found, design)
 
 
+def _highest(steps: dict[str, OwnStep]) -> OwnStep:
+    """Of the highest steps of all bodies the highest."""
+    return max(steps.values(), key=lambda step: step.height)
+
+
 def _priced(check: Check) -> Check:
     """Steps between neighbours are the price of cells that differ: beyond what the process can make they fail."""
     if check.id != "wall" or check.state != "warn":
         return check
     sentence, _, _ = check.sentence.rpartition("; ")
     return replace(
-        check, state="fail", sentence=f"{sentence}: the price of aimed cells; a viewer farther away, a smaller p/s or another process",
+        check, state="fail", sentence=f"{sentence}: the price of cells that differ; a viewer or image farther away, a smaller p/s or another process",
     )  # fmt: skip
 
 
@@ -363,8 +373,9 @@ def _orders(design: Design, window: Window, facts: Feasibility) -> Check:
     steps = order_steps(window.lattice, facts.wavelength / window.unit)
     value, limit = 0.5 * max(steps), design.check.law_rms
     first, second = (digits(1e3 * step, count=3) for step in steps)
+    cells = "equal" if window.uniform else "neighbouring"
     sentence = (
-        f"in coherent light equal cells send orders {first} and {second} mrad apart, so the law is met to "
+        f"in coherent light {cells} cells send orders {first} and {second} mrad apart, so the law is met to "
         f"±{digits(1e3 * value, count=3)} mrad only"
     )
     return Check(

@@ -15,6 +15,7 @@ from clacad.exporting.compare_instances import levels as levels
 from clacad.exporting.compare_instances import owner as owner
 from clacad.mesh.saddle_bevel import in_corners
 from clacad.sheet.bundle import central_cell
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
 from clacad.sheet.window import WALL, Face, Window, lens_height
 from clacad.solid.marks import pockets
@@ -28,6 +29,9 @@ from clacad.tracing.triangles.telescopelet_facets import (
 )
 
 RANDOM_CELLS = 4
+CHORD = 0.75
+"""Mean height of a chord over its arc, of surfaces of second order, over that at the middle of a facet."""
+
 SLIVER = 1e-4
 """Twice a facet's area over the square of its longest edge, below which its own normal says little."""
 
@@ -84,6 +88,8 @@ class CellFacets:
     repeats : mapping
         Key → list of (number of a chosen cell, (3,) shift): this cell's facets are, besides its own, those of that
         cell moved. So an instanced file costs one cell.
+    chord : float
+        Volume (length³) that all facets of the file add to the exact body, where cells differ; see `chord_volume`.
     """
 
     cells: tuple[Cell, ...]
@@ -99,6 +105,7 @@ class CellFacets:
     odd: int = 0
     inward: int = 0
     repeats: dict[Key, list[tuple[int, Floats]]] = field(default_factory=dict)
+    chord: float = 0.0
     binned: dict[tuple[Key, bool], FacetFace] = field(default_factory=dict, repr=False)
 
     def corners(self, body: int, side: int, cell: int) -> Floats:
@@ -191,6 +198,10 @@ class Gatherer:
                     cells = self._cells(array, middle[rows])
                     self._keep(number, side, array, SideFacets(corners, normals, rows, cells))
                     self._hold(face, middle[rows], cells, upright[rows])
+                    if not self.window.uniform and face.array is not None:
+                        above = height_above(self.window, face, middle[rows], cells)
+                        area = 0.5 * normal[rows, 2]
+                        self.result.chord += times * CHORD * float(np.nansum(above * area))
 
     def _weigh(self, corners: Floats, normal: Floats, normals: Floats, times: int) -> None:
         """Count facets whose stored normals are no unit vectors, or point inward."""
@@ -232,8 +243,7 @@ class Gatherer:
 
     def _cells(self, array: int, middle: Floats) -> Ints:
         """Cells (k, 2) of an array under points (k, 3)."""
-        shift = self.window.shifts[array]
-        return self.window.lattice.locate(middle[:, 0] - shift[0], middle[:, 1] - shift[1])[0]
+        return self.window.locate(array, middle[:, 0], middle[:, 1])[0]
 
     def _chosen(self, cells: Ints) -> NDArray[np.int64]:
         """Number of the chosen cell (k,) that each cell (k, 2) is; −1 for the others."""
@@ -255,14 +265,13 @@ def telescopelet(window: Window, found: CellFacets, cell: int, present: Sequence
     onto_design : bool
         Move every corner along z onto the design's own face: the design, faceted as the file is.
     """
-    index = np.array([found.cells[cell]], dtype=np.int64)
-    centre = window.lattice.centres(index)[0]
+    index = np.array(found.cells[cell], dtype=np.int64)
+    window = like_cell(window, index, widest=False)
     bodies = []
     for number, body in enumerate(window.bodies):
         faces: list[AnyFace] = []
         for side, face in enumerate((body.front, body.back)):
-            shift = window.shifts[owner(body, face)]
-            place = centre + np.asarray(shift)
+            place = window.centres(owner(body, face), index)
             if present is None or body.name in present:
                 faces.append(_faceted(window, found, (number, side, cell), place, onto_design))
             else:
@@ -292,6 +301,22 @@ def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_de
     if found.repeats:
         found.binned[key, onto_design] = made
     return made
+
+
+def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Floats:
+    """Height (n,) of points (n, 3) of facets above the design's lens or land in their cells (n, 2), whichever is nearer;
+    NaN where it has neither.
+    """
+    assert face.array is not None
+    local = points[:, :2] - window.centres(face.array, cells)
+    if face.change is not None:
+        local -= face.change.at(window.lattice, cells)
+    above = points[:, 2] - lens_height(face, local[:, 0], local[:, 1])
+    above = np.where(window.lattice.contains(cells), above, np.nan)
+    if face.land is None:
+        return above
+    land = points[:, 2] - face.land
+    return np.where(~(np.abs(above) <= np.abs(land)), land, above)
 
 
 def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:

@@ -25,7 +25,20 @@ from clacad.verification.files.map_file import format_of
 from clacad.verification.files.unit_and_cells import FACTORS, SAME_EXTENT
 from clacad.verification.limit_sources import derived
 
-FIXTURES = frozenset({"baffle", "spacer", "retainer1", "retainer2", "coupon"})
+FIXTURES = frozenset(
+    {
+        "baffle",
+        "baffle1",
+        "baffle2",
+        "spacer",
+        "spacer1",
+        "spacer2",
+        "retainer1",
+        "retainer2",
+        "pins",
+        "coupon",
+    }
+)
 """Names of the parts beside the optics that an export writes."""
 
 SAME_VOLUME = 1e-6

@@ -123,21 +123,22 @@ def _compare(
     window: Window, face: Face, array: int, points: Floats, aside: Floats | None, rows: Ints, number: int, found: FaceDistance
 ) -> None:  # fmt: skip
     """Compare points (k, 3) with one face, and write what is found into its rows."""
-    shift = window.shifts[array]
     told = points if aside is None else points + aside
-    cell, x, y = window.lattice.locate(told[:, 0] - shift[0], told[:, 1] - shift[1])
+    cell, x, y = window.locate(array, told[:, 0], told[:, 1])
     found.face[rows], found.cell[rows], found.local[rows] = number, cell, np.column_stack([x, y])
     if face.array is None:
         found.distance[rows], found.normal[rows] = points[:, 2] - face.vertex[2], [0.0, 0.0, 1.0]
         return
-    height = face_height(window, face, x, y)
-    flat = ~(np.abs(height - lens_height(face, x, y)) <= 1e-12 * window.lattice.circumradius)
+    moved = np.zeros((len(points), 2)) if face.change is None else face.change.at(window.lattice, cell)
+    u, v = x - moved[:, 0], y - moved[:, 1]
+    height = face_height(window, face, x, y, cell)
+    flat = ~(np.abs(height - lens_height(face, u, v)) <= 1e-12 * window.lattice.circumradius)
     outside = ~window.lattice.contains(cell)
     if outside.any():  # plain border, or nothing
         height = np.where(outside, np.nan if face.land is None else face.land, height)
         flat |= outside
     back = np.zeros((len(points), 2)) if aside is None else aside[:, :2]
-    lens, normal = lens_height_and_normal(face, x - back[:, 0], y - back[:, 1])
+    lens, normal = lens_height_and_normal(face, u - back[:, 0], v - back[:, 1])
     height = np.where(flat | ~np.isfinite(lens), height, lens)
     normal = np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
     normal[np.isnan(height)] = np.nan

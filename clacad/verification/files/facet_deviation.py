@@ -10,6 +10,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, FacetFace, first_crossing, on_land
@@ -80,9 +81,16 @@ def deviation(window: Window, bodies: tuple[FacetBody, ...], places: int = POINT
 def deviations(window: Window, gathered: CellFacets, present: Sequence[str] | None) -> list[Deviation]:
     """Facets of every cell that was looked at against the exact faces; `present`: as for `telescopelet`."""
     return [
-        deviation(window, telescopelet(window, gathered, k, present), FEWER if k else POINTS)
+        deviation(
+            _like(window, gathered, k), telescopelet(window, gathered, k, present), FEWER if k else POINTS
+        )
         for k in range(len(gathered.cells))
     ]
+
+
+def _like(window: Window, gathered: CellFacets, cell: int) -> Window:
+    """The sheet of equal cells like a chosen one."""
+    return like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
 
 
 def _compare(

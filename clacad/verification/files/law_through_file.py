@@ -139,7 +139,7 @@ def _field(
         if number == 0:
             passed = float((seen.fate == Fate.ALIVE).mean())
             middle = passed, float(share(thin_cells(window), direction[None])[0])
-        found.append(mean_error(seen, window.law.refract(direction[None])[0]))
+        found.append(mean_error(seen.direction, seen.fate, window.law.refract(direction[None])[0]))
     return np.array(found), middle
 
 

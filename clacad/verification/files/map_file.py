@@ -234,11 +234,12 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
     UnreadableFile
     """
     assert face.array is not None
-    dx, dy = window.shifts[face.array]
     worst, count = 0.0, 0
     for table in read_points(path):
-        index, u, v = window.lattice.locate(table[:, 0] / scale - dx, table[:, 1] / scale - dy)
-        z = face_height(window, face, u, v)
+        index, u, v = window.locate(face.array, table[:, 0] / scale, table[:, 1] / scale)
+        z = face_height(window, face, u, v, index)
+        if face.change is not None:
+            u, v = (np.column_stack([u, v]) - face.change.at(window.lattice, index)).T
         lens, normal = lens_height_and_normal(face, u, v)
         flat = ~(z == lens)
         normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side

@@ -29,6 +29,7 @@ from clacad.tracing.triangles.telescopelet_facets import AnyFace, ExactFace, Fac
 from clacad.verification.checks import Check, not_run
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import IDS, light_checks, measure_light
+from clacad.verification.files.mesh_light import lit_cells, seen_cell
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle at most, and of each field point."""
@@ -84,20 +85,23 @@ def map_light(asked: Inspection, window: Window, path: Path, format: str, label:
     if format not in _READ:
         return []
     body, face = next((b, f) for b, f, name in structured_faces(window) if name == label)
-    cell = central_cell(window)
+    cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
+    one = seen_cell(window, cell)
+    like = next(f for _, f, name in structured_faces(one.like) if name == label)
     try:
         held = _READ[format](FaceFile(window, body, face, label, path), cell)
-        through = _bodies(window, face, cell, held)
+        through = _bodies(one.like, like, cell, held)
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
         return [not_run(name, why, **asked.common) for name in IDS]
     seen = measure_light(
         asked.design,
-        window,
-        lambda lit: trace_facets(through, lit.rays),
+        one.like,
+        lambda lit: trace_facets(through, one.placed(lit).rays),
         min(asked.rays, RAYS),
         POINT_RAYS,
-        cell,
+        cell if window.uniform else None,
+        one.send,
     )
     what = f"bicubic surface ({format}, {label}; the other faces as designed)"
     return light_checks(asked, seen, what)
@@ -120,8 +124,7 @@ def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples)
 
 def _centre(window: Window, face: Face, cell: tuple[int, int]) -> Floats:
     """Middle (2,) of a cell, in the grid of the face's own array."""
-    shift = (0.0, 0.0) if face.array is None else window.shifts[face.array]
-    return np.asarray(window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(shift))
+    return window.centres(face.array or 0, np.array(cell, dtype=np.int64))
 
 
 Reader = Callable[[FaceFile, tuple[int, int]], Samples]
@@ -137,7 +140,7 @@ def _pixels(kind: str) -> Reader:
         map_ = of.map()
         pixels = read_png(of.path) if kind == "png16" else read_tiff(of.path)
         centre = _centre(of.window, of.face, cell)
-        columns, rows = _span(map_, of.window.lattice.tile(), centre)
+        columns, rows = _span(map_, of.window.lattice_of(of.face.array or 0).tile(), centre)
         got = np.asarray(pixels[rows[:, None], columns], dtype=np.float64)
         hole = got == (NO_DATA if kind == "tiff32" else 0)
         height = got / of.scale if kind == "tiff32" else map_.low + (got - 1.0) * map_.step
@@ -162,10 +165,9 @@ def _span(map_: HeightMap, tile: Floats, centre: Floats) -> tuple[NDArray[np.int
 
 def _points(of: FaceFile, cell: tuple[int, int]) -> Samples:
     assert of.face.array is not None
-    dx, dy = of.window.shifts[of.face.array]
     kept = []
     for table in read_points(of.path):
-        index, x, y = of.window.lattice.locate(table[:, 0] / of.scale - dx, table[:, 1] / of.scale - dy)
+        index, x, y = of.window.locate(of.face.array, table[:, 0] / of.scale, table[:, 1] / of.scale)
         mine = (index == cell).all(axis=1)
         if mine.any():
             kept.append(np.column_stack([x, y, table[:, 2] / of.scale])[mine])

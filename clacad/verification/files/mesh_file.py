@@ -15,10 +15,10 @@ from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.window import Window
 from clacad.verification.checks import Check
-from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
+from clacad.verification.files.cell_triangles import Gatherer
 from clacad.verification.files.facet_deviation import deviations
 from clacad.verification.files.inspection import Inspection
-from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light
+from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light, lit_cells
 from clacad.verification.files.mesh_shape import chord_volume, shape_check, volume_check
 from clacad.verification.files.mesh_wholeness import (
     COUNTED_FACETS,
@@ -49,7 +49,7 @@ def judge_mesh(
     """
     design, name = asked.design, asked.name
     held = held_part(window, present)
-    gatherer = Gatherer(window, chosen_cells(window), _bevel(window, asked.stated))
+    gatherer = Gatherer(window, lit_cells(window, design.check.field), _bevel(window, asked.stated))
     places = standing(mesh, window, factor)
     found = _measured(mesh, factor, gatherer, places, asked.progress)
     gathered = gatherer.result

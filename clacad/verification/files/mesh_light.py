@@ -14,11 +14,13 @@ from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.light_against_law import fitted_laws
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.triangles.telescopelet_facets import FacetBody, trace_facets
+from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import CellFacets, telescopelet
+from clacad.verification.files.cell_triangles import CellFacets, chosen_cells, telescopelet
 from clacad.verification.files.facet_deviation import Deviation, forecast_rms
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.law_through_file import (
@@ -98,10 +100,10 @@ def checks_of_light(
         Light through the file against the law (file_*), then against the design cut as the file is (faithful_*).
     """
     asked.progress("tracing the triangles", 0.0)
-    held = telescopelet(window, gathered, 0, present)
+    held, one = telescopelet(window, gathered, 0, present), seen_cell(window, gathered.cells[0])
     light = measure_light(
-        asked.design, window, lambda lit: trace_facets(held, lit.rays), max(asked.rays, _enough(gathered)),
-        min(asked.rays, POINT_RAYS), gathered.cells[0],
+        asked.design, one.like, lambda lit: trace_facets(held, one.placed(lit).rays), max(asked.rays, _enough(gathered)),
+        min(asked.rays, POINT_RAYS), gathered.cells[0] if window.uniform else None, one.send,
     )  # fmt: skip
     rms, to_law, lost = np.array(list(_by_cell(asked, window, gathered, light, present))).T
     law, exact = _fits(asked, window, gathered, held, present)
@@ -119,13 +121,18 @@ def _by_cell(
     asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
 ) -> Iterator[tuple[float, float, float]]:
     """Of each cell: direction error to the exact surfaces and to the law (rms, radians), and the share of light lost."""
-    main, truth = light.rays, light.truth
+    main, spec = light.rays, asked.design.check
     for number, cell in enumerate(gathered.cells):
         asked.progress("tracing the triangles", number / len(gathered.cells))
-        count, lit, seen = len(main.rays), main, light.seen
+        one, count = seen_cell(window, cell), len(main.rays)
+        lit, seen, truth = one.placed(main), light.seen, light.truth
         if number:
             count = min(asked.rays, CELL_RAYS)
-            lit = _moved(window, main, cell, count)
+            if window.uniform:
+                lit = _moved(window, main, cell, count)
+            else:  # each cell is for its own light
+                alone = bundle(one.like, count, spec.field, spec.field_centre)
+                lit, truth = one.placed(alone), one.send(alone)
             seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
         good, alive = truth.fate[:count] == Fate.ALIVE, seen.fate == Fate.ALIVE
         both = good & alive
@@ -133,12 +140,29 @@ def _by_cell(
         if lost > LOST:
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
             lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
-        law = window.law.refract(main.rays.direction[:count][alive])
+        law = one.like.law.refract(lit.rays.direction[alive])
         yield (
             _rms_between(seen.direction[both], truth.direction[:count][both]),
             _rms_between(seen.direction[alive], law),
             lost,
         )
+
+
+def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
+    """Cells that are lit: the chosen ones, the middle first; where cells differ those that are tried, of which the worst
+    by the exact surfaces comes first.
+    """
+    if window.uniform:
+        return chosen_cells(window)
+    tried = tried_cells(window)
+    cells = [worst_of(tried, field).cell, *(one.cell for one in tried)]
+    return tuple(dict.fromkeys((int(i), int(j)) for i, j in cells))
+
+
+def seen_cell(window: Window, cell: tuple[int, int]) -> SeenCell:
+    """One cell, as it is lit."""
+    index = np.array(cell, dtype=np.int64)
+    return SeenCell(window, like_cell(window, index, widest=False), index)
 
 
 def _enough(gathered: CellFacets) -> int:
@@ -218,11 +242,12 @@ def _fits(
     """
     spec = asked.design.check
     angle = max(spec.field, FIT_FIELD * min(half_field(thin_cells(window))))
-    lit = bundle(window, asked.rays, angle, spec.field_centre)
+    one = seen_cell(window, gathered.cells[0])
+    lit = one.placed(bundle(one.like, asked.rays, angle, spec.field_centre))
     seen = trace_facets(held, lit.rays)
     ideal = trace_facets(telescopelet(window, gathered, 0, present, onto_design=True), lit.rays)
     both = (ideal.fate == Fate.ALIVE) & (seen.fate == Fate.ALIVE)
-    return fitted_laws(window.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
+    return fitted_laws(one.like.law, lit.rays, seen, ideal, both, LEAST_FITTED) or (None, None)
 
 
 def _faithful_fit(asked: Inspection, evidence: MeshEvidence) -> list[Check]:

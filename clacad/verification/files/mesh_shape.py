@@ -11,6 +11,7 @@ import numpy as np
 from clacad.base.facet_vectors import doubled_normals
 from clacad.base.types import Floats
 from clacad.formats.mesh.closed_stream import Measure
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.tracing.triangles.telescopelet_facets import on_land
@@ -42,7 +43,11 @@ _WEIGHTS = np.array([0.225] + [0.125939180544827] * 3 + [0.132394152788506] * 3)
 
 
 def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
-    """Volume (length³) that the facets over one chosen cell add to the exact body; negative for convex lenses."""
+    """Volume (length³) that the facets of a file add to the exact body, all cells like the chosen one; negative for convex
+    lenses.
+    """
+    if not window.uniform:  # no cell stands for all: gathered over all of them
+        return gathered.chord
     total = 0.0
     for number, body in enumerate(window.bodies):
         for side, face in enumerate((body.front, body.back)):
@@ -59,7 +64,7 @@ def chord_volume(window: Window, gathered: CellFacets, cell: int) -> float:
             area = 0.5 * np.abs(ax * by - ay * bx)
             above = ((points[known, :, 2] - exact[known]) @ _WEIGHTS) * area
             total += float(above.sum()) * (-1.0 if side == 0 else 1.0)
-    return total
+    return total * window.lattice.cell_count
 
 
 @lru_cache(maxsize=8)
@@ -69,13 +74,13 @@ def volume_of(window: Window, body: Body) -> Integral | None:
 
 
 def volume_check(
-    asked: Inspection, window: Window, reach: float, cell_chord: float, found: Measure, gathered: CellFacets
+    asked: Inspection, window: Window, reach: float, chord: float, found: Measure, gathered: CellFacets
 ) -> Check:
     """Enclosed volume against quadrature of the design plus what facets cut off.
 
     window : reduced to the bodies of the file
     reach : largest |z| (length) of the whole window, whose float32 spacing the heights of all its bodies share
-    cell_chord : from `chord_volume`, of the middle cell (length³)
+    chord : from `chord_volume` (length³)
     """
     common: dict[str, Any] = {"unit": "design unit³", **asked.common}
     integrals = [volume_of(window, body) for body in window.bodies]
@@ -88,7 +93,6 @@ def volume_check(
     if not any(gathered.facets):
         return not_run("volume", "no triangles lie where the design has its cells", **common)
     exact, error = sum(i.value for i in known), sum(i.error for i in known)
-    chord = cell_chord * window.lattice.cell_count
     difference = found.volume - exact
     sentence = (
         f"it encloses {found.volume:.9g}; the design {exact:.9g}, of which the facets cut off {-chord:.4g} "
@@ -216,7 +220,8 @@ def clean_cut(
     Every corner over a chosen cell is moved along z onto the design's face; places are those of `deviation`.
     """
     bodies = telescopelet(window, gathered, cell, present, onto_design=True)
-    return deviation(window, bodies, FEWER if cell else POINTS)
+    like = like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
+    return deviation(like, bodies, FEWER if cell else POINTS)
 
 
 def clean_forecast(
@@ -271,7 +276,8 @@ def _rounding_slope(window: Window, corners: Floats) -> float:
 
 def _corners(window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None) -> float:
     """Largest distance of any corner of a chosen cell's facets from the design's faces."""
-    centre = window.lattice.centres(np.array([gathered.cells[cell]], dtype=np.int64))[0]
+    index = np.array(gathered.cells[cell], dtype=np.int64)
+    window = like_cell(window, index, widest=False)
     found = [0.0]
     for number, body in enumerate(window.bodies):
         if present is not None and body.name not in present:
@@ -279,8 +285,7 @@ def _corners(window: Window, gathered: CellFacets, cell: int, present: Sequence[
         for side, face in enumerate((body.front, body.back)):
             corners = gathered.corners(number, side, cell)
             if len(corners):
-                place = centre + np.asarray(window.shifts[owner(body, face)])
-                found.append(corner_distance(window, face, corners, place))
+                found.append(corner_distance(window, face, corners, window.centres(owner(body, face), index)))
     return float(np.nanmax(found))
 
 

@@ -23,9 +23,9 @@ from clacad.sheet.light_against_law import law_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.triangles.telescopelet_facets import ExactFace, FacetBody, trace_facets
+from clacad.tracing.worst_cell import tried_cells, worst_of
 from clacad.verification.files.law_through_file import FileLight, measure_light
 from clacad.verification.light.law_checks import Tracer
-from clacad.verification.light.through_window import tried_cells, worst_of
 
 if TYPE_CHECKING:
     from clacad.design import Design

@@ -10,6 +10,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.exporting.compare_instances import owner
 from clacad.optics.law.angle import angle_between
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.window import Face, Window, lens_height_and_normal
 from clacad.tracing.triangles.telescopelet_facets import on_land
 from clacad.verification.checks import Check
@@ -68,13 +69,11 @@ def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) 
     normals = gathered.corner_normals(body, side, cell)
     if normals is None or not len(normals):
         return None
+    index = np.array(gathered.cells[cell], dtype=np.int64)
+    window = like_cell(window, index, widest=False)
     piece = window.bodies[body]
     face = (piece.front, piece.back)[side]
-    centre = window.lattice.centres(np.array([gathered.cells[cell]], dtype=np.int64))[0]
-    local = gathered.corners(body, side, cell) - [
-        *(centre + np.asarray(window.shifts[owner(piece, face)])),
-        0.0,
-    ]
+    local = gathered.corners(body, side, cell) - [*window.centres(owner(piece, face), index), 0.0]
     angle = angle_between(exact_normals(window, face, local), normals)
     angle = angle[np.isfinite(angle)]
     return float(np.sqrt(np.mean(angle**2))) if len(angle) else None

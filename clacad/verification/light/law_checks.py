@@ -12,13 +12,14 @@ from math import degrees, hypot, inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.base.digits import digits
 from clacad.base.types import Floats
 from clacad.optics.law import Law, angle_between
-from clacad.optics.rays import Fate, TraceResult
+from clacad.optics.rays import Fate, TraceResult, fate_counts
 from clacad.sheet.asked_focus import held_to_law
-from clacad.sheet.bundle import Bundle, bundle, field_points
+from clacad.sheet.bundle import Bundle, bundle, field_points, sent_together
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.feasibility.pitch_for_eye import diffraction_loss
 from clacad.sheet.light_against_law import FEWEST, rms_error
@@ -147,10 +148,7 @@ def measure(
     expected = window.law.refract(main.rays.direction)
     error = np.where(alive, angle_between(result.direction, expected), np.nan)
     known = error[np.isfinite(error)]
-    points = tuple(
-        _field_point(window, direction, send, point_rays)
-        for direction in field_points(window, spec.field, spec.field_centre)
-    )
+    points = _field_points(window, field_points(window, spec.field, spec.field_centre), send, point_rays)
     narrow = bundle(window, max(1024, rays // 4), FIT_SCALE * spec.field, spec.field_centre, FIT_SCALE)
     law, rms, sigma, turn = _fitted(window, narrow, send(narrow))
     return Optics(
@@ -169,12 +167,21 @@ def measure(
     )
 
 
-def _field_point(window: Window, direction: Floats, send: Tracer, rays: int) -> FieldPoint:
+def _field_points(window: Window, directions: Floats, send: Tracer, rays: int) -> tuple[FieldPoint, ...]:
+    """What parallel light of each direction (k, 3) does."""
+    lit = [bundle(window, rays, 0.0, middle=direction) for direction in directions]
+    return tuple(
+        _field_point(window, one, direction, *seen)
+        for one, direction, seen in zip(lit, directions, sent_together(lit, send), strict=True)
+    )
+
+
+def _field_point(
+    window: Window, lit: Bundle, direction: Floats, leaving: Floats, fate: NDArray[np.uint8]
+) -> FieldPoint:
     """What parallel light of one direction (3,) does; its numbers are NaN where too little gets through."""
-    lit = bundle(window, rays, 0.0, middle=direction)
-    result = send(lit)
-    alive = result.fate == Fate.ALIVE
-    out = result.direction[alive]
+    alive, rays = fate == Fate.ALIVE, len(fate)
+    out = leaving[alive]
     expected = window.law.refract(direction[None])[0]
     closed = float(share(thin_cells(window), direction[None])[0])
     places = deviation = np.empty((0, 2))
@@ -199,7 +206,7 @@ def _field_point(window: Window, direction: Floats, send: Tracer, rays: int) -> 
         worst,
         float(alive.mean()),
         closed,
-        result.counts(),
+        fate_counts(fate),
     )
 
 

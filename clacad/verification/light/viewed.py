@@ -35,6 +35,10 @@ PLACES = 48
 """Cells a side of the map over the sheet."""
 
 
+FARTHEST = 1000.0
+"""Pitches between a lens and where straight light lands: beyond, it is not traced, for no lens bends it to its partner."""
+
+
 @dataclass(frozen=True, eq=False)
 class Viewed:
     """The share of one viewer's light that obeys the law.
@@ -85,11 +89,12 @@ def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS)
     ray = np.column_stack([slope, np.ones(len(slope))])
     before = window.z_range[0] - max(window.lattice.pitch)
     start = np.column_stack([place + before * slope, np.full(len(slope), before)])
-    fate = trace(window, Rays(start, ray), path="size").fate
+    near = np.hypot(*slope.T) * window.thin.separation <= FARTHEST * min(window.lattice.pitch)
+    alive = np.zeros(len(slope), dtype=bool)
+    alive[near] = trace(window, Rays(start[near], ray[near]), path="size").fate == Fate.ALIVE
     thin = partner_share(
         window, cells, np.column_stack([_slopes(window.centres(0, cells), viewer), ray[:, 2]])
     )
-    alive = fate == Fate.ALIVE
     return Viewed(viewer, float(alive.mean()), float(thin.mean()), place, alive)
 
 

@@ -46,7 +46,7 @@ SHOWN = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Feature:
+class DamageFeature:
     """Something in a part that the design does not have.
 
     kind : "hole", "blind hole", "opening" or "step"
@@ -115,7 +115,7 @@ def find_features(
     factor: float = 1.0,
     present: Sequence[str] | None = None,
     noise: float = 0.0,
-) -> list[Feature]:
+) -> list[DamageFeature]:
     """Holes and steps of a part that lies in the design's frame.
 
     Parameters
@@ -132,7 +132,7 @@ def find_features(
 
     Returns
     -------
-    list of Feature, the largest first
+    list of DamageFeature, the largest first
     """
     walls = [_made_walls(window, chunk * factor, noise) for chunk in mesh.chunks()]
     corners = np.concatenate([w for w in walls if len(w)] or [np.empty((0, 3, 3))])
@@ -189,12 +189,13 @@ def _off_walls(window: Window, body: Body, points: Floats, room: float) -> NDArr
         inside = np.asarray(above.all(axis=1) & below.all(axis=1))
     lattice = window.lattice
     for face in (body.front, body.back):
-        shift = window.shifts[owner(body, face)]
-        cell, x, y = lattice.locate(points[:, 0] - shift[0], points[:, 1] - shift[1])
+        array = owner(body, face)
+        own = window.lattice_of(array)
+        cell, x, y = window.locate(array, points[:, 0], points[:, 1])
         near = np.zeros(len(points), dtype=bool)
         seam = 0.5 * window.land.seam
-        for (di, dj), half in zip(lattice.steps, lattice.half_widths, strict=False):
-            ox, oy = lattice.offset(di, dj)
+        for (di, dj), half in zip(own.steps, own.half_widths, strict=False):
+            ox, oy = own.offset(di, dj)
             from_border = half - np.abs(x * ox + y * oy) / (2.0 * half)
             near |= (from_border < room) | (np.abs(from_border - seam) < room)
         beside = ~lattice.contains(cell)
@@ -228,7 +229,7 @@ def _connected(corners: Floats, room: float) -> list[Ints]:
     return list(np.split(order, np.flatnonzero(np.diff(mine[order])) + 1))
 
 
-def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Feature | None:
+def _feature(window: Window, body: Body, corners: Floats, noise: float) -> DamageFeature | None:
     """What a connected wall (k, 3, 3) belongs to; None where it is too small to be anything."""
     points = corners.reshape(-1, 3)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -243,10 +244,10 @@ def _feature(window: Window, body: Body, corners: Floats, noise: float) -> Featu
         x, y, radius = circle
         kind = "hole" if through else "blind hole"
         cells = _cells_under(window, body, (x, y), (radius, radius), True)
-        return Feature(kind, body.name, (x, y), (2.0 * radius, 2.0 * radius), depth, cells)
+        return DamageFeature(kind, body.name, (x, y), (2.0 * radius, 2.0 * radius), depth, cells)
     centre = 0.5 * (low[:2] + high[:2])
     cells = _cells_under(window, body, (centre[0], centre[1]), (0.5 * size[0], 0.5 * size[1]), False)
-    return Feature("opening" if through else "step", body.name, (float(centre[0]), float(centre[1])),
+    return DamageFeature("opening" if through else "step", body.name, (float(centre[0]), float(centre[1])),
                    (float(size[0]), float(size[1])), depth, cells)  # fmt: skip
 
 
@@ -297,8 +298,7 @@ def _cells_under(
     x, y = centre[0] + u[keep] * half[0], centre[1] + v[keep] * half[1]
     found: set[tuple[int, int]] = set()
     for face in (body.front, body.back):
-        shift = window.shifts[owner(body, face)]
-        cell, _, _ = lattice.locate(x - shift[0], y - shift[1])
+        cell, _, _ = window.locate(owner(body, face), x, y)
         cell = np.unique(cell[lattice.contains(cell)], axis=0)
         found |= {(int(i), int(j)) for i, j in cell}
     return tuple(sorted(found))

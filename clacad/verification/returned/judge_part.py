@@ -17,11 +17,11 @@ from clacad.exporting.roles import Role
 from clacad.formats.mesh.closed_stream import Measure, measure
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.checks import Check, judge, not_run
-from clacad.verification.files.cell_triangles import CellFacets, Gatherer, SideFacets, chosen_cells
+from clacad.verification.files.cell_triangles import CellFacets, Gatherer, SideFacets
 from clacad.verification.files.facet_deviation import deviations
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
-from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light
+from clacad.verification.files.mesh_light import MeshEvidence, checks_of_light, lit_cells
 from clacad.verification.files.mesh_shape import clean_forecast, own_sag_error
 from clacad.verification.files.open_surface import is_open_surface, rims
 from clacad.verification.limit_sources import LimitSource, other
@@ -47,11 +47,10 @@ class Cutter(Gatherer):
 
     def _keep(self, body: int, side: int, array: int, some: SideFacets) -> None:
         corners = some.corners[some.rows]
-        centres = self.window.lattice.centres(np.array(self.result.cells, dtype=np.int64))
-        tile = self.window.lattice.tile()
-        shift = np.asarray(self.window.shifts[array])
+        centres = self.window.centres(array, np.array(self.result.cells, dtype=np.int64))
+        tile = self.window.lattice_of(array).tile()
         low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-        for cell, centre in enumerate(centres + shift):
+        for cell, centre in enumerate(centres):
             near = (high > centre + tile.min(axis=0)).all(axis=1) & (low < centre + tile.max(axis=0)).all(
                 axis=1
             )
@@ -192,7 +191,7 @@ def judge_returned(asked: Inspection, placed: Placed) -> tuple[list[Check], Mesh
     """
     design, window = asked.design, placed.window
     present = None if len(placed.present) == len(window.bodies) else placed.present
-    cutter = Cutter(window, chosen_cells(window))
+    cutter = Cutter(window, lit_cells(window, design.check.field))
     mapper = Mapper(window, design.unit, placed.present, placed.mesh.facet_count, placed.pose.residual)
     found = measure(_looked_at(placed, (cutter, mapper), asked.progress), origin=np.zeros(3))
     gathered = cutter.result

@@ -106,9 +106,10 @@ def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None
     whole = prescribe(design) if cells is None else cells
     pitch = min(whole.lattice.pitch)
     sample, first = sampled(mesh)
+    fixed = cells is not None or not whole.uniform  # of cells that differ no other number is the same sheet
 
     def tried(frame: PartFrame) -> list[Trial]:
-        return list(all_trials(design, whole, cells is not None, subject, mesh, sample, frame))
+        return list(all_trials(design, whole, fixed, subject, mesh, sample, frame))
 
     trials = tried(first)
     fits = _fits_in_frames(design, mesh, sample, whole, trials, tried)

@@ -19,10 +19,10 @@ from clacad.base.types import Progress
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
-from clacad.sheet.need_window import equal_cells
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import RAYS, bench
-from clacad.verification.tolerance.study import worked
+from clacad.verification.tolerance.study import asked_design, named_design, worked
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -162,11 +162,9 @@ def grid(axes: Sequence[Axis]) -> list[dict[str, Any]]:
 
 @lru_cache(maxsize=2)
 def _asked(study: str) -> tuple[Any, list[dict[str, Any]], int]:
-    from clacad.design import Design
-
     asked = json.loads(study)
     axes = [(key, tuple(values)) for key, values in asked["axes"]]
-    return Design.from_dict(asked["design"]), grid(axes), asked["rays"]
+    return asked_design(asked), grid(axes), asked["rays"]
 
 
 def make_points(study: str, points: Sequence[int]) -> list[dict[str, Any]]:
@@ -184,14 +182,19 @@ def _point(design: Design, changes: Mapping[str, Any], rays: int) -> dict[str, A
     row |= dict.fromkeys([*BUILT, *TRACED], nan)
     try:
         made = design.replace(changes)
-        window = equal_cells(prescribe(made), "a sweep")
+        window = prescribe(made)
         facts = feasibility(window)
         checks = design_checks(made, window, facts)
     except DesignError as error:
         return row | {"message": "; ".join(m.message for m in error.mistakes)}
     failed = ", ".join(dict.fromkeys(c.id for c in checks if c.state == "fail"))
     row |= {"state": "failed" if failed else "ok", "failed": failed} | _built(facts)
-    table = bench(made, window, rays)
+    seen = worst_cell(window, made.check.field)
+    if seen.tried:
+        row["message"] = (
+            f"light through cell ({seen.cell[0]}, {seen.cell[1]}), the worst of {seen.tried} tried"
+        )
+    table = bench(made, seen.like, rays)
     measured = table.measured({})
     chief = {f"exit_{a}": float(table.chief[k]) for k, a in enumerate("xy")}
     return row | chief | {name: measured[name] for name in TRACED if name in measured}
@@ -237,7 +240,7 @@ def sweep(
     """
     count = _point_count(axes)
     whole = [[key, list(values)] for key, values in axes]
-    text = json.dumps({"design": design.to_dict(), "axes": whole, "rays": rays}, sort_keys=True)
+    text = json.dumps({**named_design(design), "axes": whole, "rays": rays}, sort_keys=True)
     header = {
         "kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, "axes": whole, "rays": rays,
     }  # fmt: skip

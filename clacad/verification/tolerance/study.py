@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
 from math import isfinite, sqrt
@@ -18,7 +18,7 @@ from clacad import __version__
 from clacad.base.types import Floats, Progress, silent
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.need_window import equal_cells
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.checkpoint import Checkpoint
 from clacad.verification.tolerance.farm import Farm, WorkersLost
 from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
@@ -77,6 +77,8 @@ class Study:
         Change of each measure per unit of the parameter, from central differences over a tenth of the tolerance.
     errors : (n, p), measures : (n, m)
         Of the Monte-Carlo sheets.
+    cell : (i, j) or None; tried : int
+        Of a sheet whose cells differ: the study is of a sheet of equal cells like this one, by light the worst of so many.
     """
 
     name: str
@@ -92,6 +94,8 @@ class Study:
     slopes: Floats
     errors: Floats
     measures: Floats
+    cell: tuple[int, int] | None = None
+    tried: int = 0
 
     def column(self, measure: str) -> Floats:
         """A measure of all sheets, (n,)."""
@@ -187,11 +191,9 @@ def case_errors(chosen: Sequence[Parameter], seed: int, distribution: str, case:
 
 @lru_cache(maxsize=2)
 def _set_up(study: str) -> tuple[Bench, tuple[Parameter, ...], int, str]:
-    from clacad.design import Design
-
     asked = json.loads(study)
-    design = Design.from_dict(asked["design"])
-    window = equal_cells(prescribe(design), "a study of tolerances")
+    design = asked_design(asked)
+    window = worst_cell(prescribe(design), design.check.field).like
     return (
         bench(design, window, asked["rays"]),
         parameters(design, window),
@@ -249,18 +251,36 @@ def tolerance(
     progress : callable or None
         (stage, part done).
     """
-    chosen = parameters(design, equal_cells(prescribe(design), "a study of tolerances"))
+    seen = worst_cell(prescribe(design), design.check.field)
+    chosen = parameters(design, seen.like)
     if not chosen:
         raise NoTolerances(NO_TOLERANCES)
     seed = design.tolerances.seed if seed is None else seed
     count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
-    text = json.dumps({"design": design.to_dict(), "rays": rays, "seed": seed}, sort_keys=True)
+    text = json.dumps({**named_design(design), "rays": rays, "seed": seed}, sort_keys=True)
     header = {
         "kind": "tolerances", "format": FORMAT, "clacad": __version__, "design": design.sha256, "seed": seed,
         "rays": rays, "parameters": [p.name for p in chosen], "measures": list(MEASURES),
     }  # fmt: skip
     rows = worked(make_cases, text, header, count, farm or Farm(), checkpoint, progress)
-    return _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
+    study = _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
+    i, j = (int(v) for v in seen.cell)
+    return replace(study, cell=(i, j), tried=seen.tried) if seen.tried else study
+
+
+def named_design(design: Design) -> dict[str, Any]:
+    """A design as a study hands it to whoever works on it: its keys, and where it is if a table of cells lies beside it."""
+    varying = design.law_spec.varying
+    beside = varying is not None and varying.table is not None
+    return {"design": design.to_dict(), **({"path": design.path} if beside else {})}
+
+
+def asked_design(asked: Mapping[str, Any]) -> Design:
+    """The design of a study."""
+    from clacad.design import Design
+    from clacad.design.read import read_changed
+
+    return Design(**read_changed(asked["design"], asked.get("path", ""), {}))
 
 
 def worked(

@@ -33,6 +33,7 @@ def study_document(study: Study) -> dict[str, Any]:
     share, low, high = study.yields()
     return {
         "kind": TOLERANCES, "format": FORMAT, "design": {"name": study.name, "sha256": study.sha256},
+        **({} if study.cell is None else {"cell": list(study.cell), "cells_tried": study.tried}),
         "unit_m": study.unit_m, "distribution": study.distribution, "seed": study.seed, "rays": study.rays,
         "samples": len(study.measures), "units": dict(MEASURES),
         "parameters": [

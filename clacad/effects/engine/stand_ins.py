@@ -1,0 +1,123 @@
+"""Sheets of equal cells by which effects are bounded where a sheet's cells differ.
+
+An effect's bound is worked out for one cell and its equal neighbours (`clacad.sheet.like_cell`), with the light that comes to
+that cell. Of the cells that light comes to, those are tried whose lenses stand farthest out, and a sample; what an effect
+leaves out is then at most what it leaves out in the worst of them. What only counts rays is counted on the whole sheet too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from clacad.base.sobol import sobol
+from clacad.base.types import Floats, Ints
+from clacad.effects.engine.bounds import Bound, Situation
+from clacad.optics.rays import Fate, Rays
+from clacad.sheet.like_cell import like_cell
+from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.window import Window
+
+SAMPLED = 16
+"""Cells tried besides those whose lenses stand farthest out."""
+
+DIRECTIONS = 8
+"""Directions in which the farthest lenses are looked for."""
+
+RAYS = 512
+"""Rays through each cell that is tried."""
+
+TINY = 1e-300
+"""In place of an angle or a radiance of which nothing is tolerated."""
+
+COUNTED = {"ghosts": Fate.GHOST, "walls": Fate.WALL, "tir_paths": Fate.TIR}
+"""Effects whose bound is a share of rays: it is counted over the whole sheet too."""
+
+
+def worst_bound(situation: Situation, name: str, bound: Callable[[Situation], Bound]) -> Bound:
+    """Bound of an effect: that of the sheet where its cells are alike, else that of the worst cell tried."""
+    if not situation.stand_ins:
+        return bound(situation)
+    every = [bound(one) for _, one in situation.stand_ins]
+    unknown = [one for one in every if not one.known]
+    if unknown:
+        return unknown[0]
+    parts = [
+        max(one.angle / max(situation.angle, TINY), one.radiance / max(situation.radiance, TINY))
+        for one in every
+    ]
+    worst = int(np.argmax(parts))
+    i, j = situation.stand_ins[worst][0]
+    counted = situation.share(COUNTED[name]) if name in COUNTED else 0.0
+    radiance = max(one.radiance for one in every)
+    return Bound(
+        max(one.angle for one in every),
+        max(radiance, situation.most(counted)) if counted > 0.0 else radiance,
+        f"in cell ({i}, {j}), the worst of {len(every)} tried: {every[worst].why}"
+        if parts[worst] > min(parts)
+        else every[worst].why,
+        max(one.cost for one in every),
+    )
+
+
+def with_stand_ins(situation: Situation) -> Situation:
+    """The situation, and where cells differ with the sheets of equal cells by which its effects are bounded."""
+    window = situation.window
+    if window.uniform:
+        return situation
+    return replace(situation, stand_ins=tuple(_stand_ins(situation)))
+
+
+def _stand_ins(situation: Situation) -> Iterator[tuple[tuple[int, int], Situation]]:
+    """Cells that light comes to, and the same light on a sheet of cells like each."""
+    rays = situation.rays
+    cells, x, y = situation.window.lattice.locate(*_in_sheet(rays).T)
+    # the slope at the middle of the cell that a ray meets
+    way = rays.direction[:, :2] / rays.direction[:, 2:] - np.column_stack([x, y]) / situation.sheet_distance
+    for row in _tried(situation.window, cells):
+        like = like_cell(situation.window, cells[row], widest=False)
+        slope = np.array(aperture_slope(like)) if situation.spread > 0.0 else way[row]
+        light = _over_cell(like, cells[row], slope, situation)
+        i, j = cells[row].tolist()
+        yield (i, j), replace(situation, window=like, rays=light, stand_ins=())
+
+
+def _in_sheet(rays: Rays) -> Floats:
+    """Where (n, 2) rays cross z = 0."""
+    step = rays.position[:, 2:] / rays.direction[:, 2:]
+    return np.asarray(rays.position[:, :2] - step * rays.direction[:, :2])
+
+
+def _tried(window: Window, cells: Ints) -> list[int]:
+    """Rows of rays through kept cells (n, 2) that differ: the lenses farthest out, then a sample."""
+    rows = np.flatnonzero(window.lattice.contains(cells))
+    if not len(rows):
+        return []
+    _, first = np.unique(cells[rows], axis=0, return_index=True)
+    rows = rows[np.sort(first)]
+    angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    ways = np.stack([np.cos(angle), np.sin(angle)])
+    far = [window.centres(1, cells[rows]) - window.centres(0, cells[rows])]
+    far += [face.change.at(window.lattice, cells[rows]) for face in window.faces if face.change is not None]
+    outer = np.unique(np.concatenate([rows[np.argmax(moved @ ways, axis=0)] for moved in far]))
+    return [int(row) for row in dict.fromkeys([*outer, *rows[:SAMPLED]])]
+
+
+def _over_cell(like: Window, cell: Ints, slope: Floats, situation: Situation) -> Rays:
+    """Light of a slope over a whole cell: as the camera sees it, or in a cone about it."""
+    within = like.lattice.over_cell(sobol(RAYS, 2))
+    point = like.centres(0, cell) + within
+    slopes = slope + within / situation.sheet_distance
+    if situation.spread > 0.0:
+        slopes = slopes + situation.spread * _disc(sobol(RAYS, 4)[:, 2:])
+    below = like.z_range[0] - 0.25 * min(like.lattice.pitch)
+    start = np.column_stack([point + below * slopes, np.full(len(point), below)])
+    return Rays(start, np.column_stack([slopes, np.ones(len(point))]))
+
+
+def _disc(u: Floats) -> Floats:
+    """Points (n, 2) of the unit disc, evenly, from points (n, 2) of the unit square."""
+    radius, turn = np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
+    return np.asarray(radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]))

@@ -1,0 +1,193 @@
+"""Sheets whose cells differ, beyond the paper's: aimed at an eye, imaging, magnifying, shaping a beam.
+
+Expected numbers are closed forms of thin lenses. A ray from the eye (0, 0, −D) through x of the sheet has the slope t = x/D.
+It leaves a sheet of lenses a distance s apart, whose body is T thick, with t' = (t − κ C)/η, C the centre of its cell, at
+x' = x + s t, and meets a screen in z at x' + (z − T) t'. Where cells are not aimed at the eye their light fills one side only:
+what goes through corresponding lenslets comes, in the mean, s t/2 beside C, and leaves as far on the other side of C + s t.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.prescription.prescribe import prescribe
+from clacad.rendering.atlas.finding import AtlasFinding
+from clacad.rendering.atlas.paper_figures import RAYS, Figure, Loader
+from clacad.rendering.camera import aim, rays
+from clacad.rendering.screen_measure import coordinate_scene, measure, sheet_points
+from clacad.scene import Scene
+from clacad.sheet.vignetting import partner_share
+from clacad.sheet.window import Window
+
+if TYPE_CHECKING:
+    from clacad.imaging.shape import Rendered
+
+NEAR, FAR, FARTHER, FOCAL = 400.0, 1500.0, 2000.0, 200.0
+"""Of the eye before the window, the glens and the moiré magnifier; of the glens's image of parallel light, mm."""
+
+SHAPED_CELLS, SHAPED_DISTANCE, SHAPED_WIDTH = (60, 60), 500.0, 40.0
+"""Cells of the sheet that shapes a beam, the screen's distance and the width of its picture, mm."""
+
+SHAPED_RAYS = 200_000
+
+
+def _window(load: Loader) -> Iterator[AtlasFinding]:
+    """The eye's light through corresponding lenslets, before and after the cells of array 2 are aimed."""
+    for stem, label in (("window-400mm", "not aimed"), ("window-400mm-aimed", "aimed")):
+        scene = load(stem)
+        found = measure(scene, 200.0, RAYS, compiled=True)
+        yield AtlasFinding(
+            f"{label}: share of the eye's light through corresponding lenslets",
+            found.direct,
+            _share(scene),
+            0.02,
+        )
+        if label == "aimed":
+            for axis, name in ((0, "x"), (1, "y")):
+                body = prescribe(scene.design())
+                expected = 1.0 + (body.thin.separation - (200.0 - _thickness(body))) / NEAR
+                yield AtlasFinding(
+                    f"aimed, z = 200: 1/stretch in {name}", float(found.matrix[axis, axis]), expected, 0.01
+                )
+
+
+def _share(scene: Scene) -> float:
+    """Mean share of thin lenses over the sheet, closed form, of the light that the camera sees."""
+    window = prescribe(scene.design())
+    plain = coordinate_scene(scene, 1.0, RAYS)
+    x0, inside = sheet_points(plain, window, (plain.camera.pixels[1], plain.camera.pixels[0]))
+    view = aim(plain.camera)
+    _, direction = rays(view, np.arange(len(x0)), np.full((len(x0), 1, 4), 0.5))
+    index, _, _ = window.lattice.locate(*(x0[inside] * (scene.unit_m / window.unit)).T)
+    return float(partner_share(window, index, direction[inside]).mean())
+
+
+def _glens(load: Loader) -> Iterator[AtlasFinding]:
+    """The map from the glens to screens behind it, by exact surfaces and by its law."""
+    cells, smooth = load("glens-knight"), load("glens-knight-law")
+    window = prescribe(cells.design())
+    middle = 1.0 - 0.5 * window.thin.separation / FAR  # of the cell, over where its light comes through
+    for z in (100.0, 300.0):
+        real = 1.0 - (z - _thickness(window)) * (1.0 / FAR + middle / FOCAL)
+        ideal = 1.0 - z * (1.0 / FAR + 1.0 / FOCAL)
+        for scene, label, expected, slack in (
+            (cells, "cells, exact surfaces", real, 0.04), (smooth, "smooth law", ideal, 1e-9),
+        ):  # fmt: skip
+            found = measure(scene, z, RAYS, compiled=True).matrix
+            for axis, name in ((0, "x"), (1, "y")):
+                yield AtlasFinding(
+                    f"{label}, z = {z:g}: 1/stretch in {name}", float(found[axis, axis]), expected, slack
+                )
+
+
+def _thickness(window: Window) -> float:
+    """Height of the last face over the first, at their vertices, lengths."""
+    faces = window.faces
+    return float(faces[-1].vertex[2] - faces[0].vertex[2])
+
+
+def _moire(load: Loader) -> Iterator[AtlasFinding]:
+    """How far apart the lenses of the moiré magnifier stand, as the eye sees them."""
+    scene = load("moire-magnifier")
+    window = prescribe(scene.design())
+    first, second = window.lattice.pitch[0], window.lattice_of(1).pitch[0]
+    expected = second / (1.0 + window.thin.separation / FARTHER - second / first)
+    for axis, name in ((0, "x"), (1, "y")):
+        found = _period(scene, axis)
+        yield AtlasFinding(f"period of the lenses in {name}, mm", found, expected, 0.02 * expected)
+
+
+def _period(scene: Scene, axis: int) -> float:
+    """Distance on the sheet over which the light changes by one order, a straight line through the orders of rays, lengths."""
+    from clacad.optics.rays import Fate, Rays
+    from clacad.tracing.trace import trace
+
+    window = prescribe(scene.design())
+    x0, x1 = window.lattice.extent()[2 * axis : 2 * axis + 2]
+    across = np.linspace(0.95 * x0, 0.95 * x1, 8 * RAYS)
+    place = np.zeros((len(across), 3))
+    place[:, axis] = across
+    eye = np.array([0.0, 0.0, -FARTHER])
+    result = trace(window, Rays(np.broadcast_to(eye, place.shape).copy(), place - eye), path="numpy")
+    through = result.fate <= Fate.GHOST
+    line: Floats = np.polyfit(across[through], result.order[through, axis].astype(np.float64), 1)
+    return abs(1.0 / float(line[0]))
+
+
+@cache
+def _shaped() -> Rendered:
+    """Parallel light through a sheet of cells that sends it into the outline of a knight, by rays."""
+    from clacad.design import Design, load
+    from clacad.design.asked_cells import lattice_of
+    from clacad.imaging.shape import rendered, shaped, table_text
+    from clacad.imaging.target import of_picture
+
+    data = {
+        "format": 1, "name": "shaped", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+        "pair": {"form": "slab", "separation": 10, "material": "PMMA", "wavelength": 550},
+        "lattice": {"pitch": 0.5, "count": list(SHAPED_CELLS)}, "check": {"process": "none"},
+    }  # fmt: skip
+    design = Design.from_dict(data)
+    found = shaped(design, lattice_of(design), of_picture(_silhouette(), SHAPED_WIDTH), SHAPED_DISTANCE)
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "cells.csv").write_text(table_text(found), encoding="ascii", newline="\n")
+        text = (
+            Design.from_dict(data)
+            .canonical_toml()
+            .replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n')
+        )
+        Path(folder, "design.toml").write_text(text, encoding="utf-8", newline="\n")
+        window = prescribe(load(Path(folder, "design.toml")))
+    return rendered(window, found, SHAPED_DISTANCE, SHAPED_RAYS)
+
+
+def _silhouette(pixels: int = 48) -> Floats:
+    """The outline of the chess knight as a picture (h, w) of 0 and 1, by the even-odd rule."""
+    from clacad.scene.chess_knight import PROFILE
+
+    low, high = PROFILE.min(axis=0), PROFILE.max(axis=0)
+    step = (high[1] - low[1]) / pixels
+    x = np.arange(low[0] + 0.5 * step, high[0], step)
+    y = high[1] - (np.arange(pixels) + 0.5) * step
+    across, up = (one.ravel() for one in np.meshgrid(x, y))
+    inside = np.zeros(across.shape, dtype=bool)
+    for (ax, ay), (bx, by) in zip(PROFILE, np.roll(PROFILE, -1, axis=0), strict=True):
+        if ay != by:
+            inside ^= ((ay > up) != (by > up)) & (across < ax + (up - ay) * (bx - ax) / (by - ay))
+    return inside.reshape(len(y), len(x)).astype(np.float64)
+
+
+def _shaped_picture() -> bytes:
+    from clacad.imaging.shape_picture import plot_png
+
+    return plot_png(_shaped(), "parallel light shaped into a knight", "mm")
+
+
+def _beam(load: Loader) -> Iterator[AtlasFinding]:
+    """How much of the light goes where it is sent."""
+    seen = _shaped()
+    yield AtlasFinding("shaped beam: light within one blur of its target", seen.within, 1.0, 0.2)
+    yield AtlasFinding("shaped beam: light through corresponding lenslets", seen.through, 1.0, 0.05)
+
+
+DIFFERING: tuple[Figure, ...] = (
+    Figure("V1", "A window for one eye", "The 100 mm window from 400 mm. Of a sheet made for an eye at infinity most of the light "
+           "meets other lenslets than the partner; aimed at the eye, all of it obeys the law.",
+           (("window-400mm", "not aimed"), ("window-400mm-aimed", "aimed at the eye")), _window),
+    Figure("V2", "A glens", "f = 200 mm with eta = -1: cells that differ by the place of lens 2 image like a lens that has both foci on "
+           "one side; beside it the smooth law.",
+           (("glens-knight", "cells, exact surfaces"), ("glens-knight-law", "smooth law")), _glens),
+    Figure("V3", "A moiré magnifier", "Arrays of two pitches, 0.5 and 0.49 mm, make a lattice of lenses, each of many lenslets; behind it three knights, and "
+           "each is seen by a lens of its own.",
+           (("moire-magnifier", "pitch 0.5 and 0.49 mm"),), _moire),
+    Figure("V4", "A shaped beam", "A table of cells sends parallel light into the outline of a knight, 500 mm behind the sheet.",
+           (), _beam, drawn=(("shaped-beam", "asked; by rays through the sheet; the difference", _shaped_picture),)),
+)  # fmt: skip
+"""What sheets whose cells differ show."""

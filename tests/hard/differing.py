@@ -1,0 +1,98 @@
+"""Rays through sheets whose cells differ, where the place of cell and lens is the difficulty; each with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from clacad import Design, prescribe
+from clacad.sheet.cell_places import VertexChange
+
+BASE = {
+    "format": 1,
+    "name": "differing",
+    "unit": "mm",
+    "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "slab", "separation": 10, "index": 1.5, "offset": "paraxial"},
+    "lattice": {"pitch": 0.5, "count": [21, 21]},
+    "check": {"process": "none"},
+}
+
+FAR = [20_001, 20_001]
+"""Cells of a sheet whose cell (10⁴, 10⁴) is the middle one, and (2·10⁴, 10⁴) lies 5 m out."""
+
+
+def window_of(changes):
+    """The sheet with some keys changed; `gradient` is that of the places of lenses 2, whatever the design makes."""
+    keys = dict(changes)
+    gradient = keys.pop("gradient", None)
+    window = prescribe(Design.from_dict(BASE).replace(keys))
+    if gradient is None:
+        return window
+    (body,) = window.bodies
+    change = replace(body.back.change or VertexChange(), gradient=gradient)
+    return replace(window, bodies=(replace(body, back=replace(body.back, change=change)),))
+
+
+@dataclass(frozen=True)
+class Differing:
+    """A sheet, the cell a ray is sent at, from where in the cell, with which slope beyond its field centre."""
+
+    name: str
+    why: str
+    changes: tuple
+    cell: tuple
+    off: tuple = (0.07, -0.11)
+    slope: tuple = (0.001, -0.002)
+
+
+def case(name, why, changes, cell, **more):
+    """A case; keys of the design as they are written."""
+    return Differing(name, why, tuple(changes.items()), cell, **more)
+
+
+def aimed(z, **more):
+    """Keys of a sheet aimed at a viewer on its axis."""
+    return {"lattice.aperture": {"point": [0, 0, z]}, **more}
+
+
+def pitched(ratio, **more):
+    """Keys of a sheet whose array 2 has another pitch."""
+    return {"lattice.pitch_2": 0.5 * ratio, **more}
+
+
+WIDE = {"lattice.count": FAR}
+GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
+BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
+TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
+CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
+CASES = [
+    case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),
+    case("cell (2e4, 10^4), g = 1 + 1/8000", "5 m out the partner stands 1.25 pitches beside it", aimed(-8e4, **WIDE), (20_000, 10_000)),
+    case("corner cell (2e4, 2e4), g = 1 + 1/8000", "both ways", aimed(-8e4, **WIDE), (20_000, 20_000)),
+    case("cell (2e4, 10^4), g = 1 + 1/8000, no binary pitch", "multiples of .3 are rounded at 3 m",
+         aimed(-4.8e4, **WIDE, **{"lattice.pitch": 0.3, "pair.separation": 6}), (20_000, 9_999), off=(0.04, -0.06)),
+    case("corner cell (0, 0), a point behind the sheet", "g = 1 - 1/8000", aimed(8e4, **WIDE), (0, 0)),
+    case("cell (2e4, 2e4), g - 1 = 1e-8", "a point 1e9 off: partners part by 5e-5", aimed(-1e9, **WIDE), (20_000, 20_000)),
+    case("a point beside the axis", "array 2 is scaled and moved", {"lattice.aperture": {"point": [31.7, -12.9, -400]}}, (20, 3)),
+    case("a viewer at ten separations", "the nearest that is built: g = 1.1", aimed(-100.0), (20, 0)),
+    case("a viewer an ulp beyond ten separations", "g = 1.1 to the last bit", aimed(-100.00000000000001), (0, 20)),
+    case("hexagonal, aimed", "skewed axes, and each array its own", aimed(-400, **{"lattice.kind": "hexagonal"}), (12, 17)),
+    case("pitch_2 = pitch (1 + 1e-12)", "last cell: partners 1e-11 apart", pitched(1.0 + 1e-12), (20, 20)),
+    case("pitch_2 = pitch (1 - 1e-12)", "the other way", pitched(1.0 - 1e-12), (0, 20)),
+    case("pitch_2 = pitch (1 + 1e-12), 10^4 cells out", "the difference is 5e-9", pitched(1.0 + 1e-12, **WIDE), (20_000, 0)),
+    case("pitch_2 = .9975 pitch", "a moiré magnifier", pitched(0.9975), (20, 7)),
+    case("a few last bits above a border of the wider array", "the border belongs to the cell above it", pitched(1.02), (15, 10),
+         off="border", slope=(0.02, 0.0)),
+    case("a few last bits below a border of the wider array", "the other side of it", pitched(1.02), (15, 10), off="below", slope=(0.02, 0.0)),
+    case("a few last bits above a border of the narrower array", "the same where lenses 2 are narrower", pitched(0.98), (5, 10), off="border",
+         slope=(0.02, 0.0)),
+    case("kappa = 1e-12", "lenses stand 5e-11 aside", GLENS, (20, 20)),
+    case("kappa = 1e-12, with curl", "four numbers", BENT, (20, 0)),
+    case("kappa = 5e-3, vertices traced", "a table of vertices", TABLED, (40, 40)),
+    case("kappa = 5e-3, hexagonal, vertices traced", "rows of the table begin elsewhere", {**TABLED, "lattice.kind": "hexagonal"},
+         (18, 30)),
+    case("kappa = 5e-3, vertices traced, a ghost", "the lens of the next cell stands elsewhere", TABLED, (30, 12), slope=(0.04, 0.0)),
+    case("a gradient with curl beside a table", "lenses 2 turn about the middle", {**TABLED, "gradient": CURL}, (31, 9)),
+    case("a gradient with curl beside another pitch", "the same in an array of its own pitch", pitched(1.02, gradient=CURL), (3, 16)),
+    case("kappa = 5e-3, vertices traced, middle", "where the table has 0", TABLED, (20, 20)),
+]  # fmt: skip
