@@ -83,6 +83,8 @@ def image_design(path: Path, overrides: list[str], request: ImageRequest, *, jso
     window = prescribe(design)
     words: Any = tuple(word.strip() for word in request.rungs.split(",") if word.strip())
     seconds = image_seconds(window, [w for w in words if w in ("law", "thin", "surfaces")], request.rays)
+    if request.out is not None and request.out.suffix.lower() not in (".png", ".svg"):
+        raise BadOption(f"-o {request.out}: the picture is a .png or an .svg")
     if request.dry_run:
         return _show_forecast(request, seconds, json=json, quiet=quiet)
     if request.out is not None:

@@ -55,7 +55,7 @@ def shape_light(request: ShapeRequest, overrides: list[str], *, json: bool, quie
         return _show_forecast(design, lattice.cell_count, (distance, source, seconds), json=json, quiet=quiet)
     if request.out is None:
         raise BadOption("the design needs a file: give it with -o design.toml")
-    table, picture = request.out.with_suffix(".cells.csv"), request.out.with_suffix(".png")
+    table, picture = _beside(request, request.out)
     from clacad.storage.atomic import require_writable
 
     for path in (request.out, table, picture):
@@ -93,9 +93,29 @@ def _base(request: ShapeRequest, overrides: list[str]) -> Design:
     changes: dict[str, Any] = {} if cells is None else {"lattice.count": list(cells)}
     if design.law_spec.varying is not None:
         raise BadOption(
-            f"{request.base}: its law varies already; leave [law.varying] out, this command writes it"
+            f"{request.base or '--set'}: its law varies already; leave law.varying out, this command writes it"
         )
+    if request.base is not None:
+        load(request.base, (*overrides, PROBE))
+    else:
+        Design.from_dict(design.given, [PROBE])
     return design.replace(changes) if changes else design
+
+
+PROBE = "law.varying={gradient=[[1e-9, 0.0], [0.0, 1e-9]]}"
+"""A law that varies, to ask of what the sheet cannot have beside one, by the name of its own file."""
+
+
+def _beside(request: ShapeRequest, out: Path) -> tuple[Path, Path]:
+    """Where the table and the picture go; none of the files is one that is read."""
+    if out.suffix.lower() != ".toml":
+        raise BadOption(f"-o {out}: a design file is written, whose name ends in .toml")
+    table, picture = out.with_suffix(".cells.csv"), out.with_suffix(".png")
+    given = {path.resolve() for path in (request.target, request.base) if path is not None}
+    for path in (out, table, picture):
+        if path.resolve() in given:
+            raise BadOption(f"-o {out}: {path} would be written, and is read; take another name")
+    return table, picture
 
 
 def _name(stem: str) -> str:

@@ -20,6 +20,7 @@ from clacad.base.types import Bools, Floats
 from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.optics.law import difference_of_laws
 from clacad.optics.rays import Fate
+from clacad.sheet.asked_focus import asked_directions, less_focus
 from clacad.sheet.bundle import bundle, central_cell, field_points, sent_together
 from clacad.sheet.light_against_law import (
     FEWEST,
@@ -238,8 +239,8 @@ def _judged_cell(window: Window, field: float, centre: str) -> Window:
         return alone[0]
     rms = []
     for one in alone:
-        lit = bundle(one, POINT_RAYS, field, centre).rays
-        rms.append(rms_error(law_errors(trace(one, lit, path="numpy"), one.law.refract(lit.direction))))
+        lit = bundle(one, POINT_RAYS, field, centre)
+        rms.append(rms_error(law_errors(trace(one, lit.rays, path="numpy"), asked_directions(one, lit))))
     return alone[int(np.argmax(np.where(np.isnan(rms), inf, rms)))]
 
 
@@ -250,8 +251,12 @@ class _Light:
         self.window, self._field, self._centre = _judged_cell(window, field, centre), field, centre
 
     @cached_property
+    def _lit(self) -> Bundle:
+        return bundle(self.window, RAYS, self._field, self._centre)
+
+    @property
     def rays(self) -> Rays:
-        return bundle(self.window, RAYS, self._field, self._centre).rays
+        return self._lit.rays
 
     @cached_property
     def _points(self) -> list[Bundle]:
@@ -260,7 +265,7 @@ class _Light:
 
     @cached_property
     def _asked(self) -> Floats:
-        return self.window.law.refract(self.rays.direction)
+        return asked_directions(self.window, self._lit)
 
     @cached_property
     def _truth(self) -> TraceResult:
@@ -296,8 +301,8 @@ class _Light:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""
         law = self.window.law
         found = [
-            mean_error(*seen, law.refract(lit.rays.direction[:1])[0])
-            for lit, seen in zip(self._points, sent_together(self._points, send), strict=True)
+            mean_error(less_focus(self.window, lit.points, out), fate, law.refract(lit.rays.direction[:1])[0])
+            for lit, (out, fate) in zip(self._points, sent_together(self._points, send), strict=True)
         ]
         return max((error for error in found if not isnan(error)), default=nan)
 

@@ -12,7 +12,7 @@ from clacad.imaging.image_by_rays import RungImage, image
 from clacad.imaging.through_focus import heights, reach_of
 from clacad.report.figures import ACCENT, SECOND, svg
 from clacad.report.panels import Margins, panels
-from clacad.sheet.cell_steps import greatest_steps
+from clacad.sheet.own_steps import greatest_steps
 from clacad.verification.light.image_checks import RAYS, asked_image
 
 if TYPE_CHECKING:
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     from clacad.sheet.window import Window
     from clacad.verification import Report
+
+ROUNDING = 1e-6
+"""Steps (micrometres) that are none."""
 
 ACROSS = 400
 """Pixels along the longer side of a map."""
@@ -45,9 +48,8 @@ def varying(report: Report, window: Window) -> str:
             axes[k].set_title(f"delta {axis}", fontsize=8.5)
             figure.colorbar(shown, ax=axes[k], fraction=0.05, pad=0.03)
         high = 1e3 * mm * maps[2]
-        shown = axes[2].imshow(
-            high, cmap="viridis", vmin=0.0, vmax=float(np.nanmax(high)) or 1.0, **_placed(box)
-        )
+        top = float(np.nanmax(high)) if np.nanmax(high) > ROUNDING else 1.0
+        shown = axes[2].imshow(high, cmap="viridis", vmin=0.0, vmax=top, **_placed(box))
         axes[2].set_title("greatest step to the next cell (\N{MICRO SIGN}m)", fontsize=8.5)
         figure.colorbar(shown, ax=axes[2], fraction=0.05, pad=0.03)
         for panel in axes[:3]:

@@ -32,24 +32,44 @@ def highest_step(window: Window, body: Body) -> OwnStep:
 
 def _of_face(window: Window, face: Face) -> OwnStep:
     assert face.array is not None
-    cells, lattice = window.lattice.cells(), window.lattice_of(face.array)
+    cells = window.lattice.cells()
     best = OwnStep(0.0, (int(cells[0, 0]), int(cells[0, 1])))
     if window.land.seam > 0.0:
         return best
-    tile, m = lattice.tile(), len(lattice.steps)
-    for k in range(m // 2):
-        there = cells + np.array(lattice.steps[k])
-        left = cells[window.lattice.contains(there)]
-        right = left + np.array(lattice.steps[k])
+    for k in range(len(window.lattice.steps) // 2):
+        left = cells[window.lattice.contains(cells + np.array(window.lattice.steps[k]))]
         if not len(left):
             continue
-        one = _along(tile[k], tile[(k + 1) % m])
-        other = _along(tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m])
-        apart = np.abs(_heights(window, face, left, one) - _heights(window, face, right, other)).max(axis=1)
+        apart = _across(window, face, left, k)
         worst = int(np.nanargmax(np.where(np.isnan(apart), -1.0, apart)))
         if apart[worst] > best.height:
             best = OwnStep(float(apart[worst]), (int(left[worst, 0]), int(left[worst, 1])))
     return best
+
+
+def greatest_steps(window: Window, face: Face, index: Ints) -> Floats:
+    """Greatest step (n,), lengths, of a face between each cell `index` (n, 2) and its kept neighbours; 0 where land lies between."""
+    made = np.zeros(len(index))
+    if face.array is None or window.land.seam > 0.0:
+        return made
+    for k, step in enumerate(window.lattice.steps):
+        inner = np.flatnonzero(window.lattice.contains(index + np.array(step)))
+        if len(inner):
+            made[inner] = np.fmax(made[inner], _across(window, face, index[inner], k))
+    return made
+
+
+def _across(window: Window, face: Face, left: Ints, k: int) -> Floats:
+    """Step (n,), lengths, between cells `left` (n, 2) and their kept neighbours across border k; NaN at a hole."""
+    assert face.array is not None
+    lattice = window.lattice_of(face.array)
+    tile, m = lattice.tile(), len(lattice.steps)
+    right = left + np.array(lattice.steps[k])
+    one = _along(tile[k], tile[(k + 1) % m])
+    other = _along(tile[(k + m // 2 + 1) % m], tile[(k + m // 2) % m])
+    return np.asarray(
+        np.abs(_heights(window, face, left, one) - _heights(window, face, right, other)).max(axis=1)
+    )
 
 
 def _along(start: Floats, end: Floats) -> Floats:

@@ -182,6 +182,7 @@ def test_the_command_image_tells_and_draws_what_its_twin_finds(tmp_path, capsys)
     for wrong in ("0,0,300", "0,0", "0,x,-3", "0,0,nan", "0,0,inf"):
         assert main(["image", str(tmp_path / "t.toml"), "--object", wrong]) == 2
     assert main([*words, "--rung", "mesh"]) == 2
+    assert main([*words, "-o", str(tmp_path / "f.pdf")]) == 2
 
 
 def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_where_it_cannot(
@@ -269,5 +270,17 @@ def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_w
         )
         == 2
     )
+    before = (tmp_path / "p.png").read_bytes()
+    same = ["shape", str(tmp_path / "p.png"), "--distance", "200", "--cells", "4", "--overwrite", "-o"]
+    for name in ("p.toml", "x.json", "x"):
+        assert main([*same, str(tmp_path / name)]) == 2
+    assert (tmp_path / "p.png").read_bytes() == before
+    (tmp_path / "tilted.toml").write_text(
+        TINY.replace("[law.varying]\nf_image = 100\n", "euler = [0, 5, 0]\n")
+    )
+    capsys.readouterr()
+    assert main([*same, str(tmp_path / "x.toml"), "--design", str(tmp_path / "tilted.toml")]) == 2
+    told = capsys.readouterr().err
+    assert f"{tmp_path / 'tilted.toml'}:6:9: error CL125: law.euler" in told
     assert not (tmp_path / "x.toml").exists()
     assert not (tmp_path / "x.cells.csv").exists()

@@ -19,6 +19,7 @@ from clacad.optics.law.focusing import Glens
 from clacad.optics.rays import Fate
 from clacad.sheet.cell_laws import CellLaws
 from clacad.sheet.like_cell import like_cell
+from clacad.sheet.own_steps import greatest_steps
 
 DATA = Path(__file__).parents[1] / "data"
 BASE = {
@@ -289,8 +290,6 @@ def test_sheets_of_one_law_have_the_text_and_hash_they_had():
 
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 def test_steps_between_cells_are_those_of_two_ellipsoids_apart(kind):
-    from clacad.sheet.cell_steps import greatest_steps
-
     window = built(lattice__kind=kind, lattice__count=[8, 7], law__varying={"f_image": 60})
     face, lattice = window.faces[1], window.lattice
     cells = lattice.cells()
@@ -309,9 +308,9 @@ def test_steps_between_cells_are_those_of_two_ellipsoids_apart(kind):
             other = place.get(tuple((cell + step).tolist()))
             if other is None:
                 continue
-            line = lattice.centres(cell) + np.linspace(tile[e], tile[(e + 1) % len(tile)], 9)
+            line = lattice.centres(cell) + np.linspace(tile[e], tile[(e + 1) % len(tile)], 5)
             apart = height(*(line - apex[n]).T) - height(*(line - apex[other]).T)
             expected[n] = max(expected[n], np.abs(apart).max())
     assert greatest_steps(window, face, cells) == pytest.approx(expected, abs=1e-13)
     assert expected.max() > 0.01
-    assert not greatest_steps(window, window.faces[0], cells).any()
+    assert greatest_steps(window, window.faces[0], cells).max() < 1e-15

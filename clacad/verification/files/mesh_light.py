@@ -12,6 +12,7 @@ from clacad.base.types import Bools, Floats
 from clacad.formats.mesh.closed_stream import Measure
 from clacad.optics.law import Law, angle_between
 from clacad.optics.rays import Fate
+from clacad.sheet.asked_focus import asked_directions
 from clacad.sheet.bundle import Bundle, bundle, launched
 from clacad.sheet.light_against_law import fitted_laws
 from clacad.sheet.like_cell import like_cell
@@ -140,7 +141,7 @@ def _by_cell(
         if lost > LOST:
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
             lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
-        law = one.like.law.refract(lit.rays.direction[alive])
+        law = asked_directions(one.like, lit)[alive]
         yield (
             _rms_between(seen.direction[both], truth.direction[:count][both]),
             _rms_between(seen.direction[alive], law),
