@@ -47,6 +47,11 @@ class SeenCell:
     cell: Ints
     tried: int = 0
 
+    @property
+    def buildable(self) -> Window:
+        """`like` without a cut outline, with room for partners that stand aside: what meshes and solids are made of."""
+        return self.like if self.like is self.window else self.like.with_cells(self.like.lattice.count)
+
     def send(self, lit: Bundle) -> TraceResult:
         """Trace a bundle that was made for `like` through this cell of the sheet."""
         return trace(self.window, self.placed(lit).rays, path="size")

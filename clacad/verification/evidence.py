@@ -110,7 +110,7 @@ def of_worst_cell(report: Report) -> tuple[Report, str]:
         f"Every cell of this sheet differs. What is drawn and told below is of a sheet of equal cells like cell ({i}, {j}), "
         "by which the sheet is judged, but for what one eye gets of the whole sheet"
     )
-    return replace(report, window=seen.like), words
+    return replace(report, window=seen.buildable), words
 
 
 def _attributions(report: Report) -> tuple[Attribution, ...]:

@@ -56,8 +56,8 @@ def accuracy(
     report = progress or silent
     refuse_early(design, (), {})
     seen = worst_cell(prescribe(design), design.check.field)
-    if seen.tried:  # whole cells, with room for partners that stand aside
-        seen = replace(seen, like=seen.like.with_cells(seen.like.lattice.count))
+    if seen.tried:
+        seen = replace(seen, like=seen.buildable)
     report("tracing the truth", 0.0)
 
     def light(count: int) -> Bundle:
