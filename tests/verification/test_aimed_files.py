@@ -156,7 +156,14 @@ def patches_of(path):
         BRepBndLib.Add_s(face, box, False)
         low, high = box.CornerMin(), box.CornerMax()
         middle = 0.5 * np.array([low.X() + high.X(), low.Y() + high.Y()])
-        found.append((middle, low.Z(), np.array([[[q.X(), q.Y(), q.Z()] for q in row] for row in poles]), np.array(weights)))
+        found.append(
+            (
+                middle,
+                low.Z(),
+                np.array([[[q.X(), q.Y(), q.Z()] for q in row] for row in poles]),
+                np.array(weights),
+            )
+        )
     return found
 
 
@@ -166,7 +173,11 @@ def bernstein(n, u):
 
     i = np.arange(n)
     one = np.array([comb(n - 1, k) for k in i]) * u[:, None] ** i * (1.0 - u[:, None]) ** (n - 1 - i)
-    less = np.array([comb(n - 2, k) for k in i[:-1]]) * u[:, None] ** i[:-1] * (1.0 - u[:, None]) ** (n - 2 - i[:-1])
+    less = (
+        np.array([comb(n - 2, k) for k in i[:-1]])
+        * u[:, None] ** i[:-1]
+        * (1.0 - u[:, None]) ** (n - 2 - i[:-1])
+    )
     rise = np.zeros_like(one)
     rise[:, 1:] += (n - 1) * less
     rise[:, :-1] -= (n - 1) * less
@@ -183,7 +194,10 @@ def meet(patch, start, way):
     for _ in range(20):
         (a, da), (b, db) = bernstein(n, u), bernstein(n, v)
         sums = [
-            (np.einsum("ki,kj,ij,ijx->kx", f, g, weights, poles), np.einsum("ki,kj,ij->k", f, g, weights)[:, None])
+            (
+                np.einsum("ki,kj,ij,ijx->kx", f, g, weights, poles),
+                np.einsum("ki,kj,ij->k", f, g, weights)[:, None],
+            )
             for f, g in ((a, b), (da, b), (a, db))
         ]
         (p, w), (pu, wu), (pv, wv) = sums
@@ -228,7 +242,9 @@ def rms_of_cell(patches, design, index, refractive, half_cell_2):
     kept = (np.abs(at[:, :2] - back[0]) < half_cell_2).all(axis=1)
     asked = np.column_stack([-way[:, :2] / way[:, 2:], np.ones(4000)])
     asked /= np.linalg.norm(asked, axis=1)[:, None]
-    return float(np.sqrt((np.linalg.norm(np.cross(out, asked), axis=1)[kept] ** 2).mean())), float(kept.mean())
+    return float(np.sqrt((np.linalg.norm(np.cross(out, asked), axis=1)[kept] ** 2).mean())), float(
+        kept.mean()
+    )
 
 
 SIZES = [pytest.param(3, marks=pytest.mark.slow), pytest.param(9, marks=pytest.mark.long)]
@@ -242,7 +258,9 @@ def test_the_verdict_on_a_step_file_is_that_of_plain_numpy_through_the_faces_tha
     write_step(window, tmp_path / "sheet.step")
     report = clacad.verify(design, files=tmp_path / "sheet.step", rays=4096)
     light = checks_of(report)["file_law_rms"]
-    assert report.word.startswith("passed as optical master"), [c.sentence for c in report.checks if c.state == "fail"]
+    assert report.word.startswith("passed as optical master"), [
+        c.sentence for c in report.checks if c.state == "fail"
+    ]
     cells = light.detail["cells"]
     assert len(cells) >= min(count**2, 64)
     patches = patches_of(tmp_path / "sheet.step")
