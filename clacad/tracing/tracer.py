@@ -86,6 +86,10 @@ class Tracer:
         """The triangles, ready for rays."""
         if self.window.uniform:
             return facets_of(self.window, mesh, self.normals)
+        if len(self.window.bodies) > 1:
+            need_equal_cells(
+                self.window, 'rung "mesh" of several bodies', 'rung "surfaces" traces it, and "mesh" a slab'
+            )
         from clacad.tracing.triangles.own_sheet import own_facets
 
         return own_facets(self.window, mesh, self.normals)
@@ -114,7 +118,7 @@ class Tracer:
         if self.facets is not None and not self.window.uniform:
             from clacad.tracing.triangles.own_sheet import told
 
-            return told(self.window, _through_facets(self.facets, rays, faces, self.threads), record)
+            return told(self.window, rays, _through_facets(self.facets, rays, faces, self.threads), record)
         if self.facets is not None:
             return _through_facets(self.facets, rays, recorded, self.threads)
         layout, single = lay_out(self.window), self.precision == "float32"

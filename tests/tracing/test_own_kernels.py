@@ -10,6 +10,7 @@ import clacad
 from clacad.formats.mesh.stl import write_stl
 from clacad.mesh import tessellate
 from clacad.optics.rays import Fate
+from clacad.sheet.need_window import CellsDiffer
 
 SCENE = """
 import sys
@@ -67,13 +68,8 @@ def light():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "pair",
-    [{}, {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.6}],
-    ids=["slab", "biconvex"],
-)
-def test_triangles_of_cells_that_differ_send_light_where_their_faces_do_the_nearer_the_finer(pair, tmp_path):
-    window = clacad.prescribe(clacad.Design.from_dict({**AIMED, "pair": pair or AIMED["pair"]}))
+def test_triangles_of_cells_that_differ_send_light_where_their_faces_do_the_nearer_the_finer(tmp_path):
+    window = clacad.prescribe(clacad.Design.from_dict(AIMED))
     rays = light()
     exact = clacad.trace(window, rays, path="numpy")
     rms = []
@@ -82,10 +78,9 @@ def test_triangles_of_cells_that_differ_send_light_where_their_faces_do_the_near
         same = (
             (seen.fate == exact.fate) & (exact.fate <= Fate.GHOST) & (seen.order == exact.order).all(axis=1)
         )
-        assert (
-            seen.fate == exact.fate
-        ).mean() > 1.0 - 0.36 / quads  # the others pass near borders, where a facet is not the arc
-        assert same.sum() > (1.0 - 0.48 / quads) * (exact.fate <= Fate.GHOST).sum()
+        # the others pass within .03 mm, what a facet turns lens 1's light aside, of a border with its steps of .2 mm
+        assert (seen.fate == exact.fate).mean() > 0.95
+        assert same.sum() > 0.93 * (exact.fate <= Fate.GHOST).sum()
         assert (seen.cell == exact.cell)[same].all()
         alive = same & (exact.fate == Fate.ALIVE)
         assert alive.sum() > 1000
@@ -96,7 +91,22 @@ def test_triangles_of_cells_that_differ_send_light_where_their_faces_do_the_near
     again, first = (
         clacad.trace(window, rays, rung="mesh", mesh=mesh) for mesh in (str(tmp_path / "sheet.stl"), 8)
     )
-    assert (again.fate == first.fate).mean() > 0.999  # float32
+    assert (again.fate == first.fate).mean() > 0.995  # float32
+    around = np.column_stack([np.random.default_rng(1).uniform(-4.0, 4.0, (800, 2)), np.full(800, -1.0)])
+    beside = clacad.Rays(around, np.tile([0.0, 0.0, 1.0], (800, 1)))
+    missed = [
+        clacad.trace(window, beside, **how).fate == Fate.MISSED
+        for how in ({"path": "numpy"}, {"rung": "mesh", "mesh": 8})
+    ]
+    assert (missed[0] == missed[1]).all()
+    assert 400 < missed[0].sum() < 800
     recorded = clacad.trace(window, rays, rung="mesh", mesh=8, record=True)
     assert recorded.hits is not None
     assert (recorded.fate == first.fate).all()
+
+
+def test_triangles_of_several_bodies_whose_cells_differ_are_refused_with_what_traces_them():
+    pair = {"form": "plano", "separation": 10, "index": 1.5}
+    window = clacad.prescribe(clacad.Design.from_dict({**AIMED, "pair": pair}))
+    with pytest.raises(CellsDiffer, match='CL139.*several bodies.*"surfaces"'):
+        clacad.trace(window, light(), rung="mesh", mesh=4)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.optics.rays import NO_CELL, Fate, TraceResult
+from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import Window
 from clacad.storage.errors import LimitRefused
@@ -71,8 +71,11 @@ def endless(window: Window) -> Window:
     )
 
 
-def told(window: Window, result: TraceResult, record: bool) -> TraceResult:
-    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless`."""
+def told(window: Window, rays: Rays, result: TraceResult, record: bool) -> TraceResult:
+    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless`.
+
+    What was never in glass missed the sheet: one without an end calls it land.
+    """
     arrays = [face.array for face in window.faces]
     first, last = arrays.index(0), len(arrays) - 1 - arrays[::-1].index(1)
     assert result.hits is not None
@@ -80,16 +83,27 @@ def told(window: Window, result: TraceResult, record: bool) -> TraceResult:
     two = window.locate(1, *result.hits[last, :, :2].T)[0]
     met_one, met_two = result.cell[:, :1] != NO_CELL, result.order[:, :1] != NO_CELL
     met_one &= window.lattice.contains(one)[:, None]
+    way = result.position - rays.position
+    dry = result.optical_path <= np.linalg.norm(way, axis=1) * (1.0 + 1e-12)
+    missed = (result.fate == Fate.LAND) & dry
+    met_one &= ~missed[:, None]
     cell = np.where(met_one, one, NO_CELL).astype(np.int32)
     order = np.where(met_one & met_two, two - one, NO_CELL).astype(np.int32)
     through = (result.fate == Fate.ALIVE) | (result.fate == Fate.GHOST)
     apart = (order != 0).any(axis=1)
     fate = np.where(through, np.where(apart, Fate.GHOST, Fate.ALIVE), result.fate).astype(np.uint8)
+    fate[missed] = Fate.MISSED
+    position = np.where(missed[:, None], rays.position, result.position)
+    surface = np.where(missed, NO_CELL, result.surface).astype(np.int32)
+    path = np.where(missed, 0.0, result.optical_path)
     return replace(
         result,
         cell=cell,
         order=order,
         fate=fate,
+        position=position,
+        surface=surface,
+        optical_path=path,
         hits=result.hits if record else None,
         directions=result.directions if record else None,
     )
