@@ -72,7 +72,7 @@ def forecast_text(rows: Iterable[dict[str, Any]]) -> str:
                 ("" if row["exact"] else "about ") + size(row["bytes"]),
                 span_text(low, high),
                 f"up to {size(row['memory'][1])}",
-                grid or row.get("note", ""),
+                "; ".join(word for word in (grid, row.get("note", "")) if word),
             ]
         )
         if "role" in row:

@@ -197,7 +197,8 @@ MISTAKES: dict[str, Text] = {
     ),
     "CL139": (
         "Something was asked of a sheet whose cells differ that works on equal cells only.",
-        "Sheets of equal cells are one cell, repeated; what repeats, merges or averages that cell has no meaning where each differs.",
+        "Sheets of equal cells are one cell, repeated; what repeats, merges or averages that cell has no meaning where each differs. "
+        "STEP, STL, 3MF, PLY, GLB, height maps, points, tables and masks hold each cell; POV, GDSII and prescriptions hold one.",
         "", "What the message says works instead; or aim by a slope, lattice.aperture = [x, y].",
     ),
     "CL138": (

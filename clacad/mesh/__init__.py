@@ -1,4 +1,4 @@
-"""Watertight meshes of a sheet: one cell's triangles, repeated; expanded only when asked."""
+"""Watertight meshes of a sheet: one cell's triangles, repeated, or each cell's own; expanded only when asked."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The nouns of the planar cell complex: profiles, borders, nodes.
 
-Every cell of an array is the same piece, so the complex of a sheet of any size is one prototile:
+Where every cell of an array is the same piece, the complex of a sheet of any size is one prototile:
 m/2 *border classes* (a border and the opposite border of the neighbour are one and the same) and
 one *node class* (square, rectangular: four cells meet) or two (hexagonal: three cells meet).
 

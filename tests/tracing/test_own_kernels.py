@@ -1,7 +1,16 @@
-"""Sheets of equal cells pay nothing for sheets whose cells differ: none of their code is loaded."""
+"""Sheets of equal cells pay nothing for sheets whose cells differ; these are traced through their own triangles, too."""
 
 import subprocess
 import sys
+
+import numpy as np
+import pytest
+
+import clacad
+from clacad.formats.mesh.stl import write_stl
+from clacad.mesh import tessellate
+from clacad.optics.rays import Fate
+from clacad.sheet.need_window import CellsDiffer
 
 SCENE = """
 import sys
@@ -38,3 +47,66 @@ def loaded(paths):
 
 def test_a_homogeneous_scene_loads_no_code_of_cells_that_differ():
     assert not loaded(["numpy"]) & OF_OWN_CELLS
+
+
+AIMED = {
+    "format": 1, "name": "aimed", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "slab", "separation": 10, "material": "PMMA", "surface": "biconic", "conic": [-0.7, -0.7]},
+    "lattice": {"pitch": 0.5, "count": [6, 5], "aperture": {"point": [-40, 10, -400]}},
+}  # fmt: skip
+
+
+def light():
+    """Of the viewer, all over the sheet and a little beside, and some that is steeper."""
+    rng = np.random.default_rng(4)
+    at = np.column_stack([rng.uniform(-1.7, 1.7, 3000), rng.uniform(-1.4, 1.4, 3000), np.zeros(3000)])
+    way = at - [-40.0, 10.0, -400.0]
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    way[2000:, :2] += rng.normal(0.0, 0.03, (1000, 2))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    return clacad.Rays(at - way * (1.0 / way[:, 2:]), way)
+
+
+@pytest.mark.slow
+def test_triangles_of_cells_that_differ_send_light_where_their_faces_do_the_nearer_the_finer(tmp_path):
+    window = clacad.prescribe(clacad.Design.from_dict(AIMED))
+    rays = light()
+    exact = clacad.trace(window, rays, path="numpy")
+    rms = []
+    for quads in (8, 16):
+        seen = clacad.trace(window, rays, rung="mesh", mesh=quads)
+        same = (
+            (seen.fate == exact.fate) & (exact.fate <= Fate.GHOST) & (seen.order == exact.order).all(axis=1)
+        )
+        # the others pass within .03 mm, what a facet turns lens 1's light aside, of a border with its steps of .2 mm
+        assert (seen.fate == exact.fate).mean() > 0.95
+        assert same.sum() > 0.93 * (exact.fate <= Fate.GHOST).sum()
+        assert (seen.cell == exact.cell)[same].all()
+        alive = same & (exact.fate == Fate.ALIVE)
+        assert alive.sum() > 1000
+        assert (same & (exact.fate == Fate.GHOST)).sum() > 100
+        rms.append(np.sqrt((np.linalg.norm(seen.direction - exact.direction, axis=1)[alive] ** 2).mean()))
+    assert 0.4 < rms[1] / rms[0] < 0.6  # the slope of a facet is off by its size
+    write_stl(tessellate(window, quads=8).bodies, tmp_path / "sheet.stl", 1.0, "sheet")
+    again, first = (
+        clacad.trace(window, rays, rung="mesh", mesh=mesh) for mesh in (str(tmp_path / "sheet.stl"), 8)
+    )
+    assert (again.fate == first.fate).mean() > 0.995  # float32
+    around = np.column_stack([np.random.default_rng(1).uniform(-4.0, 4.0, (800, 2)), np.full(800, -1.0)])
+    beside = clacad.Rays(around, np.tile([0.0, 0.0, 1.0], (800, 1)))
+    missed = [
+        clacad.trace(window, beside, **how).fate == Fate.MISSED
+        for how in ({"path": "numpy"}, {"rung": "mesh", "mesh": 8})
+    ]
+    assert (missed[0] == missed[1]).all()
+    assert 400 < missed[0].sum() < 800
+    recorded = clacad.trace(window, rays, rung="mesh", mesh=8, record=True)
+    assert recorded.hits is not None
+    assert (recorded.fate == first.fate).all()
+
+
+def test_triangles_of_several_bodies_whose_cells_differ_are_refused_with_what_traces_them():
+    pair = {"form": "plano", "separation": 10, "index": 1.5}
+    window = clacad.prescribe(clacad.Design.from_dict({**AIMED, "pair": pair}))
+    with pytest.raises(CellsDiffer, match='CL139.*several bodies.*"surfaces"'):
+        clacad.trace(window, light(), rung="mesh", mesh=4)
