@@ -40,7 +40,7 @@ def imaging_rows(
     if laws is None or laws.smooth is None:
         return []
     x, y = along_axes(laws.smooth, window.thin.separation)
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             "focus of light from before the sheet, lens x, y",
             of_length((x.f_image, y.f_image)),
