@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 SECONDS = 0.15
 """Processor seconds of the rest: the design prescribed, trial rays."""
 
+SECONDS_TO_CHOOSE = 0.6
+"""Processor seconds it takes besides to find the worst of cells that differ."""
+
 SECONDS_A_POINT = 0.25e-6
 """Processor seconds that a point of a grid takes on the reference machine, both planes and the way between them."""
 
@@ -205,7 +208,7 @@ def outlook(lit: LitSheet) -> dict[str, float]:
     held = 0.0 if not points else float(sum(points) if lit.along_axes else points[0] * points[1])
     return {
         "rays": float(side), "points": float(max(points, default=0)),
-        "seconds": SECONDS + exit_pupil.SECONDS * side**2 + SECONDS_A_POINT * held,
+        "seconds": SECONDS + (SECONDS_TO_CHOOSE if lit.seen.tried else 0.0) + exit_pupil.SECONDS * side**2 + SECONDS_A_POINT * held,
         "bytes": 200.0 * side**2 + 80.0 * held,
     }  # fmt: skip
 
