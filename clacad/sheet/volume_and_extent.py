@@ -67,9 +67,11 @@ def body_volume(window: Window, body: Body, depth: int = DEPTH) -> Integral | No
 def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
     """Volume of a body whose cells differ, none of them with a rim: the columns of its back less those of its front.
 
-    None where a lens ends inside its cell.
+    None where a lens ends inside its cell, at its rim or where front and back meet.
     """
     outline, cells = window.outline, window.lattice.cells()
+    if body.columnar and _meets_itself(window, body, cells):
+        return None
     array = next(face.array for face in (body.front, body.back) if face.array is not None)
     if outline is None:
         whole = len(cells) * window.lattice_of(array).cell_area
@@ -92,6 +94,22 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
         value += sign * (float(each[1].sum()) + (face.land or 0.0) * max(0.0, whole - lenses))
         error += float(np.abs(each[1] - each[0]).sum()) + 1e-15 * abs(value)
     return Integral(value, error)
+
+
+def _meets_itself(window: Window, body: Body, cells: Ints) -> bool:
+    """Whether the back of a column comes under its front in a cell (n, 2): between convex faces it does so at a corner first."""
+    low, high = (_at_corners(window, face, cells) for face in (body.front, body.back))
+    return bool((high < low).any())
+
+
+def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
+    """Heights (n, m) of a face at the m corners of its optical zone in cells (n, 2)."""
+    assert face.array is not None
+    corners = optical_tile(window, face.array)[None]
+    if face.change is not None:
+        corners = corners - face.change.at(window.lattice, cells)[:, None]
+    one = replace(face, change=None)
+    return lens_height(one, corners[..., 0].ravel(), corners[..., 1].ravel()).reshape(corners.shape[:2])
 
 
 def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts: int) -> Floats:

@@ -91,6 +91,11 @@ def test_bodies_of_cells_that_differ_are_closed_and_enclose_what_the_faces_do(ch
         )  # the error of chords falls as the square of their length
 
 
+def test_columns_whose_faces_meet_inside_a_cell_have_no_volume_in_closed_form():
+    window = built(pair={**THIN, "offset": "paraxial"}, lattice__seam=0.04)
+    assert [body_volume(window, body) is None for body in window.bodies] == [False, True]
+
+
 def test_every_corner_of_a_lens_lies_on_the_quadric_of_its_own_cell_where_that_stands():
     """Sheet coordinates and the closed form of the sag alone."""
     window = built()
