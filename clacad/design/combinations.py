@@ -106,70 +106,55 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
+_HEIGHTS: Final = "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane"
+_PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
+_CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
+_APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
+_FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
+
+_WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
+    VARYING: {
+        "tilt": _HEIGHTS,
+        "aimed at a point": "lenses 2 are traced for light of one direction over the sheet",
+        "other pitch": "its cells stand over their partners",
+        "sharp pairs": _APART,
+        "confocal best": "its radii are for light along the axis alone",
+        "plate with holes, corners or pins": _PATTERN,
+        "field lens": "field lenses would stand in every cell at a place of their own",
+        "baffle": _CHANNELS,
+    },
+    PITCH_2: {
+        "tilt": _HEIGHTS,
+        "aimed at a point": "its cells look at the nodal point",
+        "steered": "its cells look at the nodal point",
+        "traced vertices": "its lenses stand in the middle of their own cells",
+        "law that varies": "where its lenses stand is its law",
+        "sharp pairs": _FOLLOWS,
+        "confocal best": "its radii are for light along the axis alone",
+        "plate with holes, corners or pins": _PATTERN,
+        "field lens": "field lenses would stand in every cell at a place of their own",
+        "baffle": _CHANNELS,
+    },
+    FOCUS: {
+        "tilt": _HEIGHTS,
+        "biconvex": "thick lenses of two curved faces are solved for an afocal pair",
+        "given faces": "its faces follow from the two planes",
+        "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
+        "aimed at a point": "its cells look along its chief rays",
+        "steered": "its cells look along its chief rays",
+        "traced vertices": "its lenses stand in the middle of their own cells",
+        "law that varies": _APART,
+        "other pitch": _FOLLOWS,
+        "curved inside": "the plane faces lie between its lenses and the planes, and shift them by their thickness",
+        "thin recipe": "its lenses are thick ones of one curved face each",
+        "confocal best": "its radii are for parallel light along the axis",
+        "plate with holes, corners or pins": _PATTERN,
+        "field lens": "there is no common focus for it to stand at",
+        "baffle": _CHANNELS,
+    },
+}
 REASONS: Final[Mapping[tuple[str, str], str]] = {
-    (
-        VARYING,
-        "sharp pairs",
-    ): "its cells stand over their partners, and images of sharp pairs would not fall on one another",
-    (PITCH_2, "sharp pairs"): "the pitch of array 2 follows from the two planes",
-    (
-        FOCUS,
-        "law that varies",
-    ): "its cells stand over their partners, and images of sharp pairs would not fall on one another",
-    (FOCUS, "other pitch"): "the pitch of array 2 follows from the two planes",
-    (
-        FOCUS,
-        "tilt",
-    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
-    (FOCUS, "biconvex"): "thick lenses of two curved faces are solved for an afocal pair",
-    (
-        FOCUS,
-        "curved inside",
-    ): "the plane faces lie between its lenses and the planes, and shift them by their thickness",
-    (FOCUS, "thin recipe"): "its lenses are thick ones of one curved face each",
-    (FOCUS, "given faces"): "its faces follow from the two planes",
-    (
-        FOCUS,
-        "plate with holes, corners or pins",
-    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
-    (FOCUS, "field lens"): "there is no common focus for it to stand at",
-    (FOCUS, "steered"): "its cells look along its chief rays",
-    (FOCUS, "aimed at a point"): "its cells look along its chief rays",
-    (FOCUS, "traced vertices"): "its lenses stand in the middle of their own cells",
-    (FOCUS, "confocal best"): "its radii are for parallel light along the axis",
-    (FOCUS, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (
-        FOCUS,
-        "tolerances",
-    ): "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
-    (
-        VARYING,
-        "tilt",
-    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
-    (VARYING, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
-    (VARYING, "aimed at a point"): "lenses 2 are traced for light of one direction over the sheet",
-    (
-        VARYING,
-        "plate with holes, corners or pins",
-    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
-    (VARYING, "field lens"): "field lenses would stand in every cell at a place of their own",
-    (VARYING, "confocal best"): "its radii are for light along the axis alone",
-    (VARYING, "other pitch"): "its cells stand over their partners",
-    (PITCH_2, "law that varies"): "where its lenses stand is its law",
-    (
-        PITCH_2,
-        "tilt",
-    ): "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane",
-    (
-        PITCH_2,
-        "plate with holes, corners or pins",
-    ): "which cells a plate keeps is asked of one pattern, and array 2's is another",
-    (PITCH_2, "field lens"): "field lenses would stand in every cell at a place of their own",
-    (PITCH_2, "steered"): "its cells look at the nodal point",
-    (PITCH_2, "aimed at a point"): "its cells look at the nodal point",
-    (PITCH_2, "traced vertices"): "its lenses stand in the middle of their own cells",
-    (PITCH_2, "confocal best"): "its radii are for light along the axis alone",
-    (PITCH_2, "baffle"): "the channels of a baffle are alike, and here each would lean its own way",
+    (sheet, feature): why for sheet, whys in _WHY_NOT.items() for feature, why in whys.items()
 }
 """Sheet and feature → why they are not built together; what is not here is built."""
 

@@ -266,10 +266,9 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     if has_point(a("lattice.aperture")):
         yield Mistake("CL127", "cells aimed at a point beside a field lens are not made: its cells are all alike",
                       "lattice.aperture", allowed="a slope, or pair.field_lens = false")  # fmt: skip
-    for key, of in (("pair.field.gap", form == "slab"),):
-        if "gap" in dict(a("pair.field") or ()) and not of:
-            yield Mistake("CL114", f"{key} does not belong to a {form} pair", "pair.field",
-                          allowed='only with pair.form = "slab"', hint="leave it out")  # fmt: skip
+    if "gap" in dict(a("pair.field") or ()) and form != "slab":
+        yield Mistake("CL114", f"pair.field.gap does not belong to a {form} pair", "pair.field",
+                      allowed='only with pair.form = "slab"', hint="leave it out")  # fmt: skip
 
 
 def pitch_fits_lattice(a: Asked) -> Iterator[Mistake]:

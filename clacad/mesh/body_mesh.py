@@ -22,7 +22,7 @@ from clacad.sheet.like_cell import outer_cells, sampled_cells
 from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
-    from clacad.mesh.own_cells import OwnCells
+    from clacad.mesh.own_cells import OwnTemplates
 
 _CHUNK = 200_000  # triangles an expanded block holds at most, about
 
@@ -40,14 +40,14 @@ class Tiled:
     shift : (2,) lengths
     lattice : Lattice
         Pattern of the tiling's cells about their own middle.
-    own : OwnCells or None
+    own : OwnTemplates or None
         Where every cell is a piece of its own.
     """
 
     maker: TemplateMaker
     shift: tuple[float, float]
     lattice: Lattice
-    own: OwnCells | None = None
+    own: OwnTemplates | None = None
 
     def maker_at(self, i: int, j: int) -> TemplateMaker:
         """The maker of the kept cell (i, j)."""

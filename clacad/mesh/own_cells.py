@@ -18,7 +18,7 @@ ROWS = 4
 """Rows of cells that are held: a row meets the one below and the one above it, and they theirs."""
 
 
-class OwnCells:
+class OwnTemplates:
     """Makers of the cells of one tiling, cell by cell.
 
     Parameters

@@ -117,9 +117,9 @@ class _Parts:
         mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
         if not mine:
             return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
-        from clacad.mesh.own_cells import OwnCells  # sheets of equal cells have no use for it
+        from clacad.mesh.own_cells import OwnTemplates  # sheets of equal cells have no use for it
 
-        own = OwnCells(make, quads)
+        own = OwnTemplates(make, quads)
         i, j = next(
             row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))
         ).tolist()
