@@ -185,6 +185,9 @@ EVERY_TIME: dict[str, dict[str, tuple[str, ...]]] = {
     "report/test_report_parts.py": {
         "test_the_picture_shows_every_body": ("plano",),
     },
+    "sheet/test_plate.py": {
+        "test_kept_cells_are_those_wholly_inside_by_brute_force": ("square",),
+    },
     "solid/test_brep_rims.py": {
         "test_the_web_that_a_refusal_names_holds_the_rim_and_less_leaves_an_overhang": (),
         "test_the_mesh_of_a_rimmed_biconic_is_closed_and_converges_to_the_solid": (),
@@ -208,6 +211,7 @@ EVERY_TIME: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "tracing/test_facet_grid.py": {
         "test_rays_end_as_they_do_in_the_trees": ("tilted by 20 degrees",),
+        "test_facets_that_are_no_whole_surface_are_met_as_in_the_trees": ("torn",),
     },
     "tracing/test_laws_of_sheets.py": {
         "test_moving_the_light_by_cells_moves_the_answer_by_cells": (),
@@ -369,6 +373,9 @@ EVERY_TIME: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "test_rays_go_to_the_step_file_until_a_thousand_came_through_and_none_goes_twice": (),
         "test_the_table_is_json_and_the_plot_is_the_same_for_the_same_table": (),
+    },
+    "verification/test_aimed_files.py": {
+        "test_light_finds_out_a_sheet_that_was_made_otherwise": ("one_vertex_moved",),
     },
     "verification/test_cluster.py": {
         "test_what_was_delivered_before_the_workers_were_lost_is_kept_and_said": (),

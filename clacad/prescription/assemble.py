@@ -47,7 +47,6 @@ from clacad.prescription.radii import (
     thin_pair,
 )
 from clacad.prescription.residual import residual
-from clacad.prescription.sharp_pairs import sharp_lenses, with_focus
 from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
@@ -327,6 +326,8 @@ def _one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
     if pair.given:
         return given_pair(pair, thickness, intent.index)
     if pair.focus is not None:
+        from clacad.prescription.sharp_pairs import sharp_lenses
+
         return sharp_lenses(intent.eta, separation, pair.focus, thickness, intent.index)
     return single_surface(intent.eta, separation, thickness, intent.index)
 
@@ -591,6 +592,8 @@ def _own_places(window: Window, design: Design) -> Window:
 
         return with_varying_law(window, design)
     if design.pair.focus is not None:
+        from clacad.prescription.sharp_pairs import with_focus
+
         return with_focus(window, design)
     if design.lattice.pitch_2 is not None:
         from clacad.prescription.superlens import with_pitch_2

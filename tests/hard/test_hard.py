@@ -31,6 +31,20 @@ def named(cases):
     return every("case", cases, ids=[case.name for case in cases])
 
 
+SEARCHED = {
+    "polynomial, met on the real rim", "polynomial, search from the real rim", "polynomial, met far from the vertex plane",
+    "polynomial, start over no real height", "saddle biconic near its equator",
+}  # fmt: skip
+"""Of single faces: where fifty digits take seconds to find the hit."""
+
+
+def named_but_slow(cases):
+    """Parametrise by name, what takes seconds slow."""
+    return every("case", [
+        pytest.param(case, id=case.name, marks=(pytest.mark.slow,) if case.name in SEARCHED else ()) for case in cases
+    ])  # fmt: skip
+
+
 def test_every_case_has_a_name_of_its_own_and_a_sentence():
     for group in (HARD, LAWS, SAGS, CELLS, ANGLES, VIEWS):
         names = [case.name for case in group]
@@ -63,7 +77,7 @@ def test_a_hard_ray_keeps_the_accuracy_its_condition_allows(case):
     assert error(result.optical_path, exact.optical_path[-1:]) <= 4 * ULP * condition * gone, case.why
 
 
-@named([case for case in HARD if len(case.faces) == 1 and not case.faces[0].euler])
+@named_but_slow([case for case in HARD if len(case.faces) == 1 and not case.faces[0].euler])
 def test_the_sag_of_a_hit_keeps_sixteen_ulp_of_itself(case):
     exact = trace_oracle.trace(case.faces, case.start, case.direction, DIGITS)
     if exact.status != "ok":
