@@ -39,6 +39,7 @@ WHY = {
     "its package's `__init__` gives",
     "function lines, median": "docstrings with shapes and units are counted",
     "function lines, p90": "likewise",
+    "function lines, most, compiled": "the straight path through cells of their own: one loop over rays, its tables unpacked once",
     "function lines, most, elsewhere": "`trace`, of which 45 lines are its docstring; next 40",
     "methods of the largest class": "`Lattice`: all are one-line properties or public",
     "parameters, most": "options of commands and of the public `export` and `trace`; elsewhere at most 8",
