@@ -65,3 +65,18 @@ def test_the_new_modules_of_the_changelog_exist():
                     package,
                     new,
                 )
+
+
+@pytest.mark.slow
+def test_the_python_of_the_readme_runs_as_it_stands(tmp_path, monkeypatch):
+    """In a folder with the designs; what the main job writes is left out of the last line."""
+    (block,) = re.findall(
+        r"## Python\n\n```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S
+    )
+    assert block.count('files="exports/paper"') == 1
+    (tmp_path / "designs").symlink_to(ROOT / "designs")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(block.replace(', files="exports/paper"', ""), names)
+    assert {"result", "pair", "found", "better", "parts", "passing", "report"} <= set(names)
+    assert {"page.html", "sliders.html"} <= {path.name for path in tmp_path.iterdir()}
