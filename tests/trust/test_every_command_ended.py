@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from trust.running import ROOT, TINY, command, environment
 from trust.test_interruptions import HANG, until
 
@@ -25,12 +27,14 @@ class Line:
 
     resumes : names of files that a run which was ended may leave there to go on from
     best : names of files in which such a run may leave the best design it had found
+    coarse : names of pictures that stand there coarse, and say so, until they are drawn fine
     """
 
     words: tuple[str, ...]
     writes: tuple[str, ...] = ()
     resumes: tuple[str, ...] = ()
     best: tuple[str, ...] = ()
+    coarse: tuple[str, ...] = ()
 
 
 LINES = {
@@ -43,7 +47,7 @@ LINES = {
     "sweep": Line(("sweep", "{}/t.toml", "--vary", "lattice.pitch=0.4:0.6:4", "--rays", "64", "-o", "out"),
                   ("sweep.csv", "sweep.png"), ("sweep.checkpoint",)),
     "render": Line(("render", "{}/t.toml", "{}/photo.png", "--preset", "eye", "--pixels", "48", "--samples", "4", "-o", "out/x.png"),
-                   ("x.png",)),
+                   ("x.png",), coarse=("x.png",)),
     "atlas": Line(("atlas", "-o", "out", "--scenes", f"{ROOT}/designs/scenes", "--rows", "F2", "--size", "32", "--samples", "1",
                    "--no-movies", "--no-measure")),
     "new": Line(("new", "out/fresh"), ("fresh.toml", "clacad.schema.json")),
@@ -65,8 +69,6 @@ LINES = {
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What commands are given: a design, rays, a picture."""
-    from PIL import Image
-
     folder = tmp_path_factory.mktemp("given")
     (folder / "t.toml").write_text(f'{TINY}\n[tolerances]\ndecentre = "5 um"\nradius = 0.005\n')
     rays = np.random.default_rng(0).uniform(-0.4, 0.4, (20_000, 3)) * [1, 1, 0] - [0, 0, 1]
@@ -106,6 +108,10 @@ def held(made: dict[str, bytes], whole: dict[str, bytes], line: Line) -> None:
         assert name in whole, f"{name} is no file of an undisturbed run"
         if name in line.best and b"stopped on the way" in data:
             assert Design.from_dict(tomllib.loads(data.decode())).pair.given
+            continue
+        if name in line.coarse and b"the whole view in blocks of 8" in data:
+            with Image.open(io.BytesIO(data)) as coarse, Image.open(io.BytesIO(whole[name])) as fine:
+                assert coarse.size == fine.size
             continue
         assert data == whole[name], f"{name} is not what an undisturbed run writes"
 
