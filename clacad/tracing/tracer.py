@@ -72,7 +72,7 @@ class Tracer:
         """Refuse what cannot be traced, and lay out."""
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
-        if self.precision == "float32" or (self.path == "numba" and self.rung != "surfaces"):
+        if self.precision == "float32" or (self.path == "numba" and self.rung in ("law", "thin")):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
             mesh = OWN_QUADS if self.mesh is None else self.mesh

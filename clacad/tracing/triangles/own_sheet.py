@@ -17,7 +17,7 @@ from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import Window
 from clacad.storage.errors import LimitRefused
-from clacad.tracing.layout import BodyPlan, FacePlan, lay_out
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
 from clacad.tracing.reference.face import in_footprint
 from clacad.tracing.reference.launch import Beam
 from clacad.tracing.reference.walk import Walkers, note_cell, order_of
@@ -57,25 +57,36 @@ def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     return TriangleSoup(corners, np.concatenate([n for body in mesh.bodies for n in corner_normals(body)]))
 
 
-def endless(window: Window) -> Window:
-    """A sheet of equal cells without an end that stands for one whose cells differ wherever only triangles are asked."""
-    bodies = tuple(
+def endless_layout(layout: Layout) -> Layout:
+    """A sheet of equal cells without an end that stands for one whose cells differ wherever only triangles are asked.
+
+    layout : Layout
+        Of the sheet, with the bounds of the triangles.
+    """
+    window = layout.window
+    still = tuple(
         replace(body, front=replace(body.front, change=None), back=replace(body.back, change=None))
         for body in window.bodies
     )
-    return replace(
-        window,
-        bodies=bodies,
-        placements=tuple(CellPlacement(place.shift) for place in window.placements),
-        lattice=replace(window.lattice, count=(ENDLESS, ENDLESS), outline=None),
-        outline=None,
-        thin=replace(window.thin, pitch=None, change=None),
-        cell_laws=None,
+    wide = lay_out(
+        replace(
+            window,
+            bodies=still,
+            placements=tuple(CellPlacement(place.shift) for place in window.placements),
+            lattice=replace(window.lattice, count=(ENDLESS, ENDLESS), outline=None),
+            outline=None,
+            thin=replace(window.thin, pitch=None, change=None),
+            cell_laws=None,
+        )
     )
+    bounded = tuple(
+        replace(body, low=own.low, high=own.high) for body, own in zip(wide.bodies, layout.bodies, strict=True)
+    )
+    return replace(wide, bodies=bounded)
 
 
 def told(window: Window, facets: Facets, rays: Rays, result: TraceResult, record: bool) -> TraceResult:
-    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless`.
+    """The same light with the cells of the sheet itself; `result` was recorded through the triangles of `endless_layout`.
 
     What passed a body beside its cells has missed the sheet: one without an end calls it land.
     """
@@ -164,6 +175,7 @@ def _noted(
     window: Window, walkers: Walkers, face: FacePlan, at: Floats, met: Bools, on_lens: Bools
 ) -> Walkers:
     """Enter the cells of those rays (n,) that met a face at points (n, 3) in their record."""
+    assert face.array is not None
     rows = np.flatnonzero(met)
     cell = window.locate(face.array, at[rows, 0], at[rows, 1])[0]
     some = walkers.take(rows)
@@ -180,14 +192,9 @@ def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools, r
     through = result.fate <= Fate.GHOST
     fate = np.where(through, np.where(walkers.ghost, Fate.GHOST, Fate.ALIVE), result.fate)
     back = missed[:, None]
-    kept = {}
-    if record:
-        assert result.hits is not None
-        assert result.directions is not None
-        kept = {
-            "hits": np.where(back, rays.position, result.hits),
-            "directions": np.where(back, rays.direction, result.directions),
-        }
+    hits, turns = result.hits, result.directions
+    assert hits is not None
+    assert turns is not None
     return replace(
         result,
         cell=walkers.first.astype(np.int32),
@@ -197,5 +204,6 @@ def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools, r
         direction=np.where(back, rays.direction, result.direction),
         surface=np.where(missed, NO_CELL, result.surface).astype(np.int32),
         optical_path=np.where(missed, 0.0, result.optical_path),
-        **{"hits": None, "directions": None, **kept},
+        hits=np.where(back, rays.position, hits) if record else None,
+        directions=np.where(back, rays.direction, turns) if record else None,
     )

@@ -87,10 +87,11 @@ def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
     elif isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
     if not window.uniform:
-        from clacad.tracing.triangles.own_sheet import endless, own_soup
+        from clacad.tracing.triangles.own_sheet import endless_layout, own_soup
 
         mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
-        return Facets(*lay_out_soup(endless(window), mesh, normals))
+        layout, triangles = lay_out_soup(window, mesh, normals)
+        return Facets(endless_layout(layout), triangles)
     if not isinstance(mesh, TriangleSoup):
         return Facets(*lay_out_mesh(window, mesh, normals))
     layout, triangles = lay_out_soup(window, mesh, normals)
