@@ -72,27 +72,13 @@ class Tracer:
         """Refuse what cannot be traced, and lay out."""
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
-        if self.effects and self.rung == "mesh":
-            need_equal_cells(self.window, 'effects on rung "mesh"', 'rung "surfaces" takes them')
-        if self.precision == "float32" or (self.path == "numba" and self.rung != "surfaces"):
+        if self.precision == "float32" or (self.path == "numba" and self.rung in ("law", "thin")):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
             mesh = OWN_QUADS if self.mesh is None else self.mesh
-            object.__setattr__(self, "facets", self._ready(mesh))
+            object.__setattr__(self, "facets", facets_of(self.window, mesh, self.normals))
         else:
             lay_out(self.window)
-
-    def _ready(self, mesh: AnyMesh | int | Facets) -> Facets:
-        """The triangles, ready for rays."""
-        if self.window.uniform:
-            return facets_of(self.window, mesh, self.normals)
-        if len(self.window.bodies) > 1:
-            need_equal_cells(
-                self.window, 'rung "mesh" of several bodies', 'rung "surfaces" traces it, and "mesh" a slab'
-            )
-        from clacad.tracing.triangles.own_sheet import own_facets
-
-        return own_facets(self.window, mesh, self.normals)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the mesh: what was laid out of it is kept."""
@@ -118,7 +104,8 @@ class Tracer:
         if self.facets is not None and not self.window.uniform:
             from clacad.tracing.triangles.own_sheet import told
 
-            return told(self.window, rays, _through_facets(self.facets, rays, faces, self.threads), record)
+            found = _through_facets(self.facets, rays, faces, self.threads)
+            return told(self.window, self.facets, rays, found, record)
         if self.facets is not None:
             return _through_facets(self.facets, rays, recorded, self.threads)
         layout, single = lay_out(self.window), self.precision == "float32"
