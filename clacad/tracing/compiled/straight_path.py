@@ -21,9 +21,11 @@ import numpy as np
 from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Ints, Rows
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.array_cells import row_of
 from clacad.tracing.compiled.cells import hexagon_steps
 from clacad.tracing.compiled.face import bend, height, meet
-from clacad.tracing.compiled.packing import Packed
+from clacad.tracing.compiled.own_straight import carry_own, from_own_lens, own_thick, to_own_lens
+from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import Vector
 from clacad.tracing.compiled.straight_path_slots import (
     CI,
@@ -385,14 +387,20 @@ def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> Non
 
 
 @exact
-def _cross(sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector) -> None:
+def _cross(
+    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector
+) -> None:
     """Cross one face; positions plus the offset are relative to its vertex, and are after.
 
-    Hits on a structured face must lie in the optical zone of the cell.
+    Hits on a structured face must lie in the optical zone of the cell; where cells differ that is left to `_out_of_lens`.
     """
     faces, lat = sheet.faces, sheet.lattice
     face = faces[f]
-    within, turned, quadric = face[slot.ARRAY] >= 0.0, face[slot.TURNED] != 0.0, face[slot.BICONIC] == 0.0
+    within, turned, quadric = (
+        own is None and face[slot.ARRAY] >= 0.0,
+        face[slot.TURNED] != 0.0,
+        face[slot.BICONIC] == 0.0,
+    )
     hx, hy, lowest = inf, inf, climb
     plain = quadric and not turned
     margin = lat[slot.MARGIN]
@@ -416,6 +424,24 @@ def _cross(sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float,
         hold_in_zone(lat, s, m, margin, face[slot.VX], face[slot.VY])
     if face[slot.WHOLE] == 0.0 and face[slot.LAND] == face[slot.LAND]:
         _proud(face, s, m)
+
+
+@inlined
+def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
+    """Positions seen from the lens of each ray's own cell, if it stands elsewhere than its neighbours'."""
+    if own is not None:
+        to_own_lens(sheet, own, f, s, m)
+
+
+@inlined
+def _out_of_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
+    """Positions as before `_into_lens`; hits on a structured face must lie in the optical zone of the cell."""
+    if own is not None:
+        from_own_lens(own, f, s, m)
+        face = sheet.faces[f]
+        if face[slot.ARRAY] >= 0.0:
+            lat = sheet.lattices[int(face[slot.ARRAY])]
+            hold_in_zone(lat, s, m, lat[slot.MARGIN], face[slot.VX], face[slot.VY])
 
 
 @exact
@@ -511,7 +537,7 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
     """Note hits and directions at one face."""
     face, level, m = sheet.faces[f], sheet.bodies[f // 2, slot.LEVEL], len(chosen)
     px, py, base = s[GX], s[GY], level + face[slot.VZ]
-    centres(sheet.lattice, s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
         if s[GOOD, i] > 0.0:
             row = chosen[i]
@@ -529,31 +555,55 @@ def _same_cell(s: Floats, m: int) -> None:
 
 
 @inlined
+def _carry_on(
+    own: OwnCells | None, sheet: Packed, s: Floats, m: int, level: float, index: float, arrays: tuple[int, int],
+    origin: Vector,
+) -> None:  # fmt: skip
+    """Carry rays to a level and into the cells of the array there, of whatever pitch."""
+    if own is None:
+        _carry(sheet.lattice, s, m, level, index, arrays, origin)
+    else:
+        carry_own(sheet.lattices, s, m, level, index, arrays, origin)
+
+
+@inlined
 def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: int, origin: Vector) -> None:
     """Carry rays from the cells of an array to where they meet those of a structured face."""
     face, body = sheet.faces[f], sheet.bodies[f // 2]
     columnar = body[slot.COLUMNAR] != 0.0
     if f > 0:
         level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
-        _carry(sheet.lattice, s, m, level, index, (array, int(face[slot.ARRAY])), origin)
-    arrive(sheet.lattice, sheet.rows, s, m, face[slot.CLIMB])
+        _carry_on(sheet.own, sheet, s, m, level, index, (array, int(face[slot.ARRAY])), origin)
+        array = int(face[slot.ARRAY])
+    lat = sheet.lattices[row_of(sheet.own, array)]
+    arrive(lat, sheet.rows, s, m, face[slot.CLIMB])
     margin = sheet.lattice[slot.MARGIN]
     if not columnar and margin > 0.0:  # a lenslet with a seam is an island with walls
-        hold_in_zone(sheet.lattice, s, m, margin, 0.0, 0.0)
+        hold_in_zone(lat, s, m, margin, 0.0, 0.0)
 
 
 @inlined
 def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex: Vector) -> None:
     """A hit on a structured face must be in its cell still at the face's end, or before the body's other face."""
-    face, other, body = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)], sheet.bodies[f // 2]
+    face, body = sheet.faces[f], sheet.bodies[f // 2]
     vx, vy, vz = vertex
     if body[slot.COLUMNAR] == 0.0:
-        _in_cell_at(sheet.lattice, s, m, face[slot.HIGH] - vz, vx, vy, sheet.lattice[slot.MARGIN])
+        lat = sheet.lattices[row_of(sheet.own, int(face[slot.ARRAY]))]
+        _in_cell_at(lat, s, m, face[slot.HIGH] - vz, vx, vy, lat[slot.MARGIN])
     elif body[slot.COVERED] == 0.0 and not facets:
-        if face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
-            _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
-        else:
-            _thick(sheet.faces, f, s, m)
+        _before_other(sheet.own, sheet, f, s, m)
+
+
+@inlined
+def _before_other(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
+    """A hit must come before the body's other face."""
+    face, other = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)]
+    if own is not None:
+        own_thick(sheet, own, f, s, m)
+    elif face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
+        _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
+    else:
+        _thick(sheet.faces, f, s, m)
 
 
 @exact
@@ -566,7 +616,7 @@ def straight(
     `Packed.indices`) the rows SHARE and DEPTH gather what bare faces let through of unpolarised light and what the
     bodies absorb, and no hit is stored.
     """
-    faces, bodies, lat, _, indices, _ = sheet
+    faces, bodies, lat, indices, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.indices, sheet.own
     m = len(chosen)
     array, met, counted = 0, 0, len(indices) > len(bodies)
     for i in range(m if counted else 0):
@@ -606,15 +656,18 @@ def straight(
                 if structured:
                     hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
-                _cross(sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
+                _into_lens(own, sheet, f, s, m)
+                _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
             if counted:
                 _lose(sheet, f, s, m, media)
+            if tiles is None:
+                _out_of_lens(own, sheet, f, s, m)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
                 _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
             if not columnar:
-                _in_inner(body, lat, s, m, array, ox, oy)
+                _in_inner(body, sheet.lattices[row_of(sheet.own, array)], s, m, array, ox, oy)
             if f == 0:
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
@@ -622,5 +675,7 @@ def straight(
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
-            _in_cell_at(lat, s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
+            _in_cell_at(
+                sheet.lattices[row_of(sheet.own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0
+            )
     return array

@@ -9,12 +9,21 @@ import numpy as np
 from clacad.base.types import Rows
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk, trace_chunk_of_triangles
-from clacad.tracing.compiled.packing import in_single, pack
+from clacad.tracing.compiled.packing import Packed, in_single, pack
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.triangles.facet_grid import Triangles
 from clacad.tracing.triangles.tiles import Tiles
+
+
+def packed(layout: Layout) -> Packed:
+    """A layout of any cells, packed; what knows of cells that differ is loaded where they do."""
+    if layout.window.uniform:
+        return pack(layout)
+    from clacad.tracing.compiled.own_cells import pack_own
+
+    return pack_own(layout)
 
 
 def trace_compiled(
@@ -33,7 +42,7 @@ def trace_compiled(
     facets : a mesh's own tiles, or triangles from anywhere, in place of the smooth faces
     single : the straight path in single precision; rays for which it does not hold are traced in double
     """
-    sheet = pack(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
+    sheet = packed(layout)._replace(indices=np.asarray(indices, dtype=np.float64))
     position, direction, out = in_arrays(rays, ledger)
     rounded = in_single(sheet) if single else sheet
 
