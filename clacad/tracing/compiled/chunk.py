@@ -35,6 +35,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    lane,
 )
 from clacad.tracing.compiled.walk import walk_ray
 from clacad.tracing.triangles.compiled_grid import straight_through
@@ -55,7 +56,7 @@ ARRIVED = (*LAUNCHED, CI0, CJ0)
 @exact
 def load_block(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> None:
     """Copy a block of starts and directions into the scratch rows."""
-    x, y, z, dx, dy, dz = s[X], s[Y], s[Z], s[DX], s[DY], s[DZ]
+    x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
     if _together(chosen):
         start, ray = position[chosen[0] : chosen[-1] + 1], direction[chosen[0] : chosen[-1] + 1]
         for k in range(len(chosen)):
@@ -83,8 +84,8 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
     """Write the rows of a block; those of rays whose straight trace does not hold mean nothing."""
     faces, bodies = sheet.faces, sheet.bodies
     m = len(chosen)
-    px, py, z, dz, good = s[GX], s[GY], s[Z], s[DZ], s[GOOD]
-    ci, cj, ci0, cj0 = s[CI], s[CJ], s[CI0], s[CJ0]
+    px, py, z, dz, good = lane(s, GX), lane(s, GY), lane(s, Z), lane(s, DZ), lane(s, GOOD)
+    ci, cj, ci0, cj0 = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0)
     last = len(faces) - 1
     face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
     centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
@@ -116,12 +117,12 @@ def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> N
         out.path[first : first + m],
         out.surface[first : first + m],
     )
-    ci, cj, length = s[CI], s[CJ], s[PATH]
-    _store_vectors(s[GX], s[GY], s[Z], out.position, first, m)
-    _store_vectors(s[DX], s[DY], s[DZ], out.direction, first, m)
+    ci, cj, length = lane(s, CI), lane(s, CJ), lane(s, PATH)
+    _store_vectors(lane(s, GX), lane(s, GY), lane(s, Z), out.position, first, m)
+    _store_vectors(lane(s, DX), lane(s, DY), lane(s, DZ), out.direction, first, m)
     for k in range(m):
         path[k] = length[k]
-    _store_cells(s[CI0], s[CJ0], out.cell, first, m)
+    _store_cells(lane(s, CI0), lane(s, CJ0), out.cell, first, m)
     _store_cells(ci, cj, out.order, first, m)
     for k in range(m):
         surface[k] = last
@@ -216,7 +217,7 @@ def trace_chunk(
         m = len(block)
         load_block(block, start, ray, s)
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
-        copy_row(s[PATH], carried, m)
+        copy_row(lane(s, PATH), carried, m)
         array = straight(tiles, sheet, s, block, out.hits, out.turns, carried)
         store_block(sheet, s, block, array, out)
         _share(sheet, s, block, out.turns)
@@ -248,7 +249,7 @@ def straight_chunk_single(
         launch_block(sheet.lattice, sheet.bodies[0], wide, m)
         for row in LAUNCHED:
             copy_row(wide[row], s[row], m)
-        copy_row(s[PATH], carried, m)
+        copy_row(lane(s, PATH), carried, m)
         array = straight(None, rounded, s, block, none, none, carried)
         for row in ARRIVED:
             copy_row(s[row], wide[row], m)
@@ -277,7 +278,7 @@ def _share(sheet: Packed, s: Floats, block: Rows, turns: Floats) -> None:
 @exact
 def queue_undecided(s: Floats, block: Rows, waiting: Rows, count: int) -> int:
     """Put the rays of a block whose straight trace does not hold on the list of those to be walked."""
-    good = s[GOOD]
+    good = lane(s, GOOD)
     for k in range(len(block)):
         if good[k] == 0.0:
             waiting[count] = block[k]
