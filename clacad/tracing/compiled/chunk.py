@@ -7,6 +7,7 @@ from math import exp, isfinite, nan
 import numpy as np
 
 from clacad.base.compiled import exact, making, owning
+from clacad.base.compiled_vectors import EIGHT, eight_apart, eight_together
 from clacad.base.types import Cells, Floats, Rows, Singles
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
@@ -58,16 +59,23 @@ def load_block(chosen: Rows, position: Floats, direction: Floats, s: Floats) -> 
     """Copy a block of starts and directions into the scratch rows."""
     x, y, z, dx, dy, dz = lane(s, X), lane(s, Y), lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ)
     if _together(chosen):
-        start, ray = position[chosen[0] : chosen[-1] + 1], direction[chosen[0] : chosen[-1] + 1]
-        for k in range(len(chosen)):
-            x[k], y[k], z[k] = start[k, 0], start[k, 1], start[k, 2]
-        for k in range(len(chosen)):
-            dx[k], dy[k], dz[k] = ray[k, 0], ray[k, 1], ray[k, 2]
+        _load_vectors(position, chosen[0], len(chosen), x, y, z)
+        _load_vectors(direction, chosen[0], len(chosen), dx, dy, dz)
         return
     for k in range(len(chosen)):
         row = chosen[k]
         x[k], y[k], z[k] = position[row, 0], position[row, 1], position[row, 2]
         dx[k], dy[k], dz[k] = direction[row, 0], direction[row, 1], direction[row, 2]
+
+
+@exact
+def _load_vectors(column: Floats, first: int, m: int, x: Floats, y: Floats, z: Floats) -> None:
+    """Read m vectors of a column (n, 3) from a row on."""
+    whole = m - m % EIGHT
+    for k in range(0, whole, EIGHT):
+        eight_apart(column, first + k, x, y, z, k)
+    for k in range(whole, m):
+        x[k], y[k], z[k] = column[first + k, 0], column[first + k, 1], column[first + k, 2]
 
 
 @exact
@@ -93,9 +101,11 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
         good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
         z[k] += top
     for k in range(m):
-        i0, j0 = ci0[k], cj0[k]
-        ci[k], cj[k] = (ci[k] - i0, cj[k] - j0) if good[k] > 0.0 else (0.0, 0.0)
-        ci0[k], cj0[k] = (i0, j0) if good[k] > 0.0 else (0.0, 0.0)
+        i0, j0, holds = ci0[k], cj0[k], good[k] > 0.0
+        ci[k] = ci[k] - i0 if holds else 0.0
+        cj[k] = cj[k] - j0 if holds else 0.0
+        ci0[k] = i0 if holds else 0.0
+        cj0[k] = j0 if holds else 0.0
     if _together(chosen):
         _store_together(s, chosen[0], m, last, out)
         return
@@ -132,15 +142,17 @@ def _store_together(s: Floats, first: int, m: int, last: int, out: Outcome) -> N
 
 @exact
 def _store_vectors(x: Floats, y: Floats, z: Floats, column: Floats, first: int, m: int) -> None:
-    """Write m vectors of a column (n, 3) from a row on; counted in numbers, three apart is plain to the compiler."""
-    flat = column.reshape(column.size)[3 * first : 3 * (first + m)]
-    for k in range(m):
-        flat[3 * k], flat[3 * k + 1], flat[3 * k + 2] = x[k], y[k], z[k]
+    """Write m vectors of a column (n, 3) from a row on."""
+    whole = m - m % EIGHT
+    for k in range(0, whole, EIGHT):
+        eight_together(column, first + k, x, y, z, k)
+    for k in range(whole, m):
+        column[first + k, 0], column[first + k, 1], column[first + k, 2] = x[k], y[k], z[k]
 
 
 @exact
 def _store_cells(i: Floats, j: Floats, column: Cells, first: int, m: int) -> None:
-    """Write m cells of a column (n, 2) from a row on; see `_store_vectors`."""
+    """Write m cells of a column (n, 2) from a row on; counted in numbers, two apart is plain to the compiler."""
     flat = column.reshape(column.size)[2 * first : 2 * (first + m)]
     for k in range(m):
         flat[2 * k], flat[2 * k + 1] = np.int32(i[k]), np.int32(j[k])

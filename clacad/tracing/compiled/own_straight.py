@@ -17,7 +17,6 @@ from clacad.tracing.compiled.array_cells import (
     grid_of,
     own_apex,
     steps_to,
-    tabled,
     times_gradient,
 )
 from clacad.tracing.compiled.cells import hexagon_steps
@@ -148,11 +147,23 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None
     for i in range(m):
         ax[i], ay[i] = times_gradient(gradient, centre_of(grid, ci[i], cj[i]))
     which = int(own.change[f, slot.TABLE])
-    for i in range(m if which >= 0 else 0):
-        tx, ty = tabled(sheet, own, which, ci[i], cj[i])
-        ax[i], ay[i] = ax[i] + tx, ay[i] + ty
+    if which >= 0:
+        _add_tabled(sheet, own.table[which], s, m)
     for i in range(m):
         x[i], y[i] = x[i] - ax[i], y[i] - ay[i]
+
+
+@exact
+def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
+    """Add a table's part of the lenses' places; rays that are GOOD have arrived in cells that are kept."""
+    ax, ay, ci, cj, good = lane(s, AX), lane(s, AY), lane(s, CI), lane(s, CJ), lane(s, GOOD)
+    hexagonal = sheet.lattice[slot.HEXAGONAL] != 0.0
+    for i in range(m):
+        kept = good[i] > 0.0
+        a, b = int(ci[i]) if kept else 0, int(cj[i]) if kept else 0
+        place = a + b // 2 if hexagonal else a
+        ax[i] += table[place, b, 0]
+        ay[i] += table[place, b, 1]
 
 
 @exact
