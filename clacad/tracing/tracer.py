@@ -254,7 +254,8 @@ def _compiled(
     if line is not False:  # the kernels write every row themselves
         ledger = Ledger.blank(len(rays), recorded)
         indices = tuple(body.index_at(line) for body in layout.window.bodies)
-        trace_compiled(layout, rays, ledger, np.arange(len(rays)), indices, count, facets, single)
+        rows = np.arange(len(rays)) if recorded else range(len(rays))
+        trace_compiled(layout, rays, ledger, rows, indices, count, facets, single)
     else:
         ledger = Ledger.opened(rays, recorded)
         for rows, indices in colours(layout, rays, ledger.launchable()):

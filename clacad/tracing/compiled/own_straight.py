@@ -17,7 +17,6 @@ from clacad.tracing.compiled.array_cells import (
     grid_of,
     own_apex,
     steps_to,
-    tabled,
     times_gradient,
 )
 from clacad.tracing.compiled.cells import hexagon_steps
@@ -39,6 +38,7 @@ from clacad.tracing.compiled.straight_path_slots import (
     X,
     Y,
     Z,
+    lane,
 )
 
 CLEAR = 2.0**-44
@@ -54,11 +54,11 @@ def carry_own(
     Cells of one index in two arrays are that many times the difference of their pitches apart, which is exact where they
     are alike; products and sums of it are kept in pairs.
     """
-    z, dx, dy, dz, path = s[Z], s[DX], s[DY], s[DZ], s[PATH]
+    z, dx, dy, dz, path = lane(s, Z), lane(s, DX), lane(s, DY), lane(s, DZ), lane(s, PATH)
     ox, oy, oz = origin
     rise = level - oz
     here, there = lattices[arrays[0]], lattices[arrays[1]]
-    x, y, xl, yl, ci, cj = s[X], s[Y], s[XL], s[YL], s[CI], s[CJ]
+    x, y, xl, yl, ci, cj = lane(s, X), lane(s, Y), lane(s, XL), lane(s, YL), lane(s, CI), lane(s, CJ)
     for i in range(m):
         t = (rise - z[i]) / dz[i]
         x[i], y[i] = x[i] + ox + t * dx[i], y[i] + oy + t * dy[i]
@@ -72,8 +72,8 @@ def carry_own(
     if here[slot.HEXAGONAL] != 0.0:
         _into_hexagons(there, s, m)
         return
-    _into_squares(x, xl, ci, s[GOOD], m, two.pitch)
-    _into_squares(y, yl, cj, s[GOOD], m, two.row)
+    _into_squares(x, xl, ci, lane(s, GOOD), m, two.pitch)
+    _into_squares(y, yl, cj, lane(s, GOOD), m, two.row)
 
 
 @exact
@@ -110,7 +110,15 @@ def _into_squares(x: Floats, low: Floats, cell: Floats, good: Floats, m: int, pi
 
 @exact
 def _into_hexagons(lat: Floats, s: Floats, m: int) -> None:
-    x, y, xl, yl, ci, cj, good = s[X], s[Y], s[XL], s[YL], s[CI], s[CJ], s[GOOD]
+    x, y, xl, yl, ci, cj, good = (
+        lane(s, X),
+        lane(s, Y),
+        lane(s, XL),
+        lane(s, YL),
+        lane(s, CI),
+        lane(s, CJ),
+        lane(s, GOOD),
+    )
     pitch, row = lat[slot.PITCH], lat[slot.ROW]
     per_pitch, per_row, half, slant = 1.0 / pitch, 1.0 / row, 0.5 * pitch, row / pitch
     clear = half * (1.0 - CLEAR)
@@ -134,16 +142,28 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None
     """Positions seen from the lens of each ray's own cell, as far as lenses stand elsewhere in every cell."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
-    x, y, ax, ay, ci, cj = s[X], s[Y], s[AX], s[AY], s[CI], s[CJ]
+    x, y, ax, ay, ci, cj = lane(s, X), lane(s, Y), lane(s, AX), lane(s, AY), lane(s, CI), lane(s, CJ)
     grid, gradient = grid_of(sheet.lattice), gradient_of(own, f)
     for i in range(m):
         ax[i], ay[i] = times_gradient(gradient, centre_of(grid, ci[i], cj[i]))
     which = int(own.change[f, slot.TABLE])
-    for i in range(m if which >= 0 else 0):
-        tx, ty = tabled(sheet, own, which, ci[i], cj[i])
-        ax[i], ay[i] = ax[i] + tx, ay[i] + ty
+    if which >= 0:
+        _add_tabled(sheet, own.table[which], s, m)
     for i in range(m):
         x[i], y[i] = x[i] - ax[i], y[i] - ay[i]
+
+
+@exact
+def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
+    """Add a table's part of the lenses' places; rays that are GOOD have arrived in cells that are kept."""
+    ax, ay, ci, cj, good = lane(s, AX), lane(s, AY), lane(s, CI), lane(s, CJ), lane(s, GOOD)
+    hexagonal = sheet.lattice[slot.HEXAGONAL] != 0.0
+    for i in range(m):
+        kept = good[i] > 0.0
+        a, b = int(ci[i]) if kept else 0, int(cj[i]) if kept else 0
+        place = a + b // 2 if hexagonal else a
+        ax[i] += table[place, b, 0]
+        ay[i] += table[place, b, 1]
 
 
 @exact
@@ -151,7 +171,7 @@ def from_own_lens(own: OwnCells, f: int, s: Floats, m: int) -> None:
     """Positions as before `to_own_lens`."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
-    x, y, ax, ay = s[X], s[Y], s[AX], s[AY]
+    x, y, ax, ay = lane(s, X), lane(s, Y), lane(s, AX), lane(s, AY)
     for i in range(m):
         x[i], y[i] = x[i] + ax[i], y[i] + ay[i]
 
