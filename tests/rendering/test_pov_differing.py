@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ from povpictures import needs_povray, povray
 from viewscenes import ROOT
 
 import clacad
+from clacad.cli.entry_point import main
 from clacad.formats.pov.pov_scene import NotForPov, pov_lines
 from clacad.rendering import view_through
 from clacad.rendering.screen_measure import sheet_points
@@ -157,3 +159,29 @@ def test_a_conic_of_revolution_is_a_quadric_and_others_are_refused_in_words():
     assert (a, b, kappa) == pytest.approx((c, c, 0.3 * c), rel=1e-9)
     with pytest.raises(NotForPov, match="cannot hold biconic or polynomial faces"):
         list(pov_lines(clacad.prescribe(design.replace("pair.conic", [-0.7, -0.6])), None))
+
+
+def test_the_price_is_said_before_work_to_the_byte(tmp_path, capsys):
+    design, changes = DESIGNS["aimed"]
+    asked = [
+        "export",
+        str(ROOT / "designs" / f"{design}.toml"),
+        "-o",
+        str(tmp_path / "out"),
+        "--format",
+        "pov",
+        "-q",
+    ]
+    for key, value in changes.items():
+        asked += [
+            "--set",
+            f"{key}={json.dumps(value).replace(': ', ' = ').replace(chr(34) + 'point' + chr(34), 'point')}",
+        ]
+    assert main([*asked, "--dry-run", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert not (tmp_path / "out").exists()
+    assert main(asked) == 0
+    assert row["bytes"] == (tmp_path / "out" / "window-100mm.pov").stat().st_size
+    assert row["note"].startswith(
+        "every cell differs: the places of 156 lenses are a table; POV-Ray reads it in"
+    )

@@ -212,6 +212,34 @@ def in_every_cell(
         yield from all_cells(window, name, array, units, str(look))
 
 
+def all_rows(window: Window, array: int, units: float, span: HeightRange) -> Iterator[str]:
+    """Footprint of the cells of rectangles that an outline keeps between two heights: a box for each stretch of a row.
+
+    What is taken away from a solid is gone through piece by piece for every ray, so that boxes of cells would cost too much.
+    """
+    lattice, shift = window.lattice_of(array), window.shifts[array]
+    (x0, y0), (px, py) = (np.add(lattice.first_centre, shift) * units).tolist(), lattice.pitch
+    low, high = number(units * span.low), number(units * span.high)
+    left, below, wide, tall = (
+        number(v) for v in (x0 - 0.5 * units * px, y0 - 0.5 * units * py, units * px, units * py)
+    )
+    outline = window.lattice.outline
+    k, j, rows = (
+        ("R", "ROW[R]", "dimension_size(ROW, 1)")
+        if isinstance(outline, Plate)
+        else ("J", "J", f"{lattice.count[1]}")
+    )
+    first, end = f"FIRST[{k}]", f"END[{k}]"
+    yield "union {"
+    yield f"  #declare {k} = 0; #while ({k} < {rows})"
+    yield f"    #if ({first} < {end})"
+    yield f"      box {{ <{left} + {first}*{wide}, {below} + {j}*{tall}, {low}>,"
+    yield f"        <{left} + {end}*{wide}, {below} + ({j} + 1)*{tall}, {high}> }}"
+    yield "    #end"
+    yield f"  #declare {k} = {k} + 1; #end"
+    yield "}"
+
+
 def all_cells(
     window: Window, name: str, array: int, units: float, look: str, beyond: int = 0
 ) -> Iterator[str]:

@@ -18,6 +18,7 @@ from clacad.formats.pov.pov_cells import (
     HeightRange,
     Look,
     all_cells,
+    all_rows,
     hair,
     in_every_cell,
     keeps_off,
@@ -258,9 +259,11 @@ def _beside(window: Window, array: int, units: float, span: HeightRange, look: L
     body = next(b for b in window.bodies if array in (b.front.array, b.back.array))
     yield "difference {"
     yield f"  {_outline(window, body, units, span)}"
-    if window.lattice.hexagonal or window.lattice.outline is not None:
+    if window.lattice.hexagonal:
         yield f"  #declare Gone = {prism(window, array, units, wider, spare=0.0)}"
         yield from (f"  {line}" for line in all_cells(window, "Gone", array, units, ""))
+    elif window.lattice.outline is not None:
+        yield from (f"  {line}" for line in all_rows(window, array, units, wider))
     else:
         x0, x1, y0, y1 = window.placements[array].extent(window.lattice)
         low, high = (number(units * z) for z in (wider.low, wider.high))
