@@ -51,6 +51,7 @@ from clacad.prescription.thickness import auto_thickness
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
+from clacad.sheet.turn import held_when_turned
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
 
 if TYPE_CHECKING:
@@ -569,6 +570,8 @@ def _assemble_window(
     second, cut = window.placements[1], window.lattice.outline
     moved = second.shift if window.form == "slab" else (0.0, 0.0)
     wider = max(second.scale(window.lattice))
+    if second.turn and isinstance(cut, Rectangle):
+        wider = max(wider, 1.0) / held_when_turned((cut.width, cut.height), second.turn)
     if isinstance(cut, Circle | Rectangle) and (moved != (0.0, 0.0) or wider > 1.0):
         # whole cells of both arrays shall lie inside: array 2's stand apart by `moved`, and may be larger
         window = replace(window, lattice=replace(window.lattice, outline=_within(cut, moved, wider)))
@@ -595,7 +598,7 @@ def _own_places(window: Window, design: Design) -> Window:
         from clacad.prescription.sharp_pairs import with_focus
 
         return with_focus(window, design)
-    if design.lattice.pitch_2 is not None:
+    if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
         from clacad.prescription.superlens import with_pitch_2
 
         return with_pitch_2(window, design)

@@ -76,7 +76,7 @@ def _pack_own(layout: Layout) -> OwnCells:
     tables: list[Floats] = []
     for array, lattice in enumerate(layout.lattices):
         row = base.copy()
-        row[slot.PITCH], row[slot.ROW] = lattice.pitch[0], lattice.a2[1]
+        row[slot.PITCH], row[slot.ROW] = lattice.pitch[0], lattice.row_height
         row[slot.X0], row[slot.Y0] = lattice.first_centre
         row[slot.HALF : slot.HALF + len(layout.halves)] = layout.widths[array]
         row[slot.REACH] = lattice.circumradius

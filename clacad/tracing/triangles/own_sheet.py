@@ -66,7 +66,7 @@ def endless(window: Window) -> Window:
         placements=tuple(CellPlacement(place.shift) for place in window.placements),
         lattice=replace(window.lattice, count=(4 * n1 + 8, 4 * n2 + 8), outline=None),
         outline=None,
-        thin=replace(window.thin, pitch=None, change=None),
+        thin=replace(window.thin, pitch=None, turn=0.0, change=None),
         cell_laws=None,
     )
 
