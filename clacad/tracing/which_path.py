@@ -43,6 +43,8 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
     Without a path the rays are counted among those that waited.
     """
     if not layout.window.uniform:  # one kernel, of the exact surfaces; too seldom to count what waits for it
+        if any(place.turn for place in layout.window.placements):  # its cells lie along the sheet's axes
+            return False
         return rung == "surfaces" and (path == "numba" or (path != "numpy" and worth_compiled(rays, faces)))
     if rung == "thin" and layout.window.thin.field:
         return False
