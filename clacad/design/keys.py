@@ -221,7 +221,9 @@ LATTICE: Final[dict[str, Key]] = {
     "pitch_2": Key(
         Several(_ABOVE_0, _XY, single=True), "size of a cell of array 2, where it is another: a superlens"
     ),
-    "rotation_2": Key(_TURN, "turn of array 2 against array 1 about the sheet's normal: a moire magnifier", 0.0),
+    "rotation_2": Key(
+        _TURN, "turn of array 2 against array 1 about the sheet's normal: a moire magnifier", 0.0
+    ),
 }
 BODY: Final[dict[str, Key]] = {
     "border": Key(_FROM_0, "width of the land round the sheet", 0.0),

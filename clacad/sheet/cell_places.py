@@ -54,7 +54,9 @@ class CellPlacement:
         """The array's own pattern about its own middle; which cells exist is asked of `base`, for it alone has the outline."""
         if not self.own:
             return base
-        return replace(base, pitch=base.pitch if self.pitch is None else self.pitch, outline=None, turn=self.turn)
+        return replace(
+            base, pitch=base.pitch if self.pitch is None else self.pitch, outline=None, turn=self.turn
+        )
 
     def scale(self, base: Lattice) -> Pair2:
         """Pitch of the array over that of the lattice `base`, along x and y."""

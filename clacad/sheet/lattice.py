@@ -342,7 +342,9 @@ class Lattice:
             sheet's axes all the same, and rounded once more.
         """
         if self.turn:
-            return self._locate_turned((x, np.broadcast_to(x_low, x.shape)), (y, np.broadcast_to(y_low, y.shape)))
+            return self._locate_turned(
+                (x, np.broadcast_to(x_low, x.shape)), (y, np.broadcast_to(y_low, y.shape))
+            )
         if not self.hexagonal:
             i, local_x = _locate_axis(x, x_low, self.pitch[0], self.count[0])
             j, local_y = _locate_axis(y, y_low, self.pitch[1], self.count[1])

@@ -425,8 +425,14 @@ def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[flo
         reach = 0.5 * min(place.scale(lattice)) * min(x1 - x0, y1 - y0)
         if isinstance(lattice.outline, Circle | Rectangle):
             sides = lattice.outline
-            reach = 0.5 * scale * (sides.diameter if isinstance(sides, Circle) else min(sides.width, sides.height))
-        lost = 0.0 if not lattice.hexagonal and lattice.outline is None else 4.0 * scale * lattice.circumradius
+            reach = (
+                0.5
+                * scale
+                * (sides.diameter if isinstance(sides, Circle) else min(sides.width, sides.height))
+            )
+        lost = (
+            0.0 if not lattice.hexagonal and lattice.outline is None else 4.0 * scale * lattice.circumradius
+        )
         return reach - lost, reach - lost, reach - lost
     half_x, half_y = 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
     if not lattice.hexagonal and lattice.outline is None:

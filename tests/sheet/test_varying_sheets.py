@@ -223,7 +223,12 @@ PRESENT = {
 SHEET = {"law.varying": {}, "lattice.pitch_2": {"law__varying": None, "lattice__pitch_2": 0.4975},
          "lattice.rotation_2": {"law__varying": None, "lattice__rotation_2": "0.2 deg"},
          "pair.focus": {"law__varying": None, "pair__focus": {"object": -300, "image": 400}}}  # fmt: skip
-ITS_OWN = {"law.varying": "law that varies", "lattice.pitch_2": "other pitch", "lattice.rotation_2": "turned array", "pair.focus": "sharp pairs"}
+ITS_OWN = {
+    "law.varying": "law that varies",
+    "lattice.pitch_2": "other pitch",
+    "lattice.rotation_2": "turned array",
+    "pair.focus": "sharp pairs",
+}
 
 
 @pytest.mark.parametrize("feature", [f.name for f in FEATURES])

@@ -5,10 +5,9 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterable, Iterator
+from math import degrees
 from pathlib import Path
 from typing import Any
-
-from math import degrees
 
 import numpy as np
 

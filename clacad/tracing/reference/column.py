@@ -151,7 +151,10 @@ def _next_border(layout: Layout, piece: _Piece) -> tuple[Floats, Ints]:
     count = len(layout.halves)
     for array, start in piece.starts.items():
         for n in range(count):
-            here, speed = along_normal(layout, array, n, start), along_normal(layout, array, n, piece.direction)
+            here, speed = (
+                along_normal(layout, array, n, start),
+                along_normal(layout, array, n, piece.direction),
+            )
             t = (np.copysign(layout.widths[array, n], speed) - here) / speed
             t = np.where(speed == 0.0, np.inf, t)
             closer = t < nearest

@@ -132,9 +132,7 @@ def thin_layout(layout: Layout) -> Layout:
     """The same window with the cells of array 2 and of field lenses where the thin pair has them."""
     pair = layout.window.thin
     field = tuple(CellPlacement((float(x), float(y))) for x, y, _ in map(pair.field_centre, pair.field))
-    window = replace(
-        layout.window, placements=(CellPlacement(), pair.second, *field)
-    )
+    window = replace(layout.window, placements=(CellPlacement(), pair.second, *field))
     return replace(layout, window=window, **array_numbers(layout.lattice, window.placements))
 
 

@@ -148,8 +148,13 @@ def _pixels(kind: str) -> Reader:
         x = map_.origin[0] + map_.pixel * (columns + 0.5) - centre[0]
         y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows) - centre[1]
         gx, gy = np.meshgrid(x, y)
-        mine = in_optical_tile(of.window, gx, gy, of.face.array or 0)  # the stand-in's cells may be larger, or lie straight
-        return Samples(np.column_stack([gx.ravel(), gy.ravel(), np.where(mine, z, np.nan).ravel()]), np.full(2, map_.pixel))
+        mine = in_optical_tile(
+            of.window, gx, gy, of.face.array or 0
+        )  # the stand-in's cells may be larger, or lie straight
+        return Samples(
+            np.column_stack([gx.ravel(), gy.ravel(), np.where(mine, z, np.nan).ravel()]),
+            np.full(2, map_.pixel),
+        )
 
     return read
 
