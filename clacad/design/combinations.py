@@ -145,7 +145,6 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     ROTATION_2: _OWN_ARRAY,
     FOCUS: {
         "tilt": _HEIGHTS,
-        "biconvex": "thick lenses of two curved faces are solved for an afocal pair",
         "given faces": "its faces follow from the two planes",
         "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
         "aimed at a point": "its cells look along its chief rays",
@@ -154,8 +153,7 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "law that varies": _APART,
         "other pitch": _FOLLOWS,
         "turned array": "its cells look along its chief rays",
-        "curved inside": "the plane faces lie between its lenses and the planes, and shift them by their thickness",
-        "thin recipe": "its lenses are thick ones of one curved face each",
+        "thin recipe": "it leaves out the thickness that sharp lenses are solved for",
         "confocal best": "its radii are for parallel light along the axis",
         "plate with holes, corners or pins": _PATTERN,
         "field lens": "there is no common focus for it to stand at",
