@@ -86,6 +86,7 @@ FEATURES: Final = (
     Feature("traced vertices", "pair.offset", lambda a: a("pair.offset") == "traced", 'offset = "paraxial"'),
     Feature("law that varies", "law.varying", lambda a: a("law.varying") is not None, "leave one of the two out"),
     Feature("other pitch", "lattice.pitch_2", lambda a: a("lattice.pitch_2") is not None, "leave one of the two out"),
+    Feature("turned array", "lattice.rotation_2", lambda a: bool(a("lattice.rotation_2")), "leave one of the two out"),
     Feature("sharp pairs", "pair.focus", _focused, "leave one of the two out"),
     Feature("curved inside", "pair.curved", lambda a: a("pair.form") == "plano" and a("pair.curved") == "inside", 'curved = "outside"'),
     Feature("thin recipe", "pair.confocal", lambda a: a("pair.confocal") == "thin", 'confocal = "exact"'),
@@ -98,10 +99,12 @@ FEATURES: Final = (
 
 VARYING: Final = "law.varying"
 PITCH_2: Final = "lattice.pitch_2"
+ROTATION_2: Final = "lattice.rotation_2"
 FOCUS: Final = "pair.focus"
 SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
     VARYING: lambda a: a(VARYING) is not None,
     PITCH_2: lambda a: a(PITCH_2) is not None,
+    ROTATION_2: lambda a: bool(a(ROTATION_2)),
     FOCUS: _focused,
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
@@ -112,32 +115,36 @@ _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean
 _APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
 _FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
 
+_OWN_ARRAY: Final[Mapping[str, str]] = {
+    "tilt": _HEIGHTS,
+    "aimed at a point": "its cells look at the nodal point",
+    "steered": "its cells look at the nodal point",
+    "traced vertices": "its lenses stand in the middle of their own cells",
+    "law that varies": "where its lenses stand is its law",
+    "sharp pairs": _FOLLOWS,
+    "confocal best": "its radii are for light along the axis alone",
+    "plate with holes, corners or pins": _PATTERN,
+    "field lens": "field lenses would stand in every cell at a place of their own",
+    "baffle": _CHANNELS,
+}
+"""What a sheet whose array 2 is of another pitch, or turned, does not have."""
+
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     VARYING: {
         "tilt": _HEIGHTS,
         "aimed at a point": "lenses 2 are traced for light of one direction over the sheet",
         "other pitch": "its cells stand over their partners",
+        "turned array": "its cells stand over their partners",
         "sharp pairs": _APART,
         "confocal best": "its radii are for light along the axis alone",
         "plate with holes, corners or pins": _PATTERN,
         "field lens": "field lenses would stand in every cell at a place of their own",
         "baffle": _CHANNELS,
     },
-    PITCH_2: {
-        "tilt": _HEIGHTS,
-        "aimed at a point": "its cells look at the nodal point",
-        "steered": "its cells look at the nodal point",
-        "traced vertices": "its lenses stand in the middle of their own cells",
-        "law that varies": "where its lenses stand is its law",
-        "sharp pairs": _FOLLOWS,
-        "confocal best": "its radii are for light along the axis alone",
-        "plate with holes, corners or pins": _PATTERN,
-        "field lens": "field lenses would stand in every cell at a place of their own",
-        "baffle": _CHANNELS,
-    },
+    PITCH_2: _OWN_ARRAY,
+    ROTATION_2: _OWN_ARRAY,
     FOCUS: {
         "tilt": _HEIGHTS,
-        "biconvex": "thick lenses of two curved faces are solved for an afocal pair",
         "given faces": "its faces follow from the two planes",
         "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
         "aimed at a point": "its cells look along its chief rays",
@@ -145,8 +152,8 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
         "traced vertices": "its lenses stand in the middle of their own cells",
         "law that varies": _APART,
         "other pitch": _FOLLOWS,
-        "curved inside": "the plane faces lie between its lenses and the planes, and shift them by their thickness",
-        "thin recipe": "its lenses are thick ones of one curved face each",
+        "turned array": "its cells look along its chief rays",
+        "thin recipe": "it leaves out the thickness that sharp lenses are solved for",
         "confocal best": "its radii are for parallel light along the axis",
         "plate with holes, corners or pins": _PATTERN,
         "field lens": "there is no common focus for it to stand at",

@@ -42,7 +42,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     places = tuple(
         CellPlacement(_pair(window.centres(k, index) - first)) for k in range(len(window.placements))
     )
-    thin = CellPlacement(window.thin.shift, window.thin.pitch)
+    thin = window.thin.second
     apart = thin.lattice(window.lattice).centres(index) + np.asarray(thin.shift) - first
     lens_2 = np.array(window.thin.offset)
     lens_2[:2] += apart - np.asarray(window.thin.shift)
@@ -57,7 +57,7 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
         cell_laws=None,
         lattice=_wider(window.lattice, wider),
         outline=None if window.outline is None else _larger(window.outline, wider),
-        thin=replace(window.thin, offset=(x, y, z), shift=_pair(apart), pitch=None, change=None),
+        thin=replace(window.thin, offset=(x, y, z), shift=_pair(apart), pitch=None, turn=0.0, change=None),
     )
 
 

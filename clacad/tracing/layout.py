@@ -18,6 +18,7 @@ from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, VertexChange, extreme_cells
 from clacad.sheet.lattice import Circle, Lattice, Rectangle, relocate
 from clacad.sheet.plate import Plate
+from clacad.sheet.turn import turned
 from clacad.sheet.window import Body, Face, Surface, Window, in_optical_tile, lens_height_and_normal
 
 SAMPLES = 49
@@ -121,8 +122,8 @@ class Layout:
     ----------
     window : Window
     bodies : tuple of BodyPlan
-    normals : (k, 2)
-        Unit normals of the borders of a cell, one of each opposite pair (2 or 3).
+    normals : (arrays, k, 2)
+        Unit normals of the borders of a cell of every array, one of each opposite pair (2 or 3).
     halves : (k,) lengths
         Of array 0.
     margin : float
@@ -171,15 +172,11 @@ def lay_out(window: Window) -> Layout:
 
 def _laid_out(window: Window) -> Layout:
     lattice = window.lattice
-    borders = lattice.steps[: len(lattice.steps) // 2]
-    offsets = np.array([lattice.offset(*step) for step in borders])
-    lengths = np.hypot(offsets[:, 0], offsets[:, 1])
     sampled = _sample_cell(window)
     return Layout(
         window=window,
         bodies=tuple(_plan_body(window, body, sampled) for body in window.bodies),
-        normals=offsets / lengths[:, None],
-        halves=0.5 * lengths,
+        halves=_half_widths(lattice),
         margin=0.5 * window.land.seam,
         **array_numbers(lattice, window.placements),
     )
@@ -197,12 +194,28 @@ def array_numbers(lattice: Lattice, placements: tuple[CellPlacement, ...]) -> di
             steps[b, a], residual[b, a] = -whole[0], -rest[0]
     lattices = tuple(place.lattice(lattice) for place in placements)
     widths = [_half_widths(one) for one in lattices]
-    return {"lattices": lattices, "widths": np.array(widths), "whole_steps": steps, "residual": residual}
+    normals = np.array([_border_normals(one) for one in lattices])
+    return {
+        "lattices": lattices,
+        "widths": np.array(widths),
+        "normals": normals,
+        "whole_steps": steps,
+        "residual": residual,
+    }
+
+
+def _border_normals(lattice: Lattice) -> Floats:
+    """Unit normals (k, 2) of one border of each opposite pair."""
+    own = lattice.straight
+    offsets = np.array([own.offset(*step) for step in own.steps[: len(own.steps) // 2]])
+    normals = offsets / np.hypot(offsets[:, 0], offsets[:, 1])[:, None]
+    return turned(normals, lattice.turn) if lattice.turn else np.asarray(normals)
 
 
 def _half_widths(lattice: Lattice) -> Floats:
     """Distance (k,) of one border of each opposite pair from the middle of a cell, lengths."""
-    offsets = np.array([lattice.offset(*step) for step in lattice.steps[: len(lattice.steps) // 2]])
+    own = lattice.straight
+    offsets = np.array([own.offset(*step) for step in own.steps[: len(own.steps) // 2]])
     return np.asarray(0.5 * np.hypot(offsets[:, 0], offsets[:, 1]))
 
 
@@ -294,7 +307,7 @@ def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | Non
     """The sampled points of a face's cell, as its lens sees them that stands where it has to; of all `cells` (m, 2)."""
     if face.array is None:
         return sampled
-    if window.placements[face.array].pitch is not None:
+    if window.placements[face.array].own:
         sampled = _sample_cell(window, face.array)
     if cells is None:
         return sampled
@@ -385,7 +398,7 @@ def _footprint(window: Window, body: Body) -> Footprint:
         place = window.placements[body.front.array if body.front.array is not None else arrays.pop()]
         box = place.extent(window.lattice)
         middle = (0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]))
-        inner = _inside_cells(window.lattice, max(place.scale(window.lattice)), box)
+        inner = _inside_cells(window.lattice, place, box)
         return box, inner, ("none", 0.0, 0.0), middle
     if isinstance(window.outline, Plate):
         x0, x1, y0, y1 = window.outline.box
@@ -404,8 +417,23 @@ def _footprint(window: Window, body: Body) -> Footprint:
     return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, np.inf), ("rectangle", hx, hy), (cx, cy)
 
 
-def _inside_cells(lattice: Lattice, scale: float, box: Box) -> tuple[float, float, float]:
-    """A region about the middle of `box` that lies in the union of the kept cells, those of an array `scale` times as wide."""
+def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[float, float, float]:
+    """A region about the middle of `box` that lies in the union of the kept cells of an array."""
+    scale = max(place.scale(lattice))
+    if place.turn:  # what a circle holds it holds however it is turned
+        x0, x1, y0, y1 = lattice.extent()
+        reach = 0.5 * min(place.scale(lattice)) * min(x1 - x0, y1 - y0)
+        if isinstance(lattice.outline, Circle | Rectangle):
+            sides = lattice.outline
+            reach = (
+                0.5
+                * scale
+                * (sides.diameter if isinstance(sides, Circle) else min(sides.width, sides.height))
+            )
+        lost = (
+            0.0 if not lattice.hexagonal and lattice.outline is None else 4.0 * scale * lattice.circumradius
+        )
+        return reach - lost, reach - lost, reach - lost
     half_x, half_y = 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
     if not lattice.hexagonal and lattice.outline is None:
         return half_x, half_y, np.inf

@@ -44,6 +44,8 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
     """
     if (rung == "thin" and layout.window.thin.field) or (rung != "surfaces" and not layout.window.uniform):
         return False
+    if any(place.turn for place in layout.window.placements):  # the kernels know cells along the sheet's axes
+        return False
     if path is not None:
         return path == "numba" or (path == "size" and worth_compiled(rays, faces))
     kernels = kernels_of(rung, layout)

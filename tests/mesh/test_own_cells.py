@@ -61,6 +61,13 @@ SHEETS = {
     "other pitch": {"lattice__aperture": None, "lattice__pitch_2": 0.51},
     "other pitch, hexagonal": {"lattice__aperture": None, "lattice__pitch_2": 0.505, "lattice__kind": "hexagonal", "body__border": 1.0},
     "other pitch, columns": {"lattice__aperture": None, "lattice__pitch_2": 0.51, "pair": THICK},
+    "turned": {"lattice__aperture": None, "lattice__rotation_2": "4 deg"},
+    "turned, of other pitch, hexagonal": {"lattice__aperture": None, "lattice__pitch_2": 0.505, "lattice__kind": "hexagonal", "lattice__rotation_2": "-20 deg"},
+    "turned, in a border with a seam": {"lattice__aperture": None, "lattice__rotation_2": "30 deg", "lattice__seam": 0.05, "body__border": 0.5},
+    "turned, disc": {"lattice__aperture": None, "lattice__rotation_2": "11 deg", "lattice__count": [8, 8], "lattice__outline": {"circle": 4.2}},
+    "turned, rectangle": {"lattice__aperture": None, "lattice__rotation_2": "7 deg", "lattice__count": [9, 9], "lattice__outline": {"rectangle": [4, 3]}},
+    "turned, columns": {"lattice__aperture": None, "lattice__rotation_2": "40 deg", "pair": THICK},
+    "turned, plano": {"lattice__aperture": None, "lattice__rotation_2": "9 deg", "pair": {"form": "plano", "separation": 10, "index": 1.5}},
 }  # fmt: skip
 EVERY_TIME = ("slab", "law that varies, rims", "law that varies, hexagonal")
 

@@ -136,7 +136,17 @@ def _moved(window, face, cell):
     return [m + mpf(float(t)) for m, t in zip(moved, face.change.table[place, j])]
 
 
+def _turned(place, angle):
+    """A point turned about the middle of its array, in 60 digits."""
+    c, s = mp.cos(mpf(angle)), mp.sin(mpf(angle))
+    return [c * place[0] - s * place[1], s * place[0] + c * place[1]]
+
+
 def _centre(window, cell, array):
+    return _turned(_straight_centre(window, cell, array), window.placements[array].turn)
+
+
+def _straight_centre(window, cell, array):
     lattice, pitch = window.lattice, _pitch(window, array)
     if lattice.kind == "hexagonal":
         return lattice_oracle.centre(mpf(pitch[0]), lattice.count, *cell)
@@ -149,6 +159,7 @@ def _centre(window, cell, array):
 def _cell(window, place, array):
     """Cell of an array with a point of 60 digits, from its middle; a wall belongs to the cell above it."""
     lattice, pitch = window.lattice, _pitch(window, array)
+    place = _turned(place, -window.placements[array].turn)
     if lattice.kind == "hexagonal":
         return lattice_oracle.locate("hexagonal", pitch, lattice.count, *place)[0]
     return tuple(int(mp.floor(u / mpf(p) + mpf(n) / 2)) for u, p, n in zip(place, pitch, lattice.count))

@@ -141,7 +141,7 @@ def test_a_forecast_counts_the_samples_that_a_noise_target_takes(photo):
     assert _again(viewing, plain, aim(plain.camera)) == 1.0
 
 
-SCENE = '''
+SCENE = """
 format = 1
 name = "small"
 unit = "mm"
@@ -160,7 +160,7 @@ height = -2
 tile = 3
 [effects]
 mode = "none"
-'''
+"""
 
 
 @pytest.fixture

@@ -212,6 +212,7 @@ PRESENT = {
     "tolerances": {"tolerances__index": 0.001}, "aimed at a point": {"lattice__aperture": {"point": [0, 0, -400]}},
     "steered": {"lattice__aperture": [0.01, 0.0]}, "traced vertices": {"pair__offset": "traced"},
     "other pitch": {"lattice__pitch_2": 0.499}, "law that varies": {"law__varying": {"f_image": 200}},
+    "turned array": {"lattice__rotation_2": "0.2 deg"},
     "sharp pairs": {"pair__focus": {"object": -300, "image": 400}}, "curved inside": {"pair__form": "plano", "pair__curved": "inside"},
     "thin recipe": {"pair__form": "plano", "pair__confocal": "thin"},
     "confocal best": {"pair__confocal": "best"}, "field lens": {"pair__field_lens": True, "pair__surface": None},
@@ -220,8 +221,14 @@ PRESENT = {
 
 
 SHEET = {"law.varying": {}, "lattice.pitch_2": {"law__varying": None, "lattice__pitch_2": 0.4975},
+         "lattice.rotation_2": {"law__varying": None, "lattice__rotation_2": "0.2 deg"},
          "pair.focus": {"law__varying": None, "pair__focus": {"object": -300, "image": 400}}}  # fmt: skip
-ITS_OWN = {"law.varying": "law that varies", "lattice.pitch_2": "other pitch", "pair.focus": "sharp pairs"}
+ITS_OWN = {
+    "law.varying": "law that varies",
+    "lattice.pitch_2": "other pitch",
+    "lattice.rotation_2": "turned array",
+    "pair.focus": "sharp pairs",
+}
 
 
 @pytest.mark.parametrize("feature", [f.name for f in FEATURES])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterable, Iterator
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +71,11 @@ def surface_table(window: Window, scale: float) -> dict[str, Any]:
 def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
     """What a face has besides where cells differ: the pitch of its array, and that the pose table has its apexes."""
     found: dict[str, Any] = {}
-    if face.array is not None and window.placements[face.array].pitch is not None:
-        found["cells_pitch_mm"] = [p * scale for p in window.lattice_of(face.array).pitch]
+    place = None if face.array is None else window.placements[face.array]
+    if place is not None and place.pitch is not None:
+        found["cells_pitch_mm"] = [p * scale for p in place.lattice(window.lattice).pitch]
+    if place is not None and place.turn:
+        found["cells_turned_deg"] = degrees(place.turn)
     if face.change is not None:
         found |= {
             "apex_in_cell_mm": [None, None, face.vertex[2] * scale],

@@ -41,7 +41,7 @@ def _own_cells(layout: Layout) -> OwnCells:
 
 def _lattice_row(layout: Layout, array: int) -> Floats:
     lattice, row = layout.lattices[array], lattice_row(layout)
-    row[slot.PITCH], row[slot.ROW] = lattice.pitch[0], lattice.a2[1]
+    row[slot.PITCH], row[slot.ROW] = lattice.pitch[0], lattice.row_height
     row[slot.X0], row[slot.Y0] = lattice.first_centre
     row[slot.HALF : slot.HALF + len(layout.halves)] = layout.widths[array]
     row[slot.REACH] = lattice.circumradius

@@ -187,7 +187,7 @@ def lattice_row(layout: Layout) -> Floats:
     row[X0], row[Y0] = lattice.first_centre
     row[MARGIN], row[TINY], row[REACH] = layout.margin, layout.tiny, lattice.circumradius
     row[BORDERS] = borders
-    row[NORMAL : NORMAL + 2 * borders] = layout.normals.ravel()
+    row[NORMAL : NORMAL + 2 * borders] = layout.normals[0].ravel()
     row[HALF : HALF + borders] = layout.halves
     arrays = len(layout.lattices)
     row[SHIFT : SHIFT + 2 * arrays] = np.ravel(layout.window.shifts)

@@ -136,7 +136,7 @@ def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Boo
     """Which points (m, 2) of the cell frame of an array lie at least `margin` inside their cell's borders."""
     inside = np.ones(len(local), dtype=bool)
     with np.errstate(invalid="ignore"):
-        for (ux, uy), half in zip(layout.normals, layout.widths[array], strict=True):
+        for (ux, uy), half in zip(layout.normals[array], layout.widths[array], strict=True):
             inside &= np.abs(ux * local[:, 0] + uy * local[:, 1]) <= half - margin
     return inside
 

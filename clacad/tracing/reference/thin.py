@@ -132,9 +132,7 @@ def thin_layout(layout: Layout) -> Layout:
     """The same window with the cells of array 2 and of field lenses where the thin pair has them."""
     pair = layout.window.thin
     field = tuple(CellPlacement((float(x), float(y))) for x, y, _ in map(pair.field_centre, pair.field))
-    window = replace(
-        layout.window, placements=(CellPlacement(), CellPlacement(pair.shift, pair.pitch), *field)
-    )
+    window = replace(layout.window, placements=(CellPlacement(), pair.second, *field))
     return replace(layout, window=window, **array_numbers(layout.lattice, window.placements))
 
 
@@ -405,7 +403,7 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
 def _next_border(layout: Layout, array: int, local: Floats, ray: Floats) -> tuple[Floats, Ints]:
     nearest, across = np.full(len(local), np.inf), np.zeros(len(local), dtype=np.int64)
     for n, half in enumerate(layout.widths[array]):
-        here, speed = along_normal(layout, n, local), along_normal(layout, n, ray)
+        here, speed = along_normal(layout, array, n, local), along_normal(layout, array, n, ray)
         t = np.where(speed == 0.0, np.inf, (np.copysign(half, speed) - here) / speed)
         closer = t < nearest
         nearest = np.where(closer, t, nearest)
