@@ -180,9 +180,7 @@ def test_effects_change_light_through_triangles_as_those_of_equal_cells(names, t
     assert (one[0].parent == two[0].parent).all()
     for column in ("flux", "direction", "position"):
         assert np.abs(getattr(one[0], column) - getattr(two[0], column)).max() < 1e-9, column
-    assert (one[0].flux < 0.99).any() == bool(
-        {"fresnel", "absorption", "polarisation"} & set(names)
-    )
+    assert (one[0].flux < 0.99).any() == bool({"fresnel", "absorption", "polarisation"} & set(names))
 
 
 @pytest.mark.slow

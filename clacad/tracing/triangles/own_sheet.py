@@ -80,7 +80,8 @@ def endless_layout(layout: Layout) -> Layout:
         )
     )
     bounded = tuple(
-        replace(body, low=own.low, high=own.high) for body, own in zip(wide.bodies, layout.bodies, strict=True)
+        replace(body, low=own.low, high=own.high)
+        for body, own in zip(wide.bodies, layout.bodies, strict=True)
     )
     return replace(wide, bodies=bounded)
 
