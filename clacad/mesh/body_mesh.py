@@ -148,7 +148,7 @@ class BodyMesh:
     step: float
     saddles: int = 0
     bevel_volume: float = 0.0
-    _tallied: list[Tally] = field(default_factory=list, repr=False)
+    _tallied: list[Tally] = field(default_factory=list, init=False, repr=False)
 
     @property
     def own(self) -> bool:
