@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import Progress, say, show_json, show_text
 from clacad.cli.design_commands import load_counted
-from clacad.cli.option_values import parse_angle, parse_cells
+from clacad.cli.option_values import parse_angle, parse_cells, per_format
 from clacad.storage.atomic import require_folder
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _asked(design: Design, request: VerifyRequest) -> tuple[Delivery | None, int
     """What there is to judge, and by how many rays."""
     from clacad.verification.files.find_files import declared_roles, list_files
 
-    roles = declared_roles(parse_roles(request.role))
+    roles = declared_roles(per_format("--role", request.role))
     delivery = None if request.files is None else list_files(request.files, roles)
     if request.target is None:
         return delivery, request.rays
@@ -124,26 +124,6 @@ def _tell(report: Report, name: str, *, json: bool, quiet: bool) -> None:
         if report.verdicts:
             show_text(verdicts_text(report.verdicts), quiet=quiet)
         show_text(report.verdict(), quiet=quiet)
-
-
-def parse_roles(text: str | None) -> str | dict[str, str] | None:
-    """Read one word for all files, or FORMAT=WORD,… (a file's name stands for a format, too).
-
-    Raises
-    ------
-    UnknownRole
-    """
-    from clacad.exporting.request import assignments
-    from clacad.verification.files.find_files import UnknownRole
-
-    if text is None or "=" not in text:
-        return text
-    named = assignments(text)
-    if named is None:
-        raise UnknownRole(
-            f"--role {text}: it is one word, or FORMAT=WORD,FORMAT=WORD with master, preview or scan"
-        )
-    return dict(named)
 
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:
