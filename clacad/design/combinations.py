@@ -109,7 +109,7 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
-_HEIGHTS: Final = "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane"
+_HEIGHTS: Final = "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise with their places"
 _PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
 _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
 _APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
@@ -131,7 +131,6 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
 
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     VARYING: {
-        "tilt": _HEIGHTS,
         "aimed at a point": "lenses 2 are traced for light of one direction over the sheet",
         "other pitch": "its cells stand over their partners",
         "turned array": "its cells stand over their partners",

@@ -43,7 +43,7 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
     Without a path the rays are counted among those that waited.
     """
     if not layout.window.uniform:  # one kernel, of the exact surfaces; too seldom to count what waits for it
-        if any(place.turn for place in layout.window.placements):  # its cells lie along the sheet's axes
+        if _beyond_kernel(layout):
             return False
         return rung == "surfaces" and (path == "numba" or (path != "numpy" and worth_compiled(rays, faces)))
     if rung == "thin" and layout.window.thin.field:
@@ -54,6 +54,13 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
         return True
     WAITED[rung] += rays * faces
     return WAITED[rung] > LOADING and WAITED[rung] > _worth(rung, layout)
+
+
+def _beyond_kernel(layout: Layout) -> bool:
+    """Whether cells differ in ways that the kernel does not know: turned arrays, lenses at heights of their own."""
+    window = layout.window
+    rising = any(face.change is not None and any(face.change.slope) for face in window.faces)
+    return rising or any(place.turn for place in window.placements)
 
 
 def _worth(rung: Rung, layout: Layout) -> int:

@@ -70,9 +70,19 @@ print(json.dumps(told))
 
 def measured(checkout: Path, designs: Path) -> dict[str, tuple[float, str]]:
     """CPU seconds and digest of every job, run by the package in a checkout."""
-    environment = {**os.environ, "PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(checkout),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     done = subprocess.run(
-        [sys.executable, "-c", JOBS, str(designs)], env=environment, cwd=checkout, capture_output=True, text=True, check=True
+        [sys.executable, "-c", JOBS, str(designs)],
+        env=environment,
+        cwd=checkout,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     found: dict[str, tuple[float, str]] = json.loads(done.stdout)
     return found
@@ -92,7 +102,9 @@ def main() -> None:
             same[name] = said == after[name][1]
     print("| job | before / s | now / s | ratio | bytes |\n|---|---:|---:|---:|---|")
     for name, (one, other) in least.items():
-        print(f"| {name} | {one:.3f} | {other:.3f} | {other / one:.2f} | {'the same' if same[name] else 'others'} |")
+        print(
+            f"| {name} | {one:.3f} | {other:.3f} | {other / one:.2f} | {'the same' if same[name] else 'others'} |"
+        )
 
 
 if __name__ == "__main__":

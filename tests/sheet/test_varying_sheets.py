@@ -247,10 +247,12 @@ def test_each_combination_works_or_is_refused_by_one_code_as_the_matrix_says(she
     window = built(**changes)
     cells = window.lattice.cells()
     start = np.column_stack([window.lattice.centres(cells), np.full(len(cells), -1.0)]) + [0.01, 0.01, 0.0]
-    slope = window.placements[1].shift[0] / 10.0 if feature == "steered" else 0.0
-    seen = clacad.trace(window, clacad.Rays(start - [slope, 0, 0], (slope, 0.0, 1.0)))
+    x, y = (
+        np.divide(window.thin.shift, window.thin.offset[2]) if feature in ("steered", "tilt") else (0.0, 0.0)
+    )
+    seen = clacad.trace(window, clacad.Rays(start - [x, y, 0], (x, y, 1.0)))
     for k in np.flatnonzero(seen.fate == Fate.ALIVE):
-        exact = window.law_at(seen.cell[k]).refract([slope, 0.0, 1.0])
+        exact = window.law_at(seen.cell[k]).refract([x, y, 1.0])
         assert np.abs(seen.direction[k] - exact).max() < 5e-3
     assert (seen.fate == Fate.ALIVE).mean() > 0.9
 
