@@ -69,7 +69,7 @@ WIDE = {"lattice.count": FAR}
 GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
-TILTED = {"law.euler": [30, 3, 10], "law.varying": {"f_image": 200}}
+TILTED = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
 CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
 CASES = [
     case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),

@@ -21,7 +21,7 @@ AIMED = {
 }  # fmt: skip
 THICK = {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.6}
 THIN = {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.05, "web": 0.03}
-TILTED = {"eta": [-1.0, -1.0], "euler": [30, 3, 10], "varying": {"f_image": 200}}
+TILTED = {"eta": [-1.0, -1.0], "euler": [30, 3, 10], "varying": {"gradient": [[-0.005, 0.0], [0.0, -0.005]]}}
 VARYING = {"eta": [-1.0, -1.0], "varying": {"f_image": 200}}
 
 
