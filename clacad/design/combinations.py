@@ -43,6 +43,17 @@ def has_plate(a: Ask) -> bool:
     return polygon or any(bool(a(f"body.{key}")) for key in ("holes", "corners", "pins"))
 
 
+def _tilted(a: Ask) -> bool:
+    """Whether lenses lean against the sheet."""
+    return bool((a("law.euler") or (0.0, 0.0, 0.0))[1])
+
+
+def _images(a: Ask) -> bool:
+    """Whether the law varies so that planes are imaged."""
+    varying = a("law.varying")
+    return bool(varying) and varying[0][0] in ("f_image", "conjugates")
+
+
 def _focused(a: Ask) -> bool:
     """Whether pairs are asked to image two planes sharply."""
     return a("pair.focus") not in (None, "afocal")
@@ -74,7 +85,8 @@ FEATURES: Final = (
     Feature("hexagonal cells", "lattice.kind", lambda a: a("lattice.kind") == "hexagonal"),
     Feature("seam", "lattice.seam", lambda a: bool(a("lattice.seam"))),
     Feature("outline", "lattice.outline", lambda a: a("lattice.outline") is not None),
-    Feature("tilt", "law.euler", lambda a: bool((a("law.euler") or (0.0, 0.0, 0.0))[1]), "theta = 0"),
+    Feature("tilt", "law.euler", _tilted, "theta = 0"),
+    Feature("tilt where planes are imaged", "law.euler", lambda a: _tilted(a) and _images(a), "theta = 0, or gradient or table instead of planes"),
     Feature("offset", "law.delta", lambda a: any(a("law.delta") or ())),
     Feature("biconvex", "pair.form", lambda a: a("pair.form") == "biconvex", 'form = "slab"'),
     Feature("plano", "pair.form", lambda a: a("pair.form") == "plano", 'form = "slab"'),
@@ -109,7 +121,7 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
 }
 """Kinds of sheet whose cells differ, by the key that asks for them."""
 
-_HEIGHTS: Final = "lenses 2 of a tilted pair would stand at heights of their own, and arrays share one plane"
+_HEIGHTS: Final = "its lenses 2 stand in the middle of their cells in one plane, and tilted pairs would need them to rise with their places"
 _PATTERN: Final = "which cells a plate keeps is asked of one pattern, and array 2's is another"
 _CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
 _APART: Final = "its cells stand over their partners, and images of sharp pairs would not fall on one another"
@@ -117,6 +129,7 @@ _FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
 
 _OWN_ARRAY: Final[Mapping[str, str]] = {
     "tilt": _HEIGHTS,
+    "tilt where planes are imaged": _HEIGHTS,
     "aimed at a point": "its cells look at the nodal point",
     "steered": "its cells look at the nodal point",
     "traced vertices": "its lenses stand in the middle of their own cells",
@@ -131,7 +144,7 @@ _OWN_ARRAY: Final[Mapping[str, str]] = {
 
 _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     VARYING: {
-        "tilt": _HEIGHTS,
+        "tilt where planes are imaged": "cells of a sheet that leans against its lenses stand at many distances from a plane across them",
         "aimed at a point": "lenses 2 are traced for light of one direction over the sheet",
         "other pitch": "its cells stand over their partners",
         "turned array": "its cells stand over their partners",
@@ -145,6 +158,7 @@ _WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
     ROTATION_2: _OWN_ARRAY,
     FOCUS: {
         "tilt": _HEIGHTS,
+        "tilt where planes are imaged": _HEIGHTS,
         "given faces": "its faces follow from the two planes",
         "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
         "aimed at a point": "its cells look along its chief rays",

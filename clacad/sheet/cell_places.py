@@ -87,10 +87,13 @@ class VertexChange:
         Length per length of the cell's centre in the lattice.
     table : (n1, n2, 2) array or None, lengths
         Added cell by cell; the first index of a hexagonal lattice is i + j // 2, the place in the row.
+    slope : (along x, along y)
+        How far a lens rises on its way: tilted lenses that move in their own lens plane keep their distance from lens 1.
     """
 
     gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
     table: Floats | None = None
+    slope: Pair2 = (0.0, 0.0)
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Change (..., 2), lengths, of the cells `index` (..., 2); the table has 0 for cells that are not kept."""
@@ -98,6 +101,10 @@ class VertexChange:
         (xx, xy), (yx, yy) = self.gradient
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
         return change if self.table is None else np.asarray(change + self._tabled(lattice, index))
+
+    def rise(self, moved: Floats) -> Floats:
+        """How much higher (...) lenses stand that moved so far (..., 2), lengths."""
+        return np.asarray(moved @ np.array(self.slope))
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
         """The same change on `count` cells in the middle of the lattice it is for; a table is cut to them.

@@ -47,7 +47,8 @@ def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     lens_2 = np.array(window.thin.offset)
     lens_2[:2] += apart - np.asarray(window.thin.shift)
     if window.thin.change is not None:
-        lens_2[:2] += window.thin.change.at(window.lattice, index)
+        moved = window.thin.change.at(window.lattice, index)
+        lens_2 += [*moved, float(window.thin.change.rise(moved))]
     x, y, z = (float(v) for v in lens_2)
     return replace(
         window,

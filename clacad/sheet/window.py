@@ -341,7 +341,9 @@ class Window:
         """Apexes (..., 3) of a face's lenses in the cells `index` (..., 2): x, y from the cell's centre, z of the sheet."""
         places = np.broadcast_to(np.asarray(face.vertex), (*index.shape[:-1], 3)).copy()
         if face.change is not None:
-            places[..., :2] += face.change.at(self.lattice, index)
+            moved = face.change.at(self.lattice, index)
+            places[..., :2] += moved
+            places[..., 2] += face.change.rise(moved)
         return places
 
     def law_at(self, index: ArrayLike) -> Law:
@@ -553,7 +555,7 @@ def _in_zone(window: Window, face: Face, x: Floats, y: Floats, index: Ints | Non
         lens = lens_height(face, x, y)
     else:
         moved = face.change.at(window.lattice, index)
-        lens = lens_height(face, x - moved[..., 0], y - moved[..., 1])
+        lens = lens_height(face, x - moved[..., 0], y - moved[..., 1]) + face.change.rise(moved)
     if window.land.seam > 0.0:
         zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
         lens = np.where(zone, lens, np.nan)

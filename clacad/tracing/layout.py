@@ -220,8 +220,11 @@ def _half_widths(lattice: Lattice) -> Floats:
 
 
 def apexes(layout: Layout, face: FacePlan, cell: Ints) -> Floats | None:
-    """How far (m, 2) the lenses of cells (m, 2) stand from the face's vertex, lengths; None where all stand alike."""
-    return None if face.change is None else face.change.at(layout.lattice, cell)
+    """How far (m, 3) the lenses of cells (m, 2) stand from the face's vertex, lengths; None where all stand alike."""
+    if face.change is None:
+        return None
+    moved = face.change.at(layout.lattice, cell)
+    return np.column_stack([moved, face.change.rise(moved)])
 
 
 def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
@@ -236,7 +239,8 @@ def sheet_position(layout: Layout, array: int, cell: Ints, local: Floats, z: Flo
 class SampledCell(NamedTuple):
     """Points of cells where faces are sampled.
 
-    x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,); how far the lenses stand off, (2, cells).
+    x, y (m,) and their spacing, lengths; which lie in the optical zone, (m,); how far the lenses stand off, (2, cells), and how
+    much higher, (m,) and (cells,).
     """
 
     x: Floats
@@ -244,6 +248,8 @@ class SampledCell(NamedTuple):
     spacing: float
     zone: Bools
     moved: Floats = np.zeros((2, 0))
+    rise: Floats = np.zeros(1)
+    risen: Floats = np.zeros(1)
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
@@ -252,8 +258,8 @@ def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
     cells = _farthest_cells(window, body)
     before, after = (_seen_by(window, face, sampled, cells) for face in (body.front, body.back))
     spacing = max(before.spacing, after.spacing)
-    front_z, front_slope = _sampled(body.front, before.x, before.y)
-    back_z, back_slope = _sampled(body.back, after.x, after.y)
+    front_z, front_slope = _sampled(body.front, before)
+    back_z, back_slope = _sampled(body.back, after)
     solids = [np.ones(seen.x.shape, dtype=bool) for seen in (before, after)]
     if body.columnar:
         with np.errstate(invalid="ignore"):
@@ -315,7 +321,11 @@ def _seen_by(window: Window, face: Face, sampled: SampledCell, cells: Ints | Non
     x, y = ((points - change[:, k, None]).ravel() for k, points in enumerate((sampled.x, sampled.y)))
     # between two of the directions in which cells were looked for a lens may stand a little farther out
     between = (1.0 - cos(pi / DIRECTIONS)) * float(np.hypot(*change.T).max())
-    return SampledCell(x, y, sampled.spacing + between, np.tile(sampled.zone, len(cells)), change.T)
+    risen = np.zeros(len(cells)) if face.change is None else face.change.rise(change)
+    higher = np.repeat(risen, len(sampled.x))
+    return SampledCell(
+        x, y, sampled.spacing + between, np.tile(sampled.zone, len(cells)), change.T, higher, risen
+    )
 
 
 def _sample_cell(window: Window, array: int = 0) -> SampledCell:
@@ -340,11 +350,12 @@ def _sample_cell(window: Window, array: int = 0) -> SampledCell:
     return SampledCell(x, y, float(np.max(high - low)) / (SAMPLES - 1), in_optical_tile(window, x, y, array))
 
 
-def _sampled(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+def _sampled(face: Face, seen: SampledCell) -> tuple[Floats, Floats]:
     """Height and slope of a face's lens at the sample points."""
     if face.array is None:
-        return np.full(x.shape, face.vertex[2]), np.zeros(x.shape)
-    z, normal = lens_height_and_normal(face, x, y)
+        return np.full(seen.x.shape, face.vertex[2]), np.zeros(seen.x.shape)
+    z, normal = lens_height_and_normal(face, seen.x, seen.y)
+    z = z + seen.rise
     with np.errstate(invalid="ignore", divide="ignore"):
         return z, np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]
 
@@ -364,7 +375,8 @@ def _plan_face(
     if face.array is None:
         low = high = face.vertex[2] - level
     if face.change is not None and seen.any():  # nearer lenses show their apex
-        low, high = min(low, face.vertex[2] - level), max(high, face.vertex[2] - level)
+        apex = face.vertex[2] - level + seen_from.risen
+        low, high = min(low, float(apex.min())), max(high, float(apex.max()))
     if isfinite(land):
         low, high = min(low, land), max(high, land)
     if not low <= high:  # no lens and no land anywhere: the body is empty

@@ -21,6 +21,7 @@ AIMED = {
 }  # fmt: skip
 THICK = {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.6}
 THIN = {"form": "biconvex", "separation": 10, "index": 1.5, "thickness": 0.05, "web": 0.03}
+TILTED = {"eta": [-1.0, -1.0], "euler": [30, 3, 10], "varying": {"gradient": [[-0.005, 0.0], [0.0, -0.005]]}}
 VARYING = {"eta": [-1.0, -1.0], "varying": {"f_image": 200}}
 
 
@@ -55,6 +56,8 @@ SHEETS = {
         "law": {"eta": [-0.25, -0.5], "varying": {"f_image": [150, -300]}}, "lattice__aperture": None,
     },
     "law that varies, rims": {"law": VARYING, "lattice__aperture": None, "pair": THIN, "lattice__seam": 0.04},
+    "law that varies, tilted": {"law": TILTED, "lattice__aperture": None, "body__border": 0.7},
+    "law that varies, tilted, plano": {"law": TILTED, "lattice__aperture": None, "pair": {"form": "plano", "separation": 10, "index": 1.5}},
     "law that varies, disc": {
         "law": VARYING, "lattice__aperture": None, "lattice__count": [8, 8], "lattice__outline": {"circle": 3.0},
     },

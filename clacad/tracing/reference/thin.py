@@ -66,13 +66,15 @@ class ThinPatch:
         flat = self.power.index(0.0)
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
 
-    def lens_centre(self, layout: Layout, cell: Ints) -> tuple[float | Floats, float | Floats, float]:
-        """Centres of the lenses of cells (m, 2): x and y, one or (m,), and z."""
+    def lens_centre(
+        self, layout: Layout, cell: Ints
+    ) -> tuple[float | Floats, float | Floats, float | Floats]:
+        """Centres of the lenses of cells (m, 2), x, y and z: one or (m,)."""
         x, y, z = self.vertex
         if self.change is None:
             return x, y, z
         moved = self.change.at(layout.lattice, cell)
-        return x + moved[:, 0], y + moved[:, 1], z
+        return x + moved[:, 0], y + moved[:, 1], z + self.change.rise(moved)
 
     def over(self, layout: Layout, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
@@ -182,6 +184,8 @@ def _patch(
         moved = change.at(layout.lattice, extreme_cells(change, layout.lattice))
         tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
+    if change is not None:
+        heights = heights + np.repeat(change.rise(moved), len(heights) // len(moved))
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = focal_length
     return ThinPatch(

@@ -145,9 +145,14 @@ def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
     (xx, xy), (yx, yy) = ((Decimal(a), Decimal(b)) for a, b in change.gradient)
     moved = (xx * x + xy * y, yx * x + yy * y, Decimal(0))
     if change.table is None:
-        return moved
+        return _risen(change, moved)
     own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
-    return _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0)))
+    return _risen(change, _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0))))
+
+
+def _risen(change: VertexChange, moved: Vector) -> Vector:
+    along, across = (Decimal(s) for s in change.slope)
+    return moved[0], moved[1], along * moved[0] + across * moved[1]
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:
