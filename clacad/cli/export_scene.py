@@ -21,7 +21,6 @@ def export_scene(
     from clacad.prescription.prescribe import prescribe
     from clacad.rendering.atlas.make_atlas import manifest_of
     from clacad.scene import load_scene
-    from clacad.sheet.need_window import equal_cells
     from clacad.storage.atomic import Stage, safe_name
     from clacad.storage.errors import NotPossible
 
@@ -34,7 +33,7 @@ def export_scene(
     still = scene.at(0) if scene.animation is not None else scene
     with Stage(out, overwrite=overwrite) as stage:
         name = f"{safe_name(still.name)}.pov"
-        write_pov(equal_cells(prescribe(still.design()), "export"), stage.path(name), still)
+        write_pov(prescribe(still.design()), stage.path(name), still)
         stage.publish(manifest_of(stage, "scene"))
     if json:
         show_json({"folder": str(out), "files": [name]})

@@ -30,6 +30,9 @@ WELDED_FORMATS = ("3mf", "ply", "glb", "marked-3mf")
 REPEATING = ("3mf", "glb")
 """Formats that hold one cell and where it stands, where the sheet is nothing but equal cells."""
 
+FUSABLE = ("step", *REPEATING)
+"""Formats that `fused` decides about."""
+
 MARKED_MESHES = ("marked-stl", "marked-3mf")
 """Meshes with their name and an arrow engraved in the border."""
 
@@ -40,7 +43,27 @@ SOLIDS = ("baffle", "frame", "pins", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""
 
 
-OF_ANY_CELLS = ("step", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask")
+OF_ANY_CELLS = (
+    "step",
+    "stl",
+    "stl-parts",
+    "3mf",
+    "ply",
+    "glb",
+    "tiff",
+    "png",
+    "xyz",
+    "table",
+    "mask",
+    "gds",
+    "pov",
+    "frame",
+    "marked",
+    "brep",
+    "marked-stl",
+    "marked-3mf",
+    "drawing",
+)
 """Formats that hold sheets whose cells differ; the others repeat, merge or sample one cell."""
 
 

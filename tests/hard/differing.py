@@ -60,6 +60,11 @@ def pitched(ratio, **more):
     return {"lattice.pitch_2": 0.5 * ratio, **more}
 
 
+def rotated(angle, ratio=1.0, **more):
+    """Keys of a sheet whose array 2 is turned."""
+    return {"lattice.rotation_2": angle, **({} if ratio == 1.0 else {"lattice.pitch_2": 0.5 * ratio}), **more}
+
+
 WIDE = {"lattice.count": FAR}
 VAST = {"lattice.count": [30_001, 30_001]}
 PLANO = {"pair.form": "plano", "pair.thickness": 0.6}
@@ -71,6 +76,7 @@ STEEP = {"lattice.aperture": {"point": [-53.2, 0, -400]}, "pair.offset": "traced
 GLENS = {"law.varying": {"gradient": [[1e-12, 0.0], [0.0, 1e-12]]}}
 BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
+TILTED = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
 CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
 CASES = [
     case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),
@@ -110,6 +116,14 @@ CASES = [
     case("pitch_2 = pitch (1 - 1e-12)", "the other way", pitched(1.0 - 1e-12), (0, 20)),
     case("pitch_2 = pitch (1 + 1e-12), 10^4 cells out", "the difference is 5e-9", pitched(1.0 + 1e-12, **WIDE), (20_000, 0)),
     case("pitch_2 = .9975 pitch", "a moiré magnifier", pitched(0.9975), (20, 7)),
+    case("array 2 turned by 1 degree", "lenses stand along other axes than borders", rotated("1 deg"), (20, 7)),
+    case("array 2 turned by 1e-12", "the last cell's partner stands 1e-11 aside", rotated("1e-12 rad"), (20, 20)),
+    case("array 2 turned by 1e-6, 10^4 cells out", "5 mm turn into 5 nm", rotated("1e-6 rad", **WIDE), (20_000, 0)),
+    case("array 2 turned by 44 degrees", "next to the most, where square cells look alike", rotated("44 deg"), (11, 10)),
+    case("array 2 turned by -2 degrees, hexagonal", "the other way, skewed axes", rotated("-2 deg", **{"lattice.kind": "hexagonal"}), (12, 17)),
+    case("array 2 of .9975 pitch, turned by 3 degrees", "a moiré magnifier turned", rotated("3 deg", 0.9975), (18, 4)),
+    case("array 2 turned by 5 degrees, a ghost", "lens 2 of the next cell but one", rotated("5 deg"), (15, 10), slope=(0.06, -0.03)),
+    case("a few last bits above a border of a turned array", "the border runs aslant", rotated("3 deg"), (13, 10), off="border", slope=(0.02, 0.0)),
     case("a ghost in an array of another pitch", "lens 2 of the next cell but one", pitched(1.02), (15, 10), slope=(0.06, -0.03)),
     case("a few last bits above a border of the wider array", "the border belongs to the cell above it", pitched(1.02), (15, 10),
          off="border", slope=(0.02, 0.0)),
@@ -124,5 +138,9 @@ CASES = [
     case("kappa = 5e-3, vertices traced, a ghost", "the lens of the next cell stands elsewhere", TABLED, (30, 12), slope=(0.04, 0.0)),
     case("a gradient with curl beside a table", "lenses 2 turn about the middle", {**TABLED, "gradient": CURL}, (31, 9)),
     case("a gradient with curl beside another pitch", "the same in an array of its own pitch", pitched(1.02, gradient=CURL), (3, 16)),
+    case("kappa = 5e-3, tilted by 3 degrees", "lenses 2 stand at heights of their own", TILTED, (20, 3), off=(0.05, -0.06)),
+    case("kappa = 5e-3, tilted by 3 degrees, vertices traced", "heights follow a table", {**TILTED, "pair.offset": "traced"}, (2, 18),
+         off=(-0.04, 0.07)),
+    case("kappa = 1e-12, tilted", "heights differ by 1e-12", {**TILTED, **GLENS}, (20, 20), off=(0.01, 0.02)),
     case("kappa = 5e-3, vertices traced, middle", "where the table has 0", TABLED, (20, 20)),
 ]  # fmt: skip

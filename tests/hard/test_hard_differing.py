@@ -93,6 +93,7 @@ LIKE = {
     "aimed": {"lattice.aperture": {"point": [31.7, -12.9, -400]}},
     "aimed, hexagonal": {"lattice.aperture": {"point": [10, 3, -400]}, "lattice.kind": "hexagonal"},
     "other pitch": {"lattice.pitch_2": 0.497},
+    "turned": {"lattice.rotation_2": "0.3 deg"},
     "varying": {"law.varying": {"gradient": [[-5e-3, 1e-3], [2e-3, 4e-3]]}},
 }
 
