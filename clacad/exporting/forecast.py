@@ -315,8 +315,13 @@ def _forecast_map(window: Window, name: str, levels: int) -> Forecast:
     drawn = {"tiff": pixels, "png": pixels, "xyz": pixels, "pov": 1, "gds": faces * 64 * 64}.get(
         name, 100 * cells * faces
     )
-    seconds, note = costs.map_seconds(name, drawn, faces), pov_note(window) if name == "pov" else ""
-    return Forecast(name, size, False, None, None, seconds, (100_000_000, 400_000_000), note=note)
+    seconds, memory, note = costs.map_seconds(name, drawn, faces), 400_000_000, ""
+    if name == "pov":
+        note = pov_note(window)
+    elif name == "gds" and not window.uniform:  # written as a stream, read back as a whole
+        seconds, memory = seconds + costs.OWN_GDS * size, memory + int(3.5 * size)
+        note = own_cells_note(window)
+    return Forecast(name, size, False, None, None, seconds, (100_000_000, memory), note=note)
 
 
 def outlook(window: Window) -> list[dict[str, Any]]:

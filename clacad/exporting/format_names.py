@@ -40,7 +40,27 @@ SOLIDS = ("baffle", "frame", "pins", "coupon", "brep", "marked")
 """Parts modelled solid by solid; the baffle is a mesh of walls."""
 
 
-OF_ANY_CELLS = ("step", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask", "gds", "pov", "frame", "marked", "brep", "marked-stl", "marked-3mf", "drawing")
+OF_ANY_CELLS = (
+    "step",
+    "stl",
+    "stl-parts",
+    "3mf",
+    "ply",
+    "glb",
+    "tiff",
+    "png",
+    "xyz",
+    "table",
+    "mask",
+    "gds",
+    "pov",
+    "frame",
+    "marked",
+    "brep",
+    "marked-stl",
+    "marked-3mf",
+    "drawing",
+)
 """Formats that hold sheets whose cells differ; the others repeat, merge or sample one cell."""
 
 
