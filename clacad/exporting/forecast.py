@@ -281,7 +281,8 @@ def _of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
 def _step_row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
-        memory = (400_000_000, 900_000_000 + 250_000 * columns)
+        each = 250_000 if window.uniform else 50_000  # cells that differ are described one after another
+        memory = (400_000_000, 900_000_000 + each * columns)
     else:
         memory = (300_000_000, 700_000_000 + 20_000 * columns)
     seconds = costs.step_seconds(size, mode) + (0.0 if window.uniform else costs.OWN_CELL * columns)
