@@ -93,8 +93,7 @@ def composed(held: Mapping[Node, Sequence[tuple[Node, Floats]]], nodes: Iterable
     found: dict[Node, Floats] = {}
     while ready:
         node = ready.pop()
-        parts = placed.pop(node)
-        found[node] = here = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        found[node] = here = np.concatenate(placed.pop(node))
         for child, own in held.get(node, ()):
             _few(len(here) * len(own) + sum(len(part) for part in placed.get(child, ())))
             placed.setdefault(child, []).append(product(here[:, None], own[None]).reshape(-1, 3, 4))
