@@ -12,13 +12,10 @@ from clacad.cli.console import say
 WORTH_SAYING = 2.0
 """Processor seconds from which a forecast is said."""
 
-MEASURED = 1.3
-"""Factor by which a part of some work tells what the whole takes."""
-
 
 @contextmanager
 def forecast(
-    task: str, modelled: float, *, quiet: bool, clock: Clock = processor_seconds, measured: bool = False
+    task: str, modelled: float | Span, *, quiet: bool, clock: Clock = processor_seconds
 ) -> Iterator[Span]:
     """Say what the block will cost on this machine, then note what it did cost.
 
@@ -28,25 +25,24 @@ def forecast(
     ----------
     task : str
         Name under which it is noted.
-    modelled : float
-        Seconds by the model of the reference machine.
+    modelled : float or Span
+        Seconds by the model of the reference machine; a range that was measured here on a part of the work, and is corrected
+        by what such work took where it was done before.
     quiet : bool
     clock : callable
         Processor seconds so far.
-    measured : bool
-        `modelled` was measured here on a part of the work, and is what all of it takes within MEASURED; where such
-        work was done before, what it took then corrects that.
     """
     rates = Rates.here()
-    span = rates.span(task, modelled)
-    if measured and span.seen == 0:
-        span = Span(modelled / MEASURED, modelled * MEASURED)
+    middle = modelled.middle if isinstance(modelled, Span) else modelled
+    span = rates.span(task, middle)
+    if isinstance(modelled, Span) and span.seen == 0:
+        span = modelled
     if span.high >= WORTH_SAYING:
         say(f"this takes {span} of processor time", quiet=quiet)
     kept, began = _kernels(), clock()
     yield span
     if _kernels() == kept:
-        rates.note(task, modelled, clock() - began)
+        rates.note(task, middle, clock() - began)
 
 
 def tell_compiling(task: str, modelled: float, *, quiet: bool) -> None:

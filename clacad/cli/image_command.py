@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.machine_rates import processor_seconds
 from clacad.cli.announce_cost import forecast
 from clacad.cli.console import say, show_json, show_text, table
 from clacad.cli.design_commands import load_counted
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from clacad.imaging import Image
 
 TASK = "image"
+
+PICTURE_SECONDS = 1.2
+"""Processor seconds of drawing the light through focus, with loading what draws."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +84,15 @@ def image_design(path: Path, overrides: list[str], request: ImageRequest, *, jso
     from clacad.prescription.prescribe import prescribe
     from clacad.storage.atomic import require_writable, write_content
 
+    began = processor_seconds()
     window = prescribe(design)
+    building = processor_seconds() - began
     words: Any = tuple(word.strip() for word in request.rungs.split(",") if word.strip())
     seconds = image_seconds(window, [w for w in words if w in ("law", "thin", "surfaces")], request.rays)
     if request.out is not None and request.out.suffix.lower() not in (".png", ".svg"):
         raise BadOption(f"-o {request.out}: the picture is a .png or an .svg")
     if request.dry_run:
-        return _show_forecast(request, seconds, json=json, quiet=quiet)
+        return _show_forecast(request, seconds, building, json=json, quiet=quiet)
     if request.out is not None:
         require_writable(request.out, overwrite=request.overwrite)
     try:
@@ -108,12 +114,14 @@ def image_design(path: Path, overrides: list[str], request: ImageRequest, *, jso
     return 0
 
 
-def _show_forecast(request: ImageRequest, seconds: float, *, json: bool, quiet: bool) -> int:
+def _show_forecast(request: ImageRequest, seconds: float, building: float, *, json: bool, quiet: bool) -> int:
+    """Print what images would take; the sheet was built to say so, and what that took is told with it."""
+    seconds += building + (PICTURE_SECONDS if request.out is not None else 0.0)
     if json:
-        show_json({"forecast": {"rays": request.rays, "seconds": seconds}})
+        show_json({"forecast": {"rays": request.rays, "seconds": seconds, "building": building}})
     else:
         files = "one picture of about 100 kB" if request.out is not None else "no file"
-        show_text(f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {files}; nothing is written",
+        show_text(f"{request.rays:,} rays on each rung, about {seconds:.2g} s of processor time, {building:.2g} s of it to build the sheet, {files}; nothing is written",
                   quiet=quiet)  # fmt: skip
     return 0
 

@@ -104,7 +104,7 @@ def _announced(
         else:
             progress("trying some pixels")
         modelled = picture_seconds(scene, passage, frames)
-    with forecast(task(scene), modelled, quiet=quiet, measured=True) as span:
+    with forecast(task(scene), modelled, quiet=quiet) as span:
         progress.expect(span.middle)
         yield
 

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from math import log
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clacad.base.machine_rates import Span
 from clacad.base.types import Ints
 from clacad.prescription.prescribe import prescribe
-from clacad.rendering.camera import View, aim
-from clacad.rendering.picture import tile, tried, worth_compiling
-from clacad.rendering.view import Viewing, set_up
+from clacad.rendering.camera import View, aim, rays
+from clacad.rendering.picture import BLOCK, tile, tried, worth_compiling
+from clacad.rendering.view import Viewing, may_cross, set_up
 from clacad.scene import Scene
 
 if TYPE_CHECKING:
@@ -28,7 +30,10 @@ COMPILING = 40.0
 COMPILED = "compiling what draws pictures"
 """Name under which that is noted."""
 
-FIXED = 0.2
+MEASURED = 1.3
+"""Factor by which a part of some work tells what the whole takes."""
+
+FIXED = 0.05
 """Seconds of a picture apart from its rays."""
 
 ENOUGH = 0.1
@@ -43,12 +48,18 @@ FIRST = 3
 SQUARES, NOISY = 5, 3
 """Squares along a side of the picture that tell how many samples a noise target takes, and pixels along a side of each."""
 
+GRID = 24
+"""Pixels along a side of the picture by which it is seen how much of it looks at a sheet."""
+
 PATCHES = ((0.31, 0.22), (0.44, 0.61), (0.57, 0.35), (0.7, 0.83))
 """Where in the picture they are, down and across."""
 
 
-def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
+def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
     """Processor seconds of a still, or of so many frames like it; some pixels tell how often a noise target takes them again.
+
+    The range is narrow where pixels take the same however many are drawn together, and wide where a block of them takes
+    less than they do one by one, as with effects that split light.
 
     Parameters
     ----------
@@ -60,8 +71,10 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> float:
     """
     view = aim(scene.camera)
     viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene), passage)
-    each = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
-    return frames * (FIXED + each * _again(viewing, scene, view) * view.width * view.height)
+    least, most = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
+    many = _again(viewing, scene, view) * view.width * view.height
+    least *= _emptier(viewing, view)
+    return Span(frames * (FIXED + least * many) / MEASURED, frames * (FIXED + most * many) * MEASURED)
 
 
 def _again(viewing: Viewing, scene: Scene, view: View) -> float:
@@ -77,17 +90,40 @@ def _again(viewing: Viewing, scene: Scene, view: View) -> float:
     return float(np.mean(counts)) / scene.camera.samples
 
 
-def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> float:
-    """Processor seconds of a pixel, of some spread over the picture: what so many more of them take longer."""
-    side = FIRST
+def _emptier(viewing: Viewing, view: View) -> float:
+    """Share of the whole picture that looks at a sheet over that of the places that are tried; 1 where it is no less."""
+    rows, columns = (np.linspace(0, n - 1, min(n, GRID)).astype(np.int64) for n in (view.height, view.width))
+    tried_at = np.concatenate([_patch(view, FIRST, at) for at in PATCHES])
+    shares = [
+        may_cross(viewing.box, *rays(view, pixels, np.full((len(pixels), 1, 4), 0.5))).mean()
+        for pixels in ((rows[:, None] * view.width + columns).ravel(), tried_at)
+    ]
+    return min(1.0, float(shares[0] / shares[1])) if shares[0] > 0.0 < shares[1] else 1.0
+
+
+def _seconds_a_pixel(viewing: Viewing, view: View, samples: int) -> tuple[float, float]:
+    """Processor seconds of a pixel, of some spread over the picture, at least and at most.
+
+    Both are what so many more of them take longer: by themselves, and as that grows with their number up to a block of rays.
+    """
+    side, whole = FIRST, view.width * view.height
     _spent(viewing, view, side, samples)  # loads what is compiled
-    first, fewest = _spent(viewing, view, side, samples)
+    first, fewest = before, few = _spent(viewing, view, side, samples)
     while True:
         side *= 2
         took, many = _spent(viewing, view, side, samples)
         # a block of rays takes something however few they are: it must not be taken for theirs
-        if (took >= ENOUGH and took >= MUCH * first) or 2 * many >= view.width * view.height:
-            return max(took - first, 0.25 * took) / max(1, many - fewest)
+        if (took >= ENOUGH and took >= MUCH * first) or 2 * many >= whole:
+            alone = max(took - first, 0.25 * took) / max(1, many - fewest)
+            block = max(many, min(whole, BLOCK // samples))
+            power = (
+                min(1.0, max(0.0, log(took / before) / log(many / few)))
+                if many > few and before > 0.0
+                else 1.0
+            )
+            together = took * (block / many) ** power / block
+            return min(alone, together), max(alone, together)
+        before, few = took, many
 
 
 def _spent(viewing: Viewing, view: View, side: int, samples: int) -> tuple[float, int]:

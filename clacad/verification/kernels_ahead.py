@@ -47,8 +47,10 @@ def _kept(window: Window, kernel: Kernel) -> bool:
     from clacad.tracing.triangles.ready_facets import facets_of
 
     layout = lay_out(window)
-    if kernel not in ("mesh", "float32"):
-        return (kernel == "thin" and bool(window.thin.field)) or rung_is_kept(kernel, layout)
+    if kernel == "thin" and window.thin.field:  # these are numpy's
+        return True
+    if kernel == "surfaces" or kernel == "law" or kernel == "thin":
+        return rung_is_kept(kernel, layout)
     rows, one = np.arange(1), Rays(np.zeros((1, 3)), np.ones((1, 3)))
     traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))
     if kernel == "mesh":

@@ -255,10 +255,10 @@ def test_a_forecast_measured_on_a_part_is_corrected_by_what_such_work_took_befor
     """A picture that takes twice what its first pixels say is forecast so the next time."""
     monkeypatch.setattr("clacad.cli.announce_cost._kernels", lambda: 5)
     clock = Clock()
-    with forecast("render", 4.0, quiet=True, clock=clock, measured=True) as first:
+    with forecast("render", Span(4.0 / 1.3, 4.0 * 1.3), quiet=True, clock=clock) as first:
         clock.now += 8.0
     assert (first.low, first.high) == pytest.approx((4.0 / 1.3, 4.0 * 1.3))
-    with forecast("render", 6.0, quiet=True, clock=clock, measured=True) as second:
+    with forecast("render", Span(6.0 / 1.3, 6.0 * 1.3), quiet=True, clock=clock) as second:
         clock.now += 12.0
     assert second.low < 12.0 < second.high
     assert second.middle == pytest.approx(12.0)

@@ -21,6 +21,12 @@ DESIGN = str(Path(__file__).parents[2] / "designs/window-100mm.toml")
     (["stack", "DESIGN", "--gap", "5 mm", "-o", "OUT/s"], 2, "two sheets or more"),
     (["stack", "DESIGN", "DESIGN", "--gap", "5 mm", "--set", "a.lattice.pitch_2=0.49", "-o", "OUT/s"], 2, "CL139: sheet a in GLB"),
     (["export", "DESIGN", "--format", "3mf", "--fused", "--quads", "100000", "-o", "OUT/e"], 3, "8192 at most"),
+    (["export", "DESIGN", "--format", "tiff,stl", "--fused", "-o", "OUT/e"], 2, "it is said of step, 3mf, glb"),
+    (["export", "DESIGN", "--format", "stl", "--role", "stl=preview", "--role", "stl=master", "-o", "OUT/e"], 2, "stl is named twice"),
+    (["export", "DESIGN", "--format", "stl", "--role", "preview", "--role", "master", "-o", "OUT/e"], 2, "it is one value, or FORMAT"),
+    (["export", "DESIGN", "--format", "stl", "--quads", "stl=4", "--quads", "stl=8", "-o", "OUT/e"], 2, "stl is named twice"),
+    (["verify", "DESIGN", "--files", "OUT", "--role", "stl=scan", "--role", "stl=preview"], 2, "stl is named twice"),
+    (["optimise", "DESIGN", "--free", "nonsense", "-o", "OUT/d.toml"], 2, '--free: error CL107: "nonsense" is nothing'),
     (["check", "DESIGN", "--set", "body.border=6", "--set", "body.pins={diameter=2,at=[[0,0]],play=0.01}"], 2, "has 1 point\n"),
 ])  # fmt: skip
 def test_what_cannot_be_is_said_in_one_sentence_and_nothing_is_written(tmp_path, capsys, words, status, says):

@@ -166,6 +166,12 @@ TINY = 'format = 1\nname = "t"\nunit = "mm"\n[law]\neta = [-1.0, -1.0]\n[law.var
 def test_the_command_image_tells_and_draws_what_its_twin_finds(tmp_path, capsys):
     (tmp_path / "t.toml").write_text(TINY)
     words = ["image", str(tmp_path / "t.toml"), "--object", "0,0,-inf", "--rays", "512"]
+    assert main([*words, "--dry-run", "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["forecast"]
+    assert main([*words, "--dry-run", "--json", "-o", str(tmp_path / "drawn.png")]) == 0
+    drawn = json.loads(capsys.readouterr().out)["forecast"]
+    assert 0.0 <= alone["building"] < alone["seconds"] < drawn["seconds"]
+    assert not (tmp_path / "drawn.png").exists()
     assert main([*words, "--json", "-o", str(tmp_path / "f.svg")]) == 0
     told = json.loads(capsys.readouterr().out)
     twin = clacad.image(clacad.prescribe(clacad.load(tmp_path / "t.toml")), (0, 0, -np.inf), rays=512)

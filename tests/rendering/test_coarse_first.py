@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from clacad.base.machine_rates import Span
 from clacad.cli import main
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering import coarse_first
@@ -110,7 +111,9 @@ def test_the_coarse_picture_is_there_before_the_fine_one_is_drawn(photo, tmp_pat
         raise KeyboardInterrupt
 
     monkeypatch.setattr(CoarseView, "refined", stopped)
-    monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", lambda *_: 7.0)
+    monkeypatch.setattr(
+        import_module("clacad.rendering.picture_cost"), "picture_seconds", lambda *_: Span(5.0, 9.0)
+    )
     asked = ["render", "--preset", "eye", str(DESIGN), str(photo), "-o", str(tmp_path / "eye.png"), "--pixels", "40",
              "--samples", "2", "--set", FEW[0]]  # fmt: skip
     assert main(asked) == 130
@@ -181,7 +184,7 @@ def test_a_scene_whose_kernels_must_be_compiled_is_there_coarsely_first(
     def forecast(*_):
         with Image.open(tmp_path / "x.png") as coarse:
             seen["coarse"], seen["size"] = coarse.text["clacad:coarse"], coarse.size
-        return 7.0
+        return Span(5.0, 9.0)
 
     monkeypatch.setattr(coarse_first, "must_compile", lambda *_: True)
     monkeypatch.setattr(import_module("clacad.rendering.picture_cost"), "picture_seconds", forecast)

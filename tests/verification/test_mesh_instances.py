@@ -15,6 +15,7 @@ from trust.spoiling import document_of, glb, model_changed
 
 from clacad.design import Design
 from clacad.exporting.compare import compare_mesh
+from clacad.exporting.export_design import export
 from clacad.exporting.tessellations import Meshes
 from clacad.formats.mesh import stl as stl_format
 from clacad.formats.mesh.closed_stream import welded
@@ -27,10 +28,12 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.volume_and_extent import Integral, body_volume
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 from clacad.storage.overheard import Overheard
+from clacad.verification import verify
 from clacad.verification.files import mesh_wholeness
 from clacad.verification.files.cell_triangles import Gatherer, chosen_cells
 from clacad.verification.files.inspection import Inspection
 from clacad.verification.files.mesh_file import judge_mesh
+from clacad.verification.files.mesh_light import rays_for
 from clacad.verification.files.mesh_shape import clean_forecast
 from clacad.verification.files.mesh_wholeness import connected
 
@@ -534,6 +537,30 @@ def test_pieces_of_a_large_file_are_counted_or_the_sentence_says_that_they_are_n
     assert none.state == "not run"
     assert not none.required
     assert none.sentence.startswith("not counted and not required")
+
+
+@pytest.mark.slow
+def test_rays_too_few_for_a_fit_are_an_answer_of_their_own_with_the_number_that_will_do(tmp_path):
+    design = Design.from_dict({
+        "format": 1, "name": "few", "unit": "mm", "law": {"eta": [-0.25, -1.0]},
+        "pair": {"form": "slab", "separation": 10.0, "material": "PMMA"}, "lattice": {"pitch": 0.5, "count": [3, 3]},
+    })  # fmt: skip
+    export(design, tmp_path / "few", formats=["3mf"], quads=64)
+    few = verify(design, tmp_path / "few", rays=1000)
+    (told,) = few.verdicts
+    missing = [check for check in few.checks if check.state == "not run" and check.required]
+    assert {check.id for check in missing} == {"faithful_eta", "faithful_delta"}
+    assert (few.word, told.word, few.exit_status) == ("not judged", "not judged", 1)
+    needed = missing[0].detail["rays_needed"]
+    assert f"--rays {needed} would do" in few.verdict()
+    enough = verify(design, tmp_path / "few", rays=needed)
+    assert not [check for check in enough.checks if check.state == "not run" and check.required]
+    assert enough.word != "not judged"
+
+
+def test_rays_for_a_number_that_passes_are_enough_and_not_many_more():
+    for passed, share in [(1024, 0.86), (1024, 0.011), (64, 1.0), (1, 1e-6)]:
+        assert passed / share <= rays_for(passed, share) < 1.25 * passed / share
 
 
 # -- hostile files -------------------------------------------------------------------------------

@@ -122,7 +122,7 @@ def checks_of_light(
 def rays_for(passed: int, share: float) -> int:
     """Rays of which so many pass where such a share does, to two figures and a tenth more than that."""
     least = 1.1 * passed / share
-    step = 10 ** max(0, floor(log10(least)) - 1)
+    step = int(10 ** max(0, floor(log10(least)) - 1))
     return ceil(least / step) * step
 
 

@@ -1,0 +1,48 @@
+"""What will be compiled is told by the very types that kernels are called with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clacad import Tracer, tessellate
+from clacad.base import kernel_cache
+from clacad.cli.announce_cost import tell_compiling
+from clacad.design import load
+from clacad.optics.rays import Rays
+from clacad.prescription.prescribe import prescribe
+from clacad.tracing.compiled import surfaces
+from clacad.verification.kernels_ahead import OF_REPORT, OF_TABLE, SECONDS, compiling_seconds
+
+DESIGNS = Path(__file__).parents[2] / "designs"
+
+
+def test_nothing_is_compiled_where_all_is_kept_and_all_where_nothing_is(monkeypatch, capsys):
+    window = prescribe(load(DESIGNS / "slab.toml"))
+    homes = ("clacad.base.kernel_cache", "clacad.tracing.compiled.kept_kernels")
+    for home in homes:
+        monkeypatch.setattr(f"{home}.is_kept", lambda *_: False)
+    assert compiling_seconds(window, OF_TABLE) == sum(SECONDS.values())
+    assert compiling_seconds(window, OF_REPORT) == SECONDS["mesh"]
+    for home in homes:
+        monkeypatch.setattr(f"{home}.is_kept", lambda *_: True)
+    assert compiling_seconds(window, OF_TABLE) == 0.0
+    tell_compiling("some", 0.0, quiet=False)
+    assert capsys.readouterr().err == ""
+    tell_compiling("some", 40.0, quiet=False)
+    assert "once on this machine" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["slab", "hexagonal", "plano"])
+def test_the_kernel_of_meshes_is_asked_for_by_the_types_that_it_is_called_with(name, monkeypatch):
+    window = prescribe(load(DESIGNS / f"{name}.toml")).with_cells((3, 3))
+    asked, called = [], []
+    monkeypatch.setattr(kernel_cache, "is_kept", lambda _, arguments: asked.append(arguments) or True)
+    assert compiling_seconds(window, OF_REPORT) == 0.0
+    monkeypatch.setattr(surfaces, "trace_chunk", lambda *arguments: called.append(arguments))
+    rays = Rays(np.array([[0.0, 0.0, -100.0]]), np.array([[0.0, 0.0, 1.0]]))
+    Tracer(window, "mesh", mesh=tessellate(window, quads=4), threads=1)(rays)
+    (one,), (other,) = asked, called
+    assert [kernel_cache.numba.typeof(a) for a in one] == [kernel_cache.numba.typeof(a) for a in other]
