@@ -109,8 +109,8 @@ MUTATIONS = [
              "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),
     # -- what aimed sheets are made of, and their triangles
     Mutation("aimed: scaled the other way", AIMED, "scale = 1.0 - k / z", "scale = 1.0 + k / z", f"{MADE} -k vertices_and_shares"),
-    Mutation("aimed: as if in air", AIMED, "k = float((np.array(landing((float(a[0]), float(a[1])))) - still) @ a / (a @ a))",
-             "k = float(np.array(landing((1e-3, 0.0)))[0] * 1e3)", f"{MADE} -k decentred_slab"),
+    Mutation("aimed: scaled for light near the axis", AIMED, "k = float((np.array(landing((float(a[0]), float(a[1])))) - still) @ a / (a @ a))",
+             "k = float(np.array(landing((1e-3, 0.0)))[0] * 1e3)", f"{MADE} -k outermost"),
     Mutation("aimed: a point beside the axis forgotten", AIMED, "shift = still + k * np.array([x, y]) / z", "shift = still", f"{MADE} -k vertices_and_shares"),
     Mutation("aimed: lenses stay in the middle of their cells", AIMED, "((1.0 - gx, 0.0), (0.0, 1.0 - gy))", "((0.0, 0.0), (0.0, 0.0))",
              f"{MADE} -k vertices_and_shares"),
