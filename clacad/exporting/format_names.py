@@ -44,27 +44,10 @@ SOLIDS = ("baffle", "frame", "pins", "coupon", "brep", "marked")
 
 
 OF_ANY_CELLS = (
-    "step",
-    "stl",
-    "stl-parts",
-    "3mf",
-    "ply",
-    "glb",
-    "tiff",
-    "png",
-    "xyz",
-    "table",
-    "mask",
-    "gds",
-    "pov",
-    "frame",
-    "marked",
-    "brep",
-    "marked-stl",
-    "marked-3mf",
-    "drawing",
-)
-"""Formats that hold sheets whose cells differ; the others repeat, merge or sample one cell."""
+    "step", "brep", "stl", "stl-parts", "3mf", "ply", "glb", "tiff", "png", "xyz", "table", "mask", "gds", "pov",
+    "frame", "marked", "marked-stl", "marked-3mf", "drawing",
+)  # fmt: skip
+"""Formats that hold sheets whose cells differ; the others hold one cell, or a few of its equals."""
 
 
 def refuse_other_cells(window: Window, format: str) -> None:

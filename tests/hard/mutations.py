@@ -64,10 +64,11 @@ SCALAR, LAUNCH, TRACE = (
     "clacad/optics/sequence.py",
 )
 
-PLACES, LIKE, OWN, MIRROR = (
+PLACES, LIKE, OWN, BLOCKS, MIRROR = (
     "clacad/sheet/cell_places.py",
     "clacad/sheet/like_cell.py",
-    "clacad/tracing/compiled/own_cells.py",
+    "clacad/tracing/compiled/array_cells.py",
+    "clacad/tracing/compiled/own_straight.py",
     "clacad/effects/engine/mirrored_window.py",
 )
 AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"
@@ -99,12 +100,12 @@ MUTATIONS = [
     Mutation("like a cell: never wider", LIKE, "if factor <= 1.0:", "if True:", ALIKE),
     Mutation("like a cell: always wider", LIKE, "if widest else 1.0", "if True else 1.0", ALIKE),
     Mutation("like a cell: one direction", LIKE, "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
-    Mutation("kernel: gradient transposed", OWN, "change[f, XX] * x + change[f, XY] * y, change[f, YX] * x + change[f, YY] * y", "change[f, XX] * x + change[f, YX] * y, change[f, XY] * x + change[f, YY] * y", ITS_KERNEL),
-    Mutation("kernel: rows of hexagons as of squares", OWN, "place = int(i) + int(j) // 2 if lat[slot.HEXAGONAL] != 0.0 else int(i)", "place = int(i)", ITS_KERNEL),
-    Mutation("kernel: the table forgotten", OWN, "if which >= 0 and kept", "if which > 99 and kept", ITS_KERNEL),
-    Mutation("kernel: hexagons' centres by columns of squares", OWN, "x, y = lat[slot.X0] + (i + 0.5 * j) * lat[slot.PITCH]", "x, y = lat[slot.X0] + i * lat[slot.PITCH]", ITS_KERNEL),
-    Mutation("kernel: another pitch as if it were the same", OWN, "if here[slot.PITCH] == there[slot.PITCH] and here[slot.ROW] == there[slot.ROW]:", "if True:", ITS_KERNEL),
-    Mutation("kernel: cells of lens 1 in every array", OWN, "i, j, x, y = locate(there, xh, xl, yh, yl)", "_, _, x, y = locate(there, xh, xl, yh, yl)", ITS_KERNEL),
+    Mutation("kernel: gradient transposed", OWN, "return xx * x + xy * y, yx * x + yy * y", "return xx * x + yx * y, xy * x + yy * y", ITS_KERNEL),
+    Mutation("kernel: rows of hexagons as of squares", BLOCKS, "place = a + b // 2 if hexagonal else a", "place = a", ITS_KERNEL),
+    Mutation("kernel: the table forgotten", BLOCKS, "if which >= 0:", "if which > 99:", ITS_KERNEL),
+    Mutation("kernel: hexagons' centres by columns of squares", OWN, "return (i - grid.across) + grid.skew * j, j", "return i - grid.across, j", ITS_KERNEL),
+    Mutation("kernel: another pitch as if it were the same", BLOCKS, "two_sum(one.pitch, -two.pitch)", "(0.0, 0.0)", ITS_KERNEL),
+    Mutation("kernel: cells of lens 1 in every array", BLOCKS, "cell[i] += a", "cell[i] += 0.0 * a", ITS_KERNEL),
     Mutation("vertex: given up where the first step is too long", "clacad/prescription/traced_vertices.py",
              "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),
     # -- what aimed sheets are made of, and their triangles

@@ -25,6 +25,16 @@ DESIGN = clacad.Design.from_dict(
 KINDS = {
     "aimed": DESIGN,
     "other pitch": DESIGN.replace({"lattice.aperture": "centred", "lattice.pitch_2": 0.497}),
+    "turned": DESIGN.replace(
+        {"lattice.aperture": "centred", "lattice.pitch_2": 0.497, "lattice.rotation_2": "1 deg"}
+    ),
+    "tilted": DESIGN.replace(
+        {
+            "lattice.aperture": "centred",
+            "law.euler": [30, 3, 10],
+            "law.varying": {"gradient": [[-3e-3, 0], [0, -3e-3]]},
+        }
+    ),
     "varying": DESIGN.replace(
         {"lattice.aperture": "centred", "law.varying": {"f_image": 300}, "pair.offset": "traced"}
     ),
