@@ -235,6 +235,32 @@ def test_every_form_and_lattice_can_be_aimed_and_an_eye_there_sees_the_law(form,
     assert clacad.Design.from_dict(design.to_dict()).sha256 == design.sha256
 
 
+def test_the_light_of_the_outermost_cell_of_a_slab_lands_in_the_middle_of_its_partner():
+    """Snell's law at lens 1's vertex, which is level there: straight on in air is a tenth of the pitch off."""
+    window = clacad.prescribe(
+        clacad.Design.from_dict(
+            {
+                "format": 1, "name": "aimed", "unit": "mm", "law": {"eta": [-1, -1]}, "check": {"process": "none"},
+                "pair": {"form": "slab", "separation": 10, "index": 1.5, "offset": "paraxial"},
+                "lattice": {"pitch": 0.5, "count": [101, 101], "aperture": {"point": [0, 0, -400]}},
+            }
+        )
+    )  # fmt: skip
+    thick = window.bodies[0].back.vertex[2] - window.bodies[0].front.vertex[2]
+    cells = window.lattice.cells()
+    one, two = window.centres(0, cells), window.centres(1, cells)
+    slope = one / 400.0
+    steep = np.hypot(*slope.T)
+    inside = steep / np.sqrt(1.0 + steep**2) / 1.5
+    landed = (
+        one + slope * (thick * inside / np.sqrt(1.0 - inside**2) / np.where(steep > 0.0, steep, 1.0))[:, None]
+    )
+    off = np.hypot(*(landed - two).T)
+    outer = np.flatnonzero(steep == steep.max())
+    assert off[outer].max() < 1e-12
+    assert 1e-5 < off.max() < 0.01 * 0.5
+
+
 def test_keys_at_their_defaults_leave_no_trace_in_the_text():
     text = WINDOW.canonical_toml()
     assert "offset" not in text
